@@ -1,8 +1,7 @@
 """Reading of scenario descriptions without running code from them.
 
-A pickle is a program for a small machine. This module runs the part of that machine that builds
-plain containers, keyed by text or numbers. Arrays of numbers and text are made here from their
-bytes; the file neither calls a function of another library nor gives an object of one a state.
+A pickle is a program for a small machine, which calls what ``find_class`` returns. Here that is
+one of a few functions of this module, which make arrays of numbers and text from their bytes.
 """
 
 from __future__ import annotations
@@ -25,9 +24,6 @@ __all__ = ["load_scenario_dict"]
 
 #: Kinds and sizes, in bytes, of numbers in arrays; the size of text is in characters.
 _DTYPE = re.compile(r"b1|[iu][1248]|f[248]|[US]\d{1,4}")
-_KEYS = (str, int, float, bytes, np.generic, type(None))
-#: Keys and members of sets that are no text, in a file.
-_MOST_NUMBERS = 10_000
 
 
 def _refusal(what: str) -> DatasetError:
@@ -35,41 +31,52 @@ def _refusal(what: str) -> DatasetError:
 
 
 class _Maker:
-    """Stands for a global of the pickle: ``REDUCE`` may call it, nothing else may be done."""
+    """Stands for a global of the pickle, which may call it and change nothing about it."""
+
+    __slots__ = ("_make",)
 
     def __init__(self, make: Callable[..., Any]) -> None:
-        self.make = make
+        self._make = make
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._make(*arguments)
+
+    def __setstate__(self, state: object) -> None:
+        raise _refusal(f"a state of {type(self).__name__}")
 
 
 class _Dtype:
     """A dtype whose byte order comes with its state."""
 
-    memo_key: int | None = None
+    __slots__ = ("dtype",)
 
     def __init__(self, code: object, align: object = False, copy: object = True) -> None:
         if not (isinstance(code, str) and _DTYPE.fullmatch(code)):
             raise _refusal(f"numpy.dtype {_shown(code)}")
         self.dtype: np.dtype[Any] = np.dtype(code)
 
-    def built(self, state: Any) -> _Dtype:
-        """Return the dtype in the byte order of a state that says nothing else."""
+    def __setstate__(self, state: Any) -> None:
         _, order, *rest = state
         if order not in ("<", ">", "=", "|") or any(rest[i] is not None for i in range(3)):
             raise _refusal(f"numpy.dtype {self.dtype} with fields or a shape")
-        made = _Dtype(self.dtype.str[1:])
-        made.dtype = self.dtype.newbyteorder(order)
-        return made
+        self.dtype = self.dtype.newbyteorder(order)
 
 
-class _Array:
+class _Array(np.ndarray[Any, Any]):
     """An array whose shape, dtype and bytes come with its state."""
 
-    memo_key: int | None = None
-
-    def built(self, state: Any) -> npt.NDArray[Any]:
-        """Return the array of a state."""
+    def __setstate__(self, state: Any) -> None:
         _, shape, dtype, by_column, data = state
-        return _array(data, dtype, shape, "F" if by_column else "C")
+        made = _array(data, dtype, shape, "F" if by_column else "C")
+        super().__setstate__((1, shape, made.dtype, bool(by_column), made.tobytes("A")))
+        self.flags.writeable = False
+
+
+class _Tuple(tuple[Any, ...]):
+    """A tuple that is no key: the time of its hash grows with 2 to the depth of nested ones."""
+
+    __slots__ = ()
+    __hash__ = None  # type: ignore[assignment]
 
 
 def _shown(value: object) -> str:
@@ -109,157 +116,48 @@ def _dict(*_: object) -> dict[Any, Any]:
 _GLOBALS: dict[str, Callable[..., Any] | None] = {
     "numpy.ndarray": None,
     "numpy.dtype": _Dtype,
-    "numpy.core.multiarray._reconstruct": lambda *_: _Array(),
+    "numpy.core.multiarray._reconstruct": lambda *_: _Array((0,), "b"),
     "numpy.core.multiarray.scalar": _scalar,
     "numpy.core.numeric._frombuffer": _array,
     "_codecs.encode": _encoded,
     "collections.OrderedDict": _dict,
     "collections.defaultdict": _dict,
+    "builtins.set": set,
+    "builtins.frozenset": frozenset,
     **dict.fromkeys(f"builtins.{name}" for name in ("dict", "float", "int", "list", "str")),
 }
 
 
-#: Steps of the machine that are harmless as they are.
-_STEPS = (
-    "proto frame mark stop pop pop_mark dup none false true int binint binint1 binint2 long long1 "
-    "long4 float binfloat unicode binunicode binunicode8 short_binunicode binbytes binbytes8 "
-    "short_binbytes tuple empty_tuple tuple1 tuple2 tuple3 list empty_list empty_dictionary "
-    "empty_set global stack_global get binget long_binget put binput long_binput memoize"
-)
+def _bounded(step: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return a step whose result is a quick key: there are numbers without end of one hash."""
+
+    def load(machine: Any) -> None:
+        step(machine)
+        made = machine.stack[-1]
+        if type(made) is tuple:
+            machine.stack[-1] = _Tuple(made)
+        elif isinstance(made, int) and not -(2**63) <= made < 2**63:
+            raise _refusal("a whole number beyond 64 bits")
+
+    return load
 
 
-class _Memo(dict[int, Any]):
-    """The memo of the machine; what is still without its state learns where it is kept."""
-
-    def __setitem__(self, key: int, value: Any) -> None:
-        if isinstance(value, (_Dtype, _Array)):
-            value.memo_key = key
-        super().__setitem__(key, value)
-
-
-# The machine in Python and not the one in C: its steps can be replaced, and that one in C takes as
-# much memory as a file says (LONG_BINPUT).
+# The machine in Python and not the one in C, which takes as much memory as a file says.
 class _Unpickler(pickle._Unpickler):
-    """Builds numbers, text, plain containers and arrays; refuses any other step."""
+    """Builds numbers, text, plain containers and arrays."""
 
-    stack: list[Any]
-    append: Callable[[Any], None]
-    pop_mark: Callable[[], list[Any]]
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__(io.BytesIO(data))
-        self.memo = _Memo()
-        self._num_numbers = 0
-
-    def _key(self, value: Any) -> Any:
-        """Return a key: no tuple, as the time of a hash grows with 2 to the depth of nested ones,
-        and few numbers, as there are numbers without end that share a hash.
-        """
-        if not isinstance(value, _KEYS):
-            raise _refusal(f"a {type(value).__name__} as a key")
-        if not isinstance(value, (str, bytes)):
-            self._num_numbers += 1
-            if self._num_numbers > _MOST_NUMBERS:
-                raise _refusal(f"more than {_MOST_NUMBERS} numbers as keys")
-        return value
-
-    def _members(self, values: Any = ()) -> set[Any]:
-        if not isinstance(values, (list, tuple)):
-            raise _refusal(f"a set of {type(values).__name__}")
-        return {self._key(value) for value in values}
+    dispatch: ClassVar[dict[int, Any]] = {
+        code: _bounded(step) if re.search("tuple|int|long", step.__name__) else step
+        for code, step in pickle._Unpickler.dispatch.items()
+    } | {pickle.BYTEARRAY8[0]: pickle._Unpickler.dispatch[pickle.BINBYTES8[0]]}
 
     def find_class(self, module: str, name: str) -> Any:
         """Return what stands for an allowed global."""
         known = f"{module}.{name}".replace("numpy._core", "numpy.core")
-        if known in ("builtins.set", "builtins.frozenset"):
-            return _Maker(self._members)
         if known not in _GLOBALS:
             raise _refusal(f"{module}.{name}"[:80])
         make = _GLOBALS[known]
         return None if make is None else _Maker(make)
-
-    def load_reduce(self) -> None:
-        """Call a stand-in."""
-        arguments = self.stack.pop()
-        maker = self.stack.pop()
-        if not isinstance(maker, _Maker):
-            raise _refusal(f"a call of {type(maker).__name__}")
-        self.append(maker.make(*arguments))
-
-    def load_build(self) -> None:
-        """Give a dtype or an array its state: a new object takes its place."""
-        state = self.stack.pop()
-        part = self.stack.pop()
-        if not isinstance(part, (_Dtype, _Array)):
-            raise _refusal(f"a state of {type(part).__name__}")
-        made = part.built(state)
-        if part.memo_key is not None:
-            self.memo[part.memo_key] = made
-        self.append(made)
-
-    def load_append(self) -> None:
-        """Append one value to a list."""
-        self._extend([self.stack.pop()])
-
-    def load_appends(self) -> None:
-        """Append values to a list."""
-        self._extend(self.pop_mark())
-
-    def _extend(self, values: list[Any]) -> None:
-        if type(self.stack[-1]) is not list:
-            raise _refusal(f"values appended to {type(self.stack[-1]).__name__}")
-        self.stack[-1].extend(values)
-
-    def load_setitem(self) -> None:
-        """Put one entry into a dictionary."""
-        value = self.stack.pop()
-        self._update([self.stack.pop(), value])
-
-    def load_setitems(self) -> None:
-        """Put entries into a dictionary."""
-        self._update(self.pop_mark())
-
-    def _update(self, items: list[Any]) -> None:
-        if type(self.stack[-1]) is not dict:
-            raise _refusal(f"entries of {type(self.stack[-1]).__name__}")
-        for key, value in zip(items[::2], items[1::2], strict=True):
-            self.stack[-1][self._key(key)] = value
-
-    def load_dict(self) -> None:
-        """Build a dictionary."""
-        items = self.pop_mark()
-        self.append({})
-        self._update(items)
-
-    def load_additems(self) -> None:
-        """Put members into a set."""
-        items = self.pop_mark()
-        if type(self.stack[-1]) is not set:
-            raise _refusal(f"members of {type(self.stack[-1]).__name__}")
-        self.stack[-1].update(self._members(items))
-
-    def load_frozenset(self) -> None:
-        """Build a set."""
-        items = self.pop_mark()
-        self.append(self._members(items))
-
-    dispatch: ClassVar[dict[int, Any]] = {
-        code: step
-        for code, step in pickle._Unpickler.dispatch.items()
-        if step.__name__.removeprefix("load_") in _STEPS.split()
-    } | {
-        pickle.REDUCE[0]: load_reduce,
-        pickle.BUILD[0]: load_build,
-        pickle.APPEND[0]: load_append,
-        pickle.APPENDS[0]: load_appends,
-        pickle.SETITEM[0]: load_setitem,
-        pickle.SETITEMS[0]: load_setitems,
-        pickle.DICT[0]: load_dict,
-        pickle.ADDITEMS[0]: load_additems,
-        pickle.FROZENSET[0]: load_frozenset,
-        # numpy's buffers; the machine's own takes as much memory as the file says
-        pickle.BYTEARRAY8[0]: pickle._Unpickler.dispatch[pickle.BINBYTES8[0]],
-    }
 
 
 def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -275,7 +173,7 @@ def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
         The file is damaged, or its pickle asks for anything but numpy arrays and plain containers.
     """
     with reading("scenario", path):
-        scenario = _Unpickler(read_bytes(path)).load()
+        scenario = _Unpickler(io.BytesIO(read_bytes(path))).load()
         if not isinstance(scenario, dict):
             raise DatasetError(f"a {type(scenario).__name__}, expected a dictionary")
         return scenario

@@ -1,0 +1,387 @@
+"""Values, names and folders made to harm are refused in words, or do nothing."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import csv
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import resource
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from array_scenes import STEPS, agent, array_scene
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, EgoVectorEnv, Scene, WorldConfig, errors
+from ccdiff_env.bench import scenario_sets
+from ccdiff_env.bench.page import markdown_html, write_report_page
+from ccdiff_env.bench.replays import write_replay
+from ccdiff_env.cli import main
+from ccdiff_env.config import BevConfig, ObservationConfig
+from ccdiff_env.metrics import Motion
+from ccdiff_env.models import TrajectoryModel, shipped_weights
+from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.system import files
+from ccdiff_env.view.index import write_pages
+from ccdiff_env.view.page import page_html
+from ccdiff_env.view.play import _moves
+from ccdiff_env.view.sources import log_rollout
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def rollout():
+    return log_rollout(ccdiff_env.embedded_scenes()[0])
+
+
+# names and folders
+
+NAMES = ("../../pwned", "/pwned", "..", "", ".", "a/b", "a\\b", "con\0x", "x" * 5000, "\x1b[2J")
+
+
+def test_names_of_files_stay_in_their_folder(tmp_path):
+    found = [files.file_name(name, ".html") for name in NAMES]
+    for name in found:
+        assert (tmp_path / name).resolve().parent == tmp_path.resolve()
+        (tmp_path / name).write_text("")
+    assert len(set(found)) == len(NAMES)
+    assert files.file_name("scene-0061") == "scene-0061"
+
+
+def test_names_of_scenes_are_no_paths(tmp_path, monkeypatch):
+    deep = tmp_path / "one" / "two"
+    deep.mkdir(parents=True)
+    monkeypatch.chdir(deep)
+    for name in ("../../pwned", str(tmp_path / "pwned")):
+        scene = rollout().to_scene(name)
+        log_rollout(scene).save("evil.npz")
+        assert main(["view", "evil.npz"]) == 0
+        page = deep / "replays" / files.file_name(f"x-{name}", ".html")
+        write_replay(log_rollout(scene), page)
+        monkeypatch.setattr(scenario_sets, "scenes_of", lambda *_, scene=scene: [scene])
+        monkeypatch.setattr(scenario_sets, "scene_hashes", lambda *_, name=name: {name: "0"})
+        scenario_sets.generate(
+            source="embedded/val", names=[name], generator="replay", traffic="replay", seed=0,
+            folder="set", num_plans=1,
+        )  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["one"]
+    assert [path.name for path in deep.parent.iterdir()] == ["two"]
+
+
+def test_pages_of_a_folder_do_not_replace_each_other_and_a_foreign_file_is_left_out(tmp_path):
+    (tmp_path / "a").mkdir()
+    rollout().save(tmp_path / "a-b.npz")
+    rollout().save(tmp_path / "a" / "b.npz")
+    np.savez(tmp_path / "c.npz", x=np.zeros(3))
+    with pytest.warns(UserWarning, match=r"c\.npz"):
+        pages = write_pages(tmp_path, tmp_path / "pages", thumbnails=False)
+    assert len(set(pages)) == 3
+    assert all(page.is_file() for page in pages)
+
+
+def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("before")
+    with pytest.raises(ZeroDivisionError), files.writing(path) as file:
+        csv.writer(file).writerow([1, 1 / 0])
+    os.symlink(path, tmp_path / f".b.csv.{os.getpid()}")
+    with files.writing(tmp_path / "b.csv") as file:
+        csv.writer(file).writerow([1, 2])
+    assert (tmp_path / "b.csv").read_bytes() == b"1,2\r\n"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            files.write_aside(path, "x" * 10**6)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.csv"]
+    assert path.read_text() == "before"
+
+
+# scenes
+
+HALF = "\ud800"
+LANE = {
+    "id": "0", "kind": "lane", "polygon": {"exterior": np.zeros((0, 2), np.float32), "holes": []},
+    "successors": [], "predecessors": [], "speed_limit_mps": None,
+    "centreline": np.zeros((2, 2), np.float32),
+}  # fmt: skip
+
+
+def scene_with(line=None, **changes):
+    """A car that stands for six seconds, with a lane and changes."""
+    arrays = {
+        "name": "x",
+        "agent_ids": ["ego"],
+        "agent_types": ["vehicle"],
+        "sizes": np.array([[4.5, 1.9, 1.6]], np.float32),
+        "position": np.zeros((1, 60, 2), np.float32),
+        "heading": np.zeros((1, 60), np.float32),
+        "velocity": np.zeros((1, 60, 2), np.float32),
+        "valid": np.ones((1, 60), bool),
+        "map_layers": {"lanes": [] if line is None else [{**LANE, "centreline": line}]},
+    }
+    return Scene.from_arrays(**arrays | changes)
+
+
+def jumping(step_m):
+    position = np.zeros((1, 60, 2), np.float32)
+    position[0, ::2, 0] = step_m
+    return position
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        *(({"line": np.array([[0, 0], [x, 0]], np.float32)}, "map") for x in (3e11, 2.5e11, 1e7)),
+        ({"line": np.array([[i % 2 * 1e6, i] for i in range(100)], np.float32)}, "map"),
+        ({"position": jumping(9e5)}, "paths"),
+        ({"sizes": np.array([[1e30, 2, 1]], np.float32)}, "size"),
+        ({"sizes": np.array([[4, 2, np.nan]], np.float32)}, "size"),
+        ({"heading": np.full((1, 60), 1e30, np.float32)}, "heading"),
+        ({"dt": 1e-30}, "dt|step"),
+        ({"dt": 1e3}, "dt|step"),
+        ({"name": "\x1b[2J"}, "control char"),
+        ({"agent_ids": ["a\nb"]}, "control char"),
+        *(({key: HALF}, "half a char") for key in ("name", "token", "location", "source")),
+        *(({f"agent_{key}": [HALF]}, "half a char") for key in ("ids", "types", "categories")),
+        ({"map_layers": {HALF: []}}, "half a char"),
+        *(({"map_layers": {"lanes": [{**LANE, key: HALF}]}}, "half") for key in ("id", "kind")),
+    ],
+    ids=lambda value: ascii(value)[:30],
+)
+def test_scenes_of_absurd_values(change, words):
+    with pytest.raises(errors.SceneError, match=words):
+        scene_with(**change)
+
+
+def test_a_line_of_a_thousand_kilometres_costs_little():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    line = np.array([[0, 0], [9.9e5, 0]], np.float32)
+    EgoEnv(scenes=scene_with(line), traffic="idm").reset(seed=0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
+
+
+def test_agents_too_far_apart_for_the_map_of_a_network():
+    """A bitmap round both would take terabytes; rules drive among them."""
+    scene = array_scene(agent("ego", np.arange(STEPS) * 1.0), agent("other", 9e5), name="far")
+    EgoEnv(scenes=scene, traffic="idm").reset(seed=0)
+    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
+        EgoEnv(scenes=scene, traffic="ccdiff")
+    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
+        TrajectoryModel(shipped_weights()).plan([scene], [40])
+
+
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_motions_and_episodes_of_absurd_values(value):
+    with pytest.raises(errors.SceneError, match="size"):
+        Motion(np.zeros((1, 5, 2)), np.zeros((1, 5)), np.full((1, 2), value))
+    for dt_s in (value, 1e-30, 1e-3, 1e30):
+        with pytest.raises(errors.DatasetError, match="dt_s"):
+            dataclasses.replace(rollout(), dt_s=dt_s)
+
+
+# data sets
+
+
+@pytest.fixture
+def data_set(tmp_path):
+    """The embedded scenes as files; loads the first one."""
+    unpack(tmp_path)
+    name = embedded_splits()["val"][0]
+
+    def load() -> Scene:
+        return ccdiff_env.load_nuscenes(tmp_path, VERSION, scenes=[name], cache=False)[0]
+
+    return tmp_path, load
+
+
+def test_a_lane_of_very_many_pieces_costs_little(data_set):
+    folder, load = data_set
+    load()
+    path = folder / "maps/expansion/ccdiff-town.json"
+    town = json.loads(path.read_text())
+    lane = next(iter(town["arcline_path_3"]))
+    pieces = town["arcline_path_3"][lane] * 100_000
+    town["arcline_path_3"][lane] = pieces[:300_000]
+    path.write_text(json.dumps(town))
+    start = time.process_time()
+    with contextlib.suppress(errors.DatasetError):
+        load()
+    assert time.process_time() - start < 20.0
+
+
+def test_files_may_begin_with_a_byte_order_mark(data_set):
+    folder, load = data_set
+    plain = load()
+    for path in folder.rglob("*.json"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert load() == plain
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        (f"{VERSION}/sample_annotation.json", "translation"),
+        (f"{VERSION}/scene.json", "name"),
+        ("maps/expansion/ccdiff-town.json", "drivable_area"),
+    ],
+)
+def test_names_of_fields_with_escapes_are_refused(data_set, file, name):
+    folder, load = data_set
+    path = folder / file
+    escaped = f'"\\u{ord(name[0]):04x}{name[1:]}"'
+    assert json.loads(escaped) == name
+    path.write_text(path.read_text().replace(f'"{name}"', escaped))
+    with pytest.raises(errors.DatasetError, match="without escapes") as error:
+        load()
+    assert path.name in str(error.value)
+
+
+# worlds
+
+
+@pytest.mark.parametrize("count", [0, -1, 10**5, 10**9, 2**62, 2**70, 1.0, "4", True])
+def test_absurd_numbers_of_worlds_and_threads(count):
+    with pytest.raises(errors.ConfigError, match="num_envs"):
+        EgoVectorEnv(count)
+    with pytest.raises(errors.ConfigError, match="num_threads"):
+        EgoVectorEnv(1, num_threads=count)
+
+
+def test_observations_that_do_not_fit():
+    config = WorldConfig(observation=ObservationConfig(bev=BevConfig(size_px=1024)))
+    with pytest.raises(errors.ConfigError, match="bytes"):
+        EgoVectorEnv(65_536, config=config, observation="bev")
+
+
+def test_long_names_are_cut_in_images():
+    scene = rollout().to_scene("n" * 100_000)
+    env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
+    env.reset(seed=0)
+    start = time.process_time()
+    env.render()
+    assert time.process_time() - start < 2.0
+
+
+@pytest.mark.parametrize("order", ["random", "sequential"])
+def test_snapshots_of_others_give_worlds_that_go_on(order):
+    scenes = ccdiff_env.embedded_scenes()[:3]
+    env = EgoEnv(scenes=scenes, traffic="idm", scene_order=order)
+    env.reset(seed=5)
+    action = np.zeros(2, np.float32)
+    for _ in range(5):
+        env.step(action)
+    good = env.snapshot()
+    name = env.scenes[env.worlds.native.status(0).scene_idx].name.encode()
+    start = good.rindex(name) + len(name)
+    nan, taken = struct.pack("<f", float("nan")), 0
+    changed = [good[:at] + nan + good[at + 4 :] for at in range(start, len(good) - 4, 3)]
+    numbers = (b"\3", b"\xe8\7", b"\xff\xff\xff\xff\xff\xff\xff\xff\xff\1")
+    changed += [good[:at] + n + good[at + 1 :] for at in range(start, start + 60) for n in numbers]
+    for bytes_ in changed:
+        try:
+            env.restore(bytes_)
+        except errors.SnapshotError:
+            continue
+        taken += 1
+        try:
+            obs, reward, _, _, info = env.step(action)
+        except errors.ResetNeededError:
+            pass
+        else:
+            assert np.isfinite(obs).all()
+            assert np.isfinite([reward, *(v for v in info.values() if isinstance(v, float))]).all()
+        env.reset()
+    assert taken > 0
+    env.restore(good)
+    assert env.snapshot() == good
+
+
+# what is said, and what a browser runs
+
+
+@pytest.mark.parametrize("text", ['{"a":' + "[" * 50_000, '{"a":[1e999,0]}', '{"a":[1]}', "3", "{"])
+def test_moves_of_the_playground(text):
+    with pytest.raises(errors.ConfigError, match="moves"):
+        _moves(text)
+
+
+def test_results_of_jobs_are_rows(tmp_path, capsys):
+    words = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--limit", "1"]
+    words += ["--out", str(tmp_path), "--quiet", "--replays", "1", "--seeds", "0"]
+    assert main(words) == 0
+    page = tmp_path / "report.html"
+    whole = page.read_text()
+    (job,) = (tmp_path / "raw").glob("replay-*.json")
+    made = json.loads(job.read_text())
+    for address in ("javascript:void(0)//", "../../x.html", "replays/other.html"):
+        made["result"]["pages"] = dict.fromkeys(made["result"]["pages"], address)
+        job.write_text(json.dumps(made))
+        assert main(words) == 2
+        assert "the page of" in capsys.readouterr().err
+    job.unlink()
+    (row,) = [path for path in (tmp_path / "raw").glob("*.json") if path.name[:6] != "replay"]
+    kept = row.read_text()
+    for result in ([], {}, [3], None, [{}]):
+        row.write_text(json.dumps({**json.loads(kept), "result": result}))
+        assert main(words) == 2, result
+        assert row.name in capsys.readouterr().err
+    row.write_text(kept)
+    assert main(words) == 0
+    assert page.read_text().count('class="card" href="replays/') == whole.count('class="card"') == 1
+
+
+def test_pages_run_their_own_script_alone(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"x")
+    (tmp_path / "a.svg").write_text("<svg onload='alert(1)'><script>alert(2)</script></svg>")
+    write_report_page(
+        tmp_path / "r.html", title="t", line="l", plots=[tmp_path / "a.png"], parts={"x": "y"},
+        images=[(name, name, tmp_path / "none.png") for name in ADDRESSES],
+    )  # fmt: skip
+    report = (tmp_path / "r.html").read_text()
+    assert re.findall(r'class="card" href="([^"]*)"', report) == ["replays/a.html#t=1:0"]
+    for page in (report, page_html(rollout())):
+        (policy,) = re.findall(r"script-src ([^;]*);", page)
+        own = page[page.rindex("<script>") + 8 : page.rindex("</script>")]
+        digest = base64.b64encode(hashlib.sha256(own.encode()).digest()).decode()
+        assert policy == f"'sha256-{digest}'"
+
+
+ADDRESSES = ("javascript:alert(1)", "JaVaScript:x", "data:text/html,x", "replays/a.html#t=1:0")
+
+
+def test_terminals_of_ascii():
+    code = "import sys; from ccdiff_env_cli import main; sys.exit(main(['scenes']))"
+    plain = {**os.environ, "PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert b"----" in done.stdout
+
+
+@pytest.mark.parametrize("verb", [["view"], ["bench", "planners"], ["rollout"]])
+def test_help_says_which_policies_run_code(verb, capsys):
+    with pytest.raises(SystemExit):
+        main([*verb, "--help"])
+    assert "runs the code in it" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["javascript:alert(1)", "JaVaScript:alert(1)", "\x01javascript:x", "data:text/html,x"],
+)
+def test_names_in_tables_make_no_links_that_run(address):
+    assert "href" not in markdown_html(f"| [a]({address}) | b |\n|---|---|\n")
+    assert 'href="replays/a.html#t=1:0"' in markdown_html("[a](replays/a.html#t=1:0)")
+    assert 'href="https://x.org/a"' in markdown_html("[a](https://x.org/a)")
