@@ -347,7 +347,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
     def snapshot(self) -> bytes:
         """Return everything that the world's future depends on."""
-        return Snapshot(self.worlds.native.snapshot(0)).to_bytes()
+        return Snapshot.of(self.worlds, 0).to_bytes()
 
     def restore(self, snapshot: bytes, *, seed: int | None = None) -> Rows:
         """Return to the state of a snapshot; returns the observations of that moment.

@@ -250,7 +250,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def snapshot(self) -> bytes:
         """Return everything that the environment's future depends on."""
         actions = None if self._actions is None else b"".join(self._actions)
-        return Snapshot(self.worlds.native.snapshot(0), actions).to_bytes()
+        return Snapshot.of(self.worlds, 0, actions).to_bytes()
 
     def restore(self, snapshot: bytes, *, seed: int | None = None) -> Any:
         """Return to the state of a snapshot, bit for bit.

@@ -422,7 +422,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     def snapshot(self, world_idx: int) -> bytes:
         """Return everything that the future of a world depends on."""
         self.worlds.check_world(world_idx)
-        return Snapshot(self.worlds.native.snapshot(world_idx)).to_bytes()
+        return Snapshot.of(self.worlds, world_idx).to_bytes()
 
     def restore(self, world_idx: int, snapshot: bytes, *, seed: int | None = None) -> Any:
         """Put a world into the state of a snapshot, its own or another world's.

@@ -172,7 +172,7 @@ def _fork(worlds: Worlds, seeds: Sequence[int | None], **options: Any) -> Worlds
     """Return new worlds in the state of the first one of ``worlds``, one for each seed."""
     config = worlds.config.with_options(**options)
     fork = Worlds(worlds.scenes, config, num_worlds=len(seeds), num_threads=1)
-    state = Snapshot(worlds.native.snapshot(0))
+    state = Snapshot.of(worlds, 0)
     for i, seed in enumerate(seeds):
         state.put(fork, i, seed)
     return fork

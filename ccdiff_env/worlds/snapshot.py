@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 
@@ -9,9 +10,11 @@ from ccdiff_env.errors import SnapshotError
 from ccdiff_env.worlds import Worlds, normalize_seed
 
 _MAGIC = b"CCDENV"
-_VERSION = 1
+_VERSION = 2
 #: Magic, version, length of the actions in bytes (-1: not recorded).
 _HEAD = struct.Struct("<6sHq")
+#: From version 2 on: the criticality that the episode drew (not a number: none).
+_DRAWN = struct.Struct("<d")
 
 
 @dataclass(frozen=True)
@@ -24,10 +27,19 @@ class Snapshot:
         The native snapshot.
     actions
         Actions since the episode began, float32 rows; ``None`` where they were not recorded.
+    criticality
+        What the episode drew; ``None`` where nothing is drawn.
     """
 
     world: bytes
     actions: bytes | None = None
+    criticality: float | None = None
+
+    @classmethod
+    def of(cls, worlds: Worlds, world_idx: int, actions: bytes | None = None) -> Snapshot:
+        """Return the snapshot of a world as it is."""
+        drawn = worlds.criticality.get(world_idx)
+        return cls(worlds.native.snapshot(world_idx), actions, drawn)
 
     def put(self, worlds: Worlds, world_idx: int, seed: int | None = None) -> None:
         """Put a world into it; with a seed, its future is another one.
@@ -41,6 +53,9 @@ class Snapshot:
         """
         other = None if seed is None else normalize_seed(seed)
         worlds.native.restore(world_idx, self.world)
+        worlds.criticality.pop(world_idx, None)
+        if self.criticality is not None:
+            worlds.criticality[world_idx] = self.criticality
         if other is not None:
             worlds.native.reseed(world_idx, other)
 
@@ -48,7 +63,8 @@ class Snapshot:
         """Return the snapshot as bytes."""
         actions = self.actions or b""
         length = -1 if self.actions is None else len(actions)
-        return _HEAD.pack(_MAGIC, _VERSION, length) + actions + self.world
+        drawn = math.nan if self.criticality is None else self.criticality
+        return _HEAD.pack(_MAGIC, _VERSION, length) + _DRAWN.pack(drawn) + actions + self.world
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
@@ -67,11 +83,16 @@ class Snapshot:
         magic, version, length = _HEAD.unpack_from(data)
         if magic != _MAGIC:
             raise SnapshotError("snapshot: not the snapshot of an environment")
-        if version != _VERSION:
+        if version not in (1, _VERSION):
             raise SnapshotError(f"snapshot: version {version}, this release reads {_VERSION}")
-        body = data[_HEAD.size :]
+        body, drawn = data[_HEAD.size :], math.nan
+        if version > 1:
+            if len(body) < _DRAWN.size:
+                raise SnapshotError(f"snapshot: {len(data)} bytes, too short")
+            (drawn,), body = _DRAWN.unpack_from(body), body[_DRAWN.size :]
+        criticality = drawn if math.isfinite(drawn) else None
         if not -1 <= length <= len(body):
             raise SnapshotError(f"snapshot: {length} bytes of actions in {len(body)}")
         if length < 0:
-            return cls(world=body)
-        return cls(world=body[length:], actions=body[:length])
+            return cls(body, None, criticality)
+        return cls(body[length:], body[:length], criticality)
