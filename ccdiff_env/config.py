@@ -139,7 +139,9 @@ class WorldConfig(WorldOptions):
         if "ego" in given:
             given["controlled"] = given.pop("ego")
             if given["controlled"] not in ("ego", "any"):
-                raise ConfigError(f"config: ego is {given['controlled']!r}, expected ego or any")
+                raise ConfigError(
+                    f"config: ego is {given['controlled']!r}, expected one of ego, any"
+                )
         inner = ("dynamics", "discrete", "grid")
         shortcuts: dict[str, Any] = {name: given.pop(name) for name in inner if name in given}
         rasters = {"bev": given.pop("bev")} if "bev" in given else {}

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import collections
-import copy
 
 import numpy as np
 import pytest
 from episode_play import played, same
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, Scene, WorldConfig, embedded_scenes, replay
+from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, Scene, WorldConfig, embedded_scenes
 from ccdiff_env.errors import ConfigError, SceneError, UnknownNameError
 
 HISTORY, HORIZON, LEAST_M = 30, 100, 10.0
@@ -140,51 +139,6 @@ def test_it_starts_where_its_log_is_and_the_data_s_ego_is_traffic(scenes):
         assert drivers[ego] == "external"
         assert drivers.count("external") == 1
         assert env.worlds.native.slot_agents(0) == [ego]
-
-
-@pytest.mark.parametrize("mode", ["next_step", "same_step"])
-def test_batch_and_threads_change_nothing(mode, scenes):
-    def run(num_envs: int, first: int, **options) -> list[np.ndarray]:
-        env = EgoVectorEnv(
-            num_envs, scenes=scenes, ego="any", autoreset_mode=mode, horizon_steps=15, **options
-        )
-        obs, infos = env.reset(seed=first)
-        told = [obs, infos["ego_idx"], infos["start_step"]]
-        for t in range(40):
-            actions = np.stack([np.full(num_envs, 0.1), np.sin(0.1 * t) * np.ones(num_envs)], -1)
-            obs, reward, *_, infos = env.step(actions.astype(np.float32))
-            drawn = infos.get("start_step", np.zeros(num_envs, int))
-            told += [obs, reward, drawn]
-        return told
-
-    whole = run(6, 0, num_threads=1)
-    assert same(whole, run(6, 0, num_threads=3))
-    assert same([part[4:] for part in whole], run(2, 4))
-    assert len({tuple(part) for part in zip(*whole[1:3], strict=True)}) > 1
-
-
-def test_snapshots_copies_and_certificates_go_on_with_the_ego(scenes, tmp_path):
-    env = EgoEnv(scenes=scenes, ego="any", traffic="idm")
-    env.reset(seed=8)
-    _, info = env.reset()  # the second episode of its seed
-    played(env, actions(5))
-    state, fork = env.snapshot(), copy.deepcopy(env)
-    expected = played(env, actions(40))
-    assert same(played(fork, actions(40)), expected)
-    fresh = EgoEnv(scenes=scenes, ego="any", traffic="idm")
-    fresh.restore(state)
-    assert same(played(fresh, actions(40)), expected)
-    certificate = fork.certificate()
-    assert (certificate.ego, certificate.start_step) == (info["ego"], info["start_step"])
-    certificate.save(tmp_path / "drawn.json")
-    assert replay(tmp_path / "drawn.json", scenes).env.certificate().digest == certificate.digest
-
-    start = {"scene": scenes[0].name, "ego": "ego", "start": 45}
-    assert env.reset(options=start)[1]["start_step"] == 45
-    played(env, actions(40))
-    env.certificate().save(tmp_path / "named.json")
-    again = replay(tmp_path / "named.json", scenes).env
-    assert again.certificate().to_json() == env.certificate().to_json()
 
 
 def test_recordings_call_it_the_ego(scenes):

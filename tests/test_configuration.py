@@ -13,7 +13,6 @@ import pytest
 import ccdiff_env
 from ccdiff_env import _native, config
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.traffic import PythonTraffic
 from tools.configuration import FILES, tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,25 +36,6 @@ PLACES = {
 @pytest.mark.parametrize("name", FILES)
 def test_classes_keywords_and_page_are_those_of_the_tables(name):
     assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]()
-
-
-def test_defaults_of_every_class_are_those_of_its_table():
-    compared = set()
-    for table in tables():
-        name = table["name"]
-        kind = PythonTraffic if name == "PythonOptions" else getattr(config, name, None)
-        if kind is None or table["defaults"] is None:
-            continue
-        compared.add(name)
-        made = config._plain(kind(model="") if kind is PythonTraffic else kind())
-        made = next(iter(made.values())) if name.endswith("Limits") else made
-        wanted = dict(table["defaults"])
-        if name == "WorldConfig":  # options of drivers stand there where they drive
-            made |= {"policies": {}, "idm": config._plain(config.IdmConfig())}
-        assert {k: v for k, v in made.items() if k != "model"} == {
-            k: v for k, v in wanted.items() if k != "model"
-        }
-    assert compared == {*PLACES, "CcdiffConfig", "EgosConfig", "PythonOptions"}
 
 
 def parsed(text):

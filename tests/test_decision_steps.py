@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import Certificate, EgoEnv, Recorder, replay
+from ccdiff_env import EgoEnv, Recorder
 from ccdiff_env.errors import ConfigError
 
 #: Together, so that the figures of a decision have something to keep.
@@ -103,23 +103,6 @@ def test_each_agent_sees_its_own_end(scenes):
                 assert rewards[name] == total[name], name
                 assert (terminated[name], truncated[name]) == ends[name]
     assert early > 0
-
-
-def test_certificates_hold_decisions(scenes, tmp_path):
-    env = EgoEnv(scenes=scenes, traffic="idm", decision_steps=4)
-    env.reset(seed=8)
-    rewards, done = [], False
-    for action in actions(env, 8):
-        _, reward, terminated, truncated, _ = env.step(action)
-        rewards.append(reward)
-        if terminated or truncated:
-            break
-    env.certificate().save(tmp_path / "episode.json")
-    certificate = Certificate.load(tmp_path / "episode.json")
-    assert certificate.config.decision_steps == 4
-    assert len(certificate.actions) == len(rewards)
-    assert replay(certificate, scenes).rewards.tolist() == rewards
-    assert not done
 
 
 def test_snapshots_go_between_paces(scenes):

@@ -107,16 +107,17 @@ def test_runs_repeat_and_seeds_differ(scenes):
     assert same(run(info="none", copy=False), run())
 
 
-def _digests() -> list[int]:
-    env = make_vec(3, scenes="val", num_threads=2, traffic="idm")
+def digests(num_envs: int, **options) -> list[int]:
+    """Digests of worlds after thirty steps."""
+    env = make_vec(num_envs, scenes="val", **options)
     env.reset(seed=1)
     for action in actions(30):
-        env.step(np.tile(action, (3, 1)))
-    return [env.worlds.native.digest(i) for i in range(3)]
+        env.step(np.tile(action, (num_envs, 1)))
+    return [env.worlds.native.digest(i) for i in range(num_envs)]
 
 
 def _in_child(queue) -> None:
-    queue.put(_digests())
+    queue.put(digests(3, num_threads=2, traffic="idm"))
 
 
 def test_another_process_gets_the_same_bits():
@@ -124,7 +125,7 @@ def test_another_process_gets_the_same_bits():
     queue = context.Queue()
     child = context.Process(target=_in_child, args=(queue,))
     child.start()
-    assert queue.get(timeout=120) == _digests()
+    assert queue.get(timeout=120) == digests(3, num_threads=2, traffic="idm")
     child.join(60)
 
 

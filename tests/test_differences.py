@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 import json
 
 import numpy as np
 import pytest
 import shapely
-from episode_play import played, same
+from episode_play import played
 
-from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, WorldConfig, embedded_scenes, replay
-from ccdiff_env.errors import ConfigError, SnapshotError
+from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, embedded_scenes, replay
+from ccdiff_env.errors import ConfigError
 
 GOES_ON = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
 ALL = {"acceleration_gain": 0.3, "yaw_gain": 0.2, "delay_steps": 3, "size": 0.2, "noise": 0.02}
@@ -225,46 +224,6 @@ def test_a_reset_sets_the_style_for_its_episode(scenes, tmp_path):
     assert [batch.worlds.native.digest(i) for i in range(2)] == before
 
 
-@pytest.mark.parametrize("mode", ["next_step", "same_step"])
-def test_batch_and_threads_change_nothing(mode, scenes):
-    options = {"randomization": ALL, "style": STYLE, "horizon_steps": 15, "ego": "any"}
-
-    def run(num_envs: int, first: int, threads: int) -> list[np.ndarray]:
-        env = EgoVectorEnv(
-            num_envs, scenes=scenes, autoreset_mode=mode, num_threads=threads, **options
-        )
-        told = [env.reset(seed=first)[0]]
-        for action in actions(40):
-            obs, reward, *_ = env.step(np.tile(action, (num_envs, 1)))
-            told += [obs.copy(), reward.copy()]
-        return told
-
-    whole = run(6, 0, 1)
-    assert same(whole, run(6, 0, 3))
-    assert same([part[4:] for part in whole], run(2, 4, 1))
-
-
-def test_snapshots_copies_and_certificates_go_on_with_what_was_drawn(scenes, tmp_path):
-    options = {"scenes": scenes, "randomization": ALL, "style": STYLE, "dynamics": "assisted"}
-    env = EgoEnv(**options)
-    env.reset(seed=8)
-    env.reset()
-    played(env, actions(5))
-    state, fork = env.snapshot(), copy.deepcopy(env)
-    expected = played(env, actions(40))
-    assert same(played(fork, actions(40)), expected)
-    fresh = EgoEnv(**options)
-    fresh.restore(state)
-    assert fresh.worlds.native.drawn(0) == env.worlds.native.drawn(0)
-    assert same(played(fresh, actions(40)), expected)
-    certificate = fork.certificate()
-    certificate.save(tmp_path / "drawn.json")
-    again = replay(tmp_path / "drawn.json", scenes).env
-    assert again.certificate().to_json() == certificate.to_json()
-    with pytest.raises(SnapshotError, match="randomization"):
-        EgoEnv(scenes=scenes, style=STYLE, dynamics="assisted").restore(state)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -284,8 +243,3 @@ def test_snapshots_copies_and_certificates_go_on_with_what_was_drawn(scenes, tmp
 def test_what_does_not_fit_is_refused(options, words, scenes):
     with pytest.raises(ConfigError, match=words):
         EgoEnv(scenes=scenes, **options)
-
-
-def test_configurations_survive_json():
-    config = WorldConfig(style=STYLE, randomization=ALL)
-    assert WorldConfig.from_json(config.to_json()) == config

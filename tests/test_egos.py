@@ -133,20 +133,6 @@ def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(unicycl
     assert compared > 100
 
 
-def test_traffic_of_egos_is_the_same_for_any_threads_and_from_a_snapshot(scenes):
-    def played(threads, again=False):
-        env = ccdiff_env.make_vec(6, scenes=scenes, traffic="egos", num_threads=threads)
-        env.reset(seed=3)
-        for step in range(20):
-            if again and step == 10:
-                for i in range(6):
-                    env.restore(i, env.snapshot(i))
-            env.step(np.zeros((6, 2), np.float32))
-        return [env.worlds.native.states(i)["position"].tobytes() for i in range(6)]
-
-    assert played(1) == played(3) == played(1, again=True)
-
-
 def test_a_dial_drives_traffic_otherwise(scenes, tmp_path):
     worlds = ccdiff_env.make_vec(1, scenes=scenes, style=STYLES, config=CONFIG)
     agent = agent_of(worlds.worlds.layout)

@@ -93,34 +93,6 @@ def test_drivable_pixels_are_those_whose_centres_shapely_finds_on_the_road(name,
         assert np.array_equal(obs[DRIVABLE][sure] == 255, on_road[sure])
 
 
-@pytest.mark.parametrize("copy", [True, False])
-def test_the_vector_environment_gives_the_rasters_of_single_ones(copy, scenes):
-    options = {"scenes": scenes, "observation": "bev", "bev": SMALL, "traffic": "idm"}
-    options["horizon_steps"] = 15
-    vector = EgoVectorEnv(3, autoreset_mode="same_step", copy=copy, **options)
-    singles = [EgoEnv(**options) for _ in range(3)]
-    batch, _ = vector.reset(seed=10)
-    first = [env.reset(seed=10 + i)[0] for i, env in enumerate(singles)]
-    assert np.array_equal(batch, np.stack(first))
-    ended = 0
-    for _ in range(40):
-        before = np.array(batch)
-        kept = batch
-        batch, _, terminated, truncated, infos = vector.step(np.zeros((3, 2), np.float32))
-        assert batch in vector.observation_space
-        if copy:
-            assert np.array_equal(kept, before)
-        for i, env in enumerate(singles):
-            obs, _, *done, _ = env.step(np.zeros(2, np.float32))
-            assert done == [terminated[i], truncated[i]]
-            if any(done):
-                assert np.array_equal(infos["final_obs"][i], obs)
-                obs, _ = env.reset()
-                ended += 1
-            assert np.array_equal(batch[i], obs)
-    assert ended >= 3
-
-
 def test_a_restored_environment_shows_the_same_raster(scenes):
     env = EgoEnv(scenes=scenes, observation="bev", bev=SMALL, traffic="idm")
     env.reset(seed=4)

@@ -34,33 +34,6 @@ def scenes():
 ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
 
 
-@pytest.mark.parametrize("traffic", ["idm", "replay", "constant_velocity"])
-def test_restored_environments_go_on_bit_for_bit(traffic, scenes):
-    env = EgoEnv(scenes=scenes, traffic=traffic, on_collision="ignore", on_off_road="ignore")
-    obs, _ = env.reset(seed=8)
-    for action in ACTIONS[:20]:
-        obs, *_ = env.step(action)
-    saved, digest = env.snapshot(), env.worlds.native.digest(0)
-    rest = [env.step(action) for action in ACTIONS[20:40]]
-    after = env.reset()
-    assert same(env.restore(saved), obs)
-    assert env.worlds.native.digest(0) == digest
-    assert_same_trace([env.step(action) for action in ACTIONS[20:40]], rest)
-    assert same(env.reset()[0], after[0])
-
-
-def test_forks_are_independent(scenes):
-    env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore")
-    env.reset(seed=1)
-    for action in ACTIONS[:5]:
-        obs, *_ = env.step(action)
-    fork = env.fork()
-    assert same(fork.observation(), obs)
-    moved = [fork.step(action) for action in ACTIONS[5:15]]
-    assert same(env.observation(), obs)
-    assert_same_trace([env.step(action) for action in ACTIONS[5:15]], moved)
-
-
 @pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
 def test_copies_and_pickles_go_on_where_the_original_stands(make, scenes):
     env = gymnasium.make(ID, scenes=scenes, traffic="idm").unwrapped

@@ -69,16 +69,6 @@ def test_benchmarks_of_rules_leave_torch_alone(tmp_path):
     assert python(f"import sys\n{code}") == "0 False"
 
 
-def test_worlds_with_rules_leave_torch_alone():
-    episode = """
-env = ccdiff_env.EgoEnv(traffic="idm")
-env.reset(seed=1)
-env.step([0.0, 0.0])
-print("torch" in sys.modules)
-"""
-    assert python(f"import sys, ccdiff_env\n{episode}") == "False"
-
-
 REFUSED = """
 import sys, types
 import ccdiff_env
@@ -117,10 +107,6 @@ def test_networks_that_cannot_be_are_one_clear_line(before, message):
 def test_environments_of_a_learner_that_is_not_there_are_one_clear_line():
     code = "import sys\nsys.modules['stable_baselines3'] = None\ntry: import ccdiff_env.envs.sb3\n"
     assert "ccdiff-env[rl]" in python(f"{code}except ImportError as error: print(error)")
-
-
-def test_parts_of_the_package_are_there_when_they_are_named():
-    assert python("import ccdiff_env\nprint(ccdiff_env.view.write_page.__name__)") == "write_page"
 
 
 def test_a_source_folder_before_the_installed_package_says_what_to_do(tmp_path):

@@ -33,7 +33,6 @@ NAMES = sorted(name for name in FILES if name.split("_")[0] in KINDS)
 #: Those of them that denoise, and those that also attend to each other.
 SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"))]
 DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]
-DRIVEN = sorted({name.split("_")[0] for name in NAMES})
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
 #: Unit of rounding of float32, and terms of the sums of a network: its width.
 UNIT, TERMS = 2.0**-24, 64
@@ -212,15 +211,6 @@ def test_a_scene_has_the_same_plan_alone_and_among_others(name):
     alone = plans(own(name), name, found=[embedded_scenes("val")[SCENES[0]]])
     for a, b in zip(alone, together, strict=False):
         assert a["states"].tobytes() == b["states"].tobytes()
-
-
-@pytest.mark.parametrize("traffic", DRIVEN)
-def test_episodes_have_one_digest_alone_in_a_batch_and_on_two_threads(traffic):
-    options = {"traffic": traffic}
-    batch = digests(8, num_threads=1, **options)
-    assert digests(8, num_threads=2, **options) == batch
-    assert digests(1, **options) == batch[:1]
-    assert digests(1, first=5, **options) == batch[5:6]
 
 
 HELD_DOWN = """

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from ccdiff_env.bench.planner_score import COMFORT, TTC_BOUND_S
 from ccdiff_env.record.counterfactual import ego_plans
-from ccdiff_env.traffic.python import AGENT_KINDS
-from ccdiff_env.view import render
 
 RUST = Path(__file__).resolve().parents[1] / "rust"
 
@@ -38,14 +36,3 @@ def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():
     assert [(p.acceleration_mps2, p.offset_m) for p in steady] == [
         ((a, a), d) for d in offsets for a in accelerations
     ]
-
-
-def test_kinds_of_agents_have_one_list_in_each_language():
-    text = (RUST / "sim/src/scene/mod.rs").read_text(encoding="utf-8")
-    found = re.search(r'\[("vehicle", [^\]]*)\]\[self as usize\]', text)
-    assert found
-    assert tuple(re.findall(r'"(\w+)"', found[1])) == AGENT_KINDS == render.KINDS
-    page = (Path(render.__file__).parent / "assets/actors.js").read_text(encoding="utf-8")
-    kinds = re.search(r"KIND_COLOURS = \{\s*light: \{([^}]*)\}", page)
-    assert kinds
-    assert tuple(re.findall(r"(\w+):", kinds[1])) == ("ego", *AGENT_KINDS)

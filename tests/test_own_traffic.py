@@ -17,7 +17,6 @@ from ccdiff_env.errors import (
     ConfigError,
     PolicyError,
     ShapeError,
-    SnapshotError,
     UnknownNameError,
 )
 from ccdiff_env.models import shipped_weights
@@ -120,35 +119,6 @@ def test_a_model_is_called_once_for_all_worlds_that_are_due():
         np.testing.assert_allclose(batch.position_m[row, there], logged, atol=1e-5)
         np.testing.assert_allclose(batch.size_m[row], scene.sizes[agent, :2])
         assert batch.scenes[batch.world[row]].agent_types[agent] == "vehicle" or batch.kind[row]
-
-
-def test_the_same_seed_gives_the_same_traffic_whatever_the_batch():
-    def positions(num_envs):
-        env = env_of(PythonTraffic(wander), num_envs)
-        env.reset(seed=5, options={"scene": "cut-in-03"})
-        walk(env, 20)
-        return env.worlds.native.states(0)["position"]
-
-    alone = positions(1)
-    np.testing.assert_array_equal(alone, positions(4))
-    env = env_of(PythonTraffic(wander), 1)
-    env.reset(seed=6, options={"scene": "cut-in-03"})
-    walk(env, 20)
-    assert np.abs(env.worlds.native.states(0)["position"] - alone).max() > 0.1
-
-
-def test_snapshots_hold_the_plans():
-    env = env_of(PythonTraffic(wander))
-    env.reset(seed=2)
-    walk(env, 7)
-    saved = [env.snapshot(i) for i in range(2)]
-    first = walk(env, 9)[-1][0]
-    for i, snapshot in enumerate(saved):
-        env.restore(i, snapshot)
-    np.testing.assert_array_equal(walk(env, 9)[-1][0], first)
-    other = env_of(PythonTraffic(coast))
-    with pytest.raises(SnapshotError, match="configuration"):
-        other.restore(0, saved[0])
 
 
 @pytest.mark.parametrize(

@@ -184,24 +184,6 @@ def test_zero_is_pdm_where_it_is_the_base_of_assisted_actions(val):
     assert np.abs(np.array(speeds) - driven(val, "pdm")).max() < 1e-3
 
 
-def test_changes_of_pdm_go_on_from_a_snapshot_bit_for_bit(val):
-    action = ActionConfig(dynamics=AssistedLimits(base="pdm"))
-    worlds, out = begun(val[:2], action=action, decision_steps=3)
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (12, 2, 1, 2)).astype(np.float32)
-    for step in actions[:6]:
-        worlds.native.step(step, out)
-    kept = [worlds.native.snapshot(i) for i in range(2)]
-    ends = []
-    for _ in range(2):
-        for step in actions[6:]:
-            worlds.native.step(step, out)
-        ends.append([worlds.native.digest(i) for i in range(2)])
-        for i in range(2):
-            worlds.native.restore(i, kept[i])
-    assert ends[0] == ends[1]
-
-
 def test_changes_of_pdm_are_the_same_in_decisions_as_in_single_steps(val):
     action = ActionConfig(dynamics=AssistedLimits(base="pdm"))
     actions = np.random.default_rng(1).uniform(-1, 1, (8, 3, 1, 2)).astype(np.float32)

@@ -2,11 +2,9 @@
 
 import csv
 import math
-from pathlib import Path
 
 from ccdiff_env.system.table import Column, Table, document
 
-ROOT = Path(__file__).resolve().parents[1]
 NAN = math.nan
 
 
@@ -46,9 +44,3 @@ def test_the_highest_as_shown_are_emphasised():
 
 def test_a_document_leaves_out_what_has_nothing():
     assert document("First.", "", Table(["a"], []), "Last.") == "First.\n\nLast.\n"
-
-
-def test_no_other_module_draws_a_table():
-    files = [*(ROOT / "ccdiff_env").rglob("*.py"), *(ROOT / "tools").rglob("*.py")]
-    drawn = {f.name for f in files if "---|" in f.read_text(encoding="utf-8")}
-    assert drawn == {"table.py", "configuration.py"}  # the second by kinds of options

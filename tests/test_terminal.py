@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from ccdiff_env.cli import main
-from ccdiff_env.system.terminal import align, counted
+from ccdiff_env.system.terminal import align
 
 
 def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
@@ -72,14 +72,6 @@ def test_a_terminal_shows_bold_and_keeps_the_columns():
     assert [line.split() for line in bare.splitlines()] == [
         line.split() for line in plain.splitlines()
     ]
-
-
-def test_counts_agree_with_their_nouns():
-    assert [counted(n, "scene") for n in (0, 1, 1200)] == ["0 scenes", "1 scene", "1,200 scenes"]
-
-
-def test_links_of_a_table_are_its_words():
-    assert align("| a |\n|---|\n| [0.9](#there) [0.8, 1.0] |\n").splitlines()[2] == "0.9 [0.8, 1.0]"
 
 
 SHORT = "--limit 1 --quiet --out"
