@@ -39,7 +39,7 @@ impl Linear {
 
 /// A network that scores each candidate at each strength, and nobody.
 #[derive(Debug, Clone)]
-pub(super) struct AdversaryPolicy {
+pub(crate) struct AdversaryPolicy {
     max_candidates: usize,
     /// Criticality of each of its strengths.
     strengths: Vec<Real>,
@@ -55,7 +55,7 @@ impl AdversaryPolicy {
     ///
     /// # Errors
     /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] name the file and what does not fit.
-    pub(super) fn load(path: &Path) -> Result<Self> {
+    pub(crate) fn load(path: &Path) -> Result<Self> {
         let (header, mut tensors) = read(path)?;
         let kind: String = field(path, &header, "kind")?;
         if kind != KIND {
@@ -93,12 +93,12 @@ impl AdversaryPolicy {
     }
 
     /// Candidates that it looks at, at most.
-    pub(super) fn max_candidates(&self) -> usize {
+    pub(crate) fn max_candidates(&self) -> usize {
         self.max_candidates
     }
 
     /// The vehicle that it chooses and its criticality; `None`: nobody.
-    pub(super) fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
+    pub(crate) fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
         let rows: Vec<&[Real]> = seen.features.chunks_exact(CANDIDATE_FEATURES.len()).collect();
         let found: Vec<Vec<Real>> = rows
             .iter()

@@ -19,13 +19,14 @@ pub use config::{
     ParkedRule, Ranking,
 };
 
+pub(crate) use adversary_policy::AdversaryPolicy;
 pub use planned_agents::STATIONARY_REACH_M;
+pub(crate) use planned_agents::{is_ego, select_guided};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::inputs::raster::MapBitmap;
 use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
-use adversary_policy::AdversaryPolicy;
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
 use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
@@ -51,8 +52,8 @@ pub struct PlannedTraffic {
     /// How plans are drawn with guidance and without.
     guided: PlanOptions,
     unguided: PlanOptions,
-    /// Maps drawn for the network, one for each scene that was played.
-    bitmaps: Vec<(Arc<Scene>, Arc<MapBitmap>)>,
+    /// Maps drawn for the network, by the scene's index in the batch; none where it was not played yet.
+    bitmaps: Vec<Option<Arc<MapBitmap>>>,
 }
 
 impl PlannedTraffic {
@@ -134,31 +135,34 @@ impl PlannedTraffic {
     }
 
     /// Draws the maps of scenes that are played for the first time, side by side.
-    fn draw_maps(&mut self, scenes: &[&Arc<Scene>]) -> Result<()> {
+    fn draw_maps(&mut self, worlds: &[WorldView<'_>]) -> Result<()> {
         let Some(map) = &self.model.map else { return Ok(()) };
-        let mut new: Vec<&Arc<Scene>> = Vec::new();
-        for scene in scenes {
-            if self.bitmap(scene).is_none() && !new.iter().any(|s| Arc::ptr_eq(s, scene)) {
-                new.push(scene);
+        let mut new: Vec<(usize, &Arc<Scene>)> = Vec::new();
+        for world in worlds {
+            if self.bitmap(world).is_none() && !new.iter().any(|(idx, _)| *idx == world.scene_idx) {
+                new.push((world.scene_idx, &world.scene.scene));
             }
         }
         let draw =
-            |scene: &&Arc<Scene>| Ok((Arc::clone(scene), Arc::new(MapBitmap::from_scene(scene, map)?)));
+            |(idx, scene): &(usize, &Arc<Scene>)| Ok((*idx, Arc::new(MapBitmap::from_scene(scene, map)?)));
         let drawn: Vec<_> = match &self.pool {
             Some(pool) => pool.install(|| new.par_iter().map(draw).collect::<Result<_>>())?,
             None => new.iter().map(draw).collect::<Result<_>>()?,
         };
-        self.bitmaps.extend(drawn);
+        for (idx, bitmap) in drawn {
+            self.bitmaps.resize(self.bitmaps.len().max(idx + 1), None);
+            self.bitmaps[idx] = Some(bitmap);
+        }
         Ok(())
     }
 
-    /// The map of a scene, once it was drawn.
-    fn bitmap(&self, scene: &Arc<Scene>) -> Option<&Arc<MapBitmap>> {
-        self.bitmaps.iter().find(|(s, _)| Arc::ptr_eq(s, scene)).map(|(_, bitmap)| bitmap)
+    /// The map of a world's scene, once it was drawn.
+    fn bitmap(&self, world: &WorldView<'_>) -> Option<&Arc<MapBitmap>> {
+        self.bitmaps.get(world.scene_idx)?.as_ref()
     }
 
-    fn map_has(&self, scene: &Arc<Scene>, pose: &Pose2) -> bool {
-        self.bitmap(scene).is_none_or(|b| b.covers(pose.position))
+    fn map_has(&self, world: &WorldView<'_>, pose: &Pose2) -> bool {
+        self.bitmap(world).is_none_or(|b| b.covers(pose.position))
     }
 }
 
@@ -221,9 +225,7 @@ impl TrafficPolicy for PlannedTraffic {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
         match plan.follow(world, agent_idx) {
-            Some((pose, velocity)) if self.map_has(&world.scene.scene, &pose) => {
-                AgentMotion::Place(pose, velocity)
-            }
+            Some((pose, velocity)) if self.map_has(world, &pose) => AgentMotion::Place(pose, velocity),
             Some(_) => AgentMotion::Leave,
             None if self.config.background_driver == BackgroundDriver::Idm
                 || self.config.plan_radius_m.is_some() =>

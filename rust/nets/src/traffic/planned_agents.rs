@@ -40,7 +40,7 @@ pub(super) struct RankingInputs {
 }
 
 /// Whether an agent is the ego or driven from outside.
-pub(super) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
+pub(crate) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
     world.drivers[agent_idx] == Driver::External || world.ego == Some(agent_idx)
 }
 
@@ -59,7 +59,7 @@ pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
 }
 
 /// Agents that are to be guided: those asked for, else the first K of the ranking that `fits`.
-pub(super) fn select_guided(
+pub(crate) fn select_guided(
     ranking: &[usize],
     wanted: &PlanOverride,
     num_guided: Option<usize>,

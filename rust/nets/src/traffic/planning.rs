@@ -11,8 +11,7 @@ use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, Trajectory
 use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Region, Vector2};
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::world::Candidates;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -66,8 +65,8 @@ impl PlannedTraffic {
         &mut self,
         requests: &[&'a PlanRequest<'a>],
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
-        let scenes: Vec<&Arc<Scene>> = requests.iter().map(|r| &r.world.scene.scene).collect();
-        self.draw_maps(&scenes)?;
+        let worlds: Vec<WorldView<'_>> = requests.iter().map(|r| r.world).collect();
+        self.draw_maps(&worlds)?;
         let prepare = |r: &&'a PlanRequest<'a>| self.prepare(r);
         let mut due: Vec<_> = match &self.pool {
             Some(pool) => pool.install(|| requests.par_iter().map(prepare).collect::<Result<_>>())?,
@@ -115,7 +114,7 @@ impl PlannedTraffic {
         if self.ranks(request) {
             planned.window.measure_contacts()?;
         }
-        let bitmap = self.bitmap(&world.scene.scene).cloned();
+        let bitmap = self.bitmap(world).cloned();
         let counts = |agent: &usize| match (&self.config.targets[..], self.config.collision_targets) {
             ([], CollisionTargets::All) => true,
             ([], CollisionTargets::Ego) => planned_agents::is_ego(world, *agent),
