@@ -277,6 +277,30 @@ def test_benchmarks_take_a_model_by_its_path():
         planners.planner_jobs(source, ["idm"], ["crazy"])
 
 
-def test_guidance_of_a_model_of_ones_own_is_refused():
-    with pytest.raises(ConfigError, match="criticality: traffic is 'python'"):
-        ccdiff_env.EgoEnv(traffic=PythonTraffic(coast), criticality=1.0)
+def test_a_model_is_told_the_ego_who_is_parked_and_how_critical_it_shall_be():
+    told = []
+
+    def look(batch):
+        told.append(batch)
+        return coast(batch)
+
+    scenes = ccdiff_env.embedded_scenes("val")[:3]
+    env = ccdiff_env.make_vec(3, scenes=scenes, traffic=PythonTraffic(look), criticality=(1.0, 3.0))
+    _, info = env.reset(seed=0)
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    batch = told[0]
+    np.testing.assert_allclose(batch.criticality, info["criticality"], rtol=1e-6)
+    assert (batch.criticality >= 1.0).all()
+    assert np.array_equal(batch.is_ego, batch.agent == 0)
+    for w, scene in enumerate(batch.scenes):
+        rows = (batch.world == w) & (batch.kind == 0)
+        p, valid = scene.tracks()["position"], scene.tracks()["valid"]
+        first = p[np.arange(len(p)), valid.argmax(1)]
+        reach = np.where(valid, np.linalg.norm(p - first[:, None], axis=-1), 0.0).max(1)
+        speeds = np.where(valid, np.linalg.norm(scene.tracks()["velocity"], axis=-1), 0.0).max(1)
+        parked = (reach <= 1.0) | (speeds <= 0.5)
+        assert np.array_equal(batch.is_parked[rows], parked[batch.agent[rows]])
+    env.close()
+    logged, _ = TrafficBatch.from_log(scenes, [30] * 3, future_steps=1)
+    assert (logged.criticality == 0.0).all()
+    assert np.array_equal(logged.is_ego, logged.agent == 0)

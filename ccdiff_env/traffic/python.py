@@ -61,6 +61,10 @@ class TrafficBatch:
     #: Agents [M] that the model drives; the others have other drivers, and their plans are not
     #: looked at.
     drives: Bool
+    #: Whether an agent is its world's ego, or driven from outside, [M].
+    is_ego: Bool
+    #: Whether a vehicle never moves in its log, and stays where it is for other traffic, [M].
+    is_parked: Bool
     #: World of each agent among the W, [M]; agents of a world stand together.
     world: I64
     #: Index of each agent in its scene, [M].
@@ -74,6 +78,8 @@ class TrafficBatch:
     #: Seed of each world's random numbers for this plan, [W]: another one for every plan, the same
     #: whatever the batch.
     seed: npt.NDArray[np.uint64]
+    #: Strength that a curriculum or ``override_plan`` asks of each world, 0 where nobody does, [W].
+    criticality: F32
     #: Seconds between states, and between the steps of a plan.
     dt_s: float
     #: Places on each vehicle's route, from where it is on, :data:`ROUTE_SPACING_M` apart, m, in the

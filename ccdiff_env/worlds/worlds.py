@@ -100,7 +100,8 @@ class Worlds:
             _models(config, scenes),
         )
         if criticality is not None:
-            config.guided_traffic("criticality")
+            if not _models(config, scenes):
+                config.guided_traffic("criticality")
         self.curriculum = None if criticality is None else Curriculum(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}

@@ -3,7 +3,7 @@
 use crate::scene::PyScene;
 use crate::traffic_batch::{ROUTE_SPACING_M, Row, Told, arrays, set_states};
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError};
-use ccdiff_sim::scene::{AgentKind, Scene};
+use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use ccdiff_sim::stage::{History, PreparedScene};
 use ccdiff_sim::world::Rng;
 use pyo3::prelude::*;
@@ -67,10 +67,12 @@ fn traffic_batch_from_log<'py>(
             let row = |agent_idx: usize| Row {
                 agent_idx,
                 drives: scene.kinds[agent_idx] == AgentKind::Vehicle,
+                is_ego: scene.scene.agents[agent_idx].id == EGO_ID,
                 route_s_m: scene.logged_s_m(agent_idx, *step),
             };
             let seed = Rng::new(seed).split(w as u64).next_u64();
-            Told { scene, scene_idx: w, history, elapsed_steps: 0, seed, rows: there.map(row).collect() }
+            let rows = there.map(row).collect();
+            Told { scene, scene_idx: w, history, elapsed_steps: 0, seed, criticality: 0.0, rows }
         })
         .collect();
     let batch = arrays(py, &worlds, num_states, num_points)?;

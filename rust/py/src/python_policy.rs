@@ -65,6 +65,7 @@ impl PythonPolicy {
             let row = |agent_idx: usize| Row {
                 agent_idx,
                 drives: request.drives(agent_idx),
+                is_ego: world.drivers[agent_idx] == Driver::External || world.ego == Some(agent_idx),
                 // kept for route followers only
                 route_s_m: match world.drivers[agent_idx] {
                     Driver::REPLAY => {
@@ -81,6 +82,7 @@ impl PythonPolicy {
                 history,
                 elapsed_steps: world.elapsed_steps,
                 seed: world.noise_seed,
+                criticality: request.plan_override.criticality.unwrap_or_default(),
                 rows: (0..active.len()).filter(|a| active[*a]).map(row).collect(),
             })
         };

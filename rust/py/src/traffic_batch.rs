@@ -16,6 +16,8 @@ pub(crate) struct Row {
     pub(crate) agent_idx: usize,
     /// Whether the model drives it.
     pub(crate) drives: bool,
+    /// Whether it is the ego, or driven from outside.
+    pub(crate) is_ego: bool,
     /// Where it is on its route, metres.
     pub(crate) route_s_m: Real,
 }
@@ -28,6 +30,8 @@ pub(crate) struct Told<'a> {
     pub(crate) history: &'a History,
     pub(crate) elapsed_steps: usize,
     pub(crate) seed: u64,
+    /// Strength that was asked for.
+    pub(crate) criticality: Real,
     /// The agents that are there.
     pub(crate) rows: Vec<Row>,
 }
@@ -103,6 +107,15 @@ pub(crate) fn arrays<'py>(
     dict.set_item("kind", shaped::<u8>(py, kinds, &[m])?)?;
     let drives = rows.iter().map(|(_, row)| row.drives).collect();
     dict.set_item("drives", shaped::<bool>(py, drives, &[m])?)?;
+    let egos = rows.iter().map(|(_, row)| row.is_ego).collect();
+    dict.set_item("is_ego", shaped::<bool>(py, egos, &[m])?)?;
+    let parked = |(w, row): &(usize, &Row)| {
+        let scene = worlds[*w].scene;
+        scene.kinds[row.agent_idx] == AgentKind::Vehicle && scene.routes[row.agent_idx].is_parked()
+    };
+    dict.set_item("is_parked", shaped::<bool>(py, rows.iter().map(parked).collect(), &[m])?)?;
+    let criticality = worlds.iter().map(|t| t.criticality).collect();
+    dict.set_item("criticality", shaped::<f32>(py, criticality, &[w])?)?;
     dict.set_item("world", shaped(py, rows.iter().map(|(w, _)| *w as i64).collect(), &[m])?)?;
     dict.set_item("agent", shaped(py, rows.iter().map(|(_, row)| row.agent_idx as i64).collect(), &[m])?)?;
     let of_worlds = |of: &dyn Fn(&Told<'_>) -> i64| worlds.iter().map(of).collect::<Vec<_>>();
