@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 VERBS = {
     "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
     "train-ego": ("train an ego with PPO (resumes with --resume)", "envs.train_ego"),
+    "distil": ("teach swift traffic what guided CCDiff does", "envs.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "compare": ("two runs of bench planners: paired differences", "bench.compare"),
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),

@@ -30,7 +30,7 @@ from ccdiff_env.bench.traffic import episodes
 from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, SWIFT
 
 ENVS = (1, 8, 32, 64)
 STEP = 40
@@ -143,7 +143,7 @@ def main() -> None:
     vehicles = np.mean([int(s.tracks()["valid"][:, STEP].sum()) for s in scenes])
     print(f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s)")
     if args.models is not None:
-        known = [name for name in NETWORKS if shipped_weights(name).exists()]
+        known = [name for name in NETWORKS if name != SWIFT and shipped_weights(name).exists()]
         compare(known if args.models == "all" else args.models.split(","), scenes, args.rounds)
         return
     for guided, criticality in (("not guided", 0.0), ("criticality 1, K = 5", 1.0)):

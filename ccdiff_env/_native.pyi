@@ -449,6 +449,11 @@ class VecWorld:
     ) -> None:
         """Say what is asked of a world's next plans to the policies that plan."""
 
+    def swift_rows(self, world_idx: int, agents: Sequence[int]) -> dict[str, Any]:
+        """Return what swift traffic would see of vehicles: arrays ``own`` [n, 65], ``ego``
+        [n, 14], ``others`` [n, K, 15] and how many of these there are, ``seen`` [n].
+        """
+
     def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None:
         """Return the plan of a policy (the first that plans, by default) that a world follows,
         ``None`` before the first one.
@@ -640,6 +645,7 @@ def load_network(path: str) -> TrajectoryModel: ...
 def egos_policy(
     observation: str, action: str, decision_steps: int, tensors: dict[str, F32]
 ) -> object: ...
+def swift_bins(changes: list[tuple[float, float]]) -> list[list[int]]: ...
 def guidance_preset(name: str) -> str: ...
 def traffic_policy(
     name: str,

@@ -20,7 +20,7 @@ from ccdiff_env.models import (
 )
 from ccdiff_env.models.curves import Curves
 from ccdiff_env.scenes import Scene, load_nuscenes
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, SWIFT
 
 QUICK = {"batch_scenes": 2, "warmup_steps": 0}
 
@@ -192,7 +192,7 @@ def test_a_network_of_lines_trains_and_drives_and_is_refused_where_it_needs_pixe
             train([road()], out=tmp_path / model, steps=1, model=model, preset=preset, **options)
 
 
-EQUAL = (*(name for name in NETWORKS if name not in ("ccdiff", "tokens")), "ccdiff_equal")
+EQUAL = (*(name for name in NETWORKS if name not in ("ccdiff", "tokens", SWIFT)), "ccdiff_equal")
 
 
 @pytest.mark.parametrize("name", EQUAL)
@@ -339,7 +339,7 @@ def test_one_denoising_step_takes_the_taught_network() -> None:
         )
 
 
-@pytest.mark.parametrize("model", [name for name in NETWORKS if name != "tokens"])
+@pytest.mark.parametrize("model", [name for name in NETWORKS if name not in ("tokens", SWIFT)])
 def test_guided_plans_seek_or_avoid_contact_by_the_sign_of_the_weights(model: str) -> None:
     loaded = TrajectoryModel(shipped_weights(model))
     denoises, attends = model in ("ccdiff", "ctg", "ctgpp"), model in ("ccdiff", "ctgpp")

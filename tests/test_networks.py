@@ -29,7 +29,11 @@ from ccdiff_env.traffic import KINDS
 FILES = {file.stem: os.fspath(file) for file in weight_files()}
 GOLDEN = Path(__file__).parent / "golden" / "plans.json"
 #: All shipped networks of traffic.
-NAMES = sorted(name for name in FILES if name.split("_")[0] in KINDS)
+NAMES = sorted(
+    name
+    for name in FILES
+    if (kind := KINDS.get(name.split("_")[0])) is not None and not kind.distilled
+)
 #: Those of them that denoise, and those that also attend to each other.
 SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"))]
 DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]

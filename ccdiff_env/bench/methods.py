@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from ccdiff_env.models import guidance_preset, shipped_weights
-from ccdiff_env.traffic import KINDS, NETWORKS
+from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
 __all__ = [
     "METHODS",
@@ -204,7 +204,11 @@ for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
 
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
 _NETWORKS = {
-    **{name: KINDS[name].title for name in NETWORKS if name not in ("ccdiff", "tokens")},
+    **{
+        name: KINDS[name].title
+        for name in NETWORKS
+        if name not in ("ccdiff", "tokens") and not KINDS[name].distilled
+    },
     "ccdiff_equal": "CCDiff, equal training",
 }
 for _name, _label in _NETWORKS.items():
@@ -264,6 +268,8 @@ for _routes, _told in (("", {}), ("_routes", {"follow_route": True})):
     METHODS[f"tokens{_routes}_careful"] = Method(
         f"{_label}, careful", "tokens", ccdiff={**_told, "careful": True}
     )
+
+METHODS[SWIFT] = Method(KINDS[SWIFT].title, SWIFT)
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(

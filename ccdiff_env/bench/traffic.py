@@ -29,7 +29,7 @@ from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, TrafficPlan
+from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
 __all__ = ["episodes", "evaluate", "traffic_jobs"]
 
@@ -38,6 +38,8 @@ START_STEP: int = PAPER_PROTOCOL["history_steps"]
 HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
+#: Drivers whose plans may be made at other times.
+_PLANNERS = {*NETWORKS} - {SWIFT}
 #: Speed below which a logged vehicle counts as standing, m/s.
 STATIONARY_MPS = 0.5
 
@@ -104,7 +106,7 @@ def traffic_jobs(
         for k in num_controlled:
             if k is None and method in REORDERED and "ccdiff" in methods:
                 continue
-            every = METHODS[method].driver in NETWORKS and k in (replan_controlled or (k,))
+            every = METHODS[method].driver in _PLANNERS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     return [
         Job(
@@ -247,6 +249,8 @@ def episodes(
         ccdiff["background_driver"] = "replay"
     # only guidance has gradients to tell of
     ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
+    if method.driver == SWIFT:
+        ccdiff = method.options()
     config = WorldConfig().with_options(
         **{
             **PAPER_PROTOCOL,

@@ -28,7 +28,7 @@ from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.system.seeds import spread_seed
-from ccdiff_env.traffic import EGOS
+from ccdiff_env.traffic import EGOS, SWIFT
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
@@ -79,11 +79,12 @@ class Worlds:
             gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
             config = config.with_options(randomization={**gains, "delay_steps": 2})
         # plans of one denoising step: two to three times as fast
-        critical = {"criticality": (0.0, args.criticality), "ccdiff": {"denoising_steps": 1}}
+        critical: dict[str, Any] = {"criticality": (0.0, args.criticality)}
         driven: dict[str, dict[str, Any]] = {
             "bank": {"traffic": "replay"},
             "styles": STYLES,
-            "ccdiff": {"traffic": "ccdiff", **critical},
+            "ccdiff": {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 1}, **critical},
+            SWIFT: {"traffic": SWIFT, **critical},
             EGOS: {"traffic": EGOS, EGOS: {"policy": args.opponent}},
         }
         self.envs = [

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=["replay"],
         help=f"traffic of training, of: {', '.join(TRAFFIC)}",
     )
-    parser.add_argument("--criticality", type=float, default=1.0, help="of ccdiff traffic")
+    parser.add_argument("--criticality", type=float, default=1.0, help="of critical traffic")
     parser.add_argument("--opponent", default="ego", help=f"policy that drives {EGOS} traffic")
     parser.add_argument(
         "--any-ego",

@@ -11,7 +11,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import SOURCES, coverage, load, title
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import KINDS, NETWORKS
 
 #: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
 #: town.
@@ -21,7 +21,8 @@ ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     add_scene_arguments(parser, "train", several=True)
-    parser.add_argument("--model", default="ccdiff", help=f"network, of: {', '.join(NETWORKS)}")
+    names = ", ".join(name for name in NETWORKS if not KINDS[name].distilled)
+    parser.add_argument("--model", default="ccdiff", help=f"network, of: {names}")
     parser.add_argument(
         "--preset", default="fast", choices=["fast", "paper"], help="size of the network"
     )

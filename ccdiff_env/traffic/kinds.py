@@ -15,6 +15,7 @@ __all__ = [
     "EGOS",
     "KINDS",
     "NETWORKS",
+    "SWIFT",
     "Kind",
     "Options",
     "Policy",
@@ -46,6 +47,8 @@ class Kind:
     attends: bool = False
     #: Whether a network has one plan, whatever the noise.
     one_plan: bool = False
+    #: Whether it was taught by the traffic of another network, not by logs.
+    distilled: bool = False
 
 
 def _read(fields: dict[str, Any]) -> Kind:
@@ -58,6 +61,8 @@ def _read(fields: dict[str, Any]) -> Kind:
 KINDS: dict[str, Kind] = {kind.name: kind for kind in map(_read, _native.driver_kinds())}
 #: The kind whose traffic a policy of the ego drives.
 EGOS = next(name for name, kind in KINDS.items() if kind.options is EgosConfig)
+#: The kind that ``ccdiff-env distil`` makes.
+SWIFT = next(name for name, kind in KINDS.items() if kind.distilled)
 #: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
 NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.weights)
 

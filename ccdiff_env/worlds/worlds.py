@@ -99,9 +99,8 @@ class Worlds:
             network_policies(config, scenes, min(num_threads, _num_processors())),
             _models(config, scenes),
         )
-        if criticality is not None:
-            if not _models(config, scenes):
-                config.guided_traffic("criticality")
+        if criticality is not None and not _models(config, scenes):
+            config.guided_traffic("criticality")
         self.curriculum = None if criticality is None else Curriculum(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}

@@ -7,6 +7,7 @@ use ccdiff_nets::NetworkKind;
 use ccdiff_nets::networks::ccdiff::CCDIFF;
 use ccdiff_nets::networks::kinds::NETWORKS;
 use ccdiff_nets::traffic::DRIVERS;
+use ccdiff_nets::traffic::swift::SWIFT;
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::options;
 use ccdiff_sim::planner::EGOS;
@@ -27,17 +28,18 @@ struct Recipe<'a> {
     model: Option<&'a Py<PyAny>>,
 }
 
-/// All kinds: the simulator's, Python's, the networks, egos; recordings of before count in this order.
+/// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of before count in this order.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = policy::KINDS.iter().chain([&python_policy::KIND]);
-    own.chain(&DRIVERS).chain([&EGOS])
+    own.chain(&DRIVERS).chain([&EGOS, &SWIFT])
 }
 
 /// The network under whose name the options stand that all networks share.
 const SHARED: &str = CCDIFF.kind.name;
 
+/// Whether a driver takes the options that networks share.
 fn is_network(kind: &Kind) -> bool {
-    NETWORKS.iter().any(|network| network.kind.name == kind.name)
+    kind.name == SWIFT.name || NETWORKS.iter().any(|network| network.kind.name == kind.name)
 }
 
 /// Whether a driver is made of a file.
@@ -85,7 +87,7 @@ fn drivers() -> Vec<Row> {
 }
 
 /// All kinds of drivers, one dictionary each: `name`, `title`, `options` (name of their table or `None`), `always` (every batch
-/// has one), and of networks `weights`, `denoises`, `attends`, `one_plan`.
+/// has one), and of networks `weights`, `denoises`, `attends`, `one_plan`, `distilled`.
 #[pyfunction]
 fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let network_of = |kind: &Kind| NETWORKS.iter().find(|network| network.kind.name == kind.name);
@@ -96,6 +98,10 @@ fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
             dict.set_item("title", kind.title)?;
             dict.set_item("options", kind.options.map(|table| table.name))?;
             dict.set_item("always", kind.always)?;
+            if kind.name == SWIFT.name {
+                dict.set_item("weights", ["fast"])?;
+                dict.set_item("distilled", true)?;
+            }
             if let Some(NetworkKind { weights, denoises, attends, one_plan, .. }) = network_of(kind) {
                 dict.set_item("weights", weights.to_vec())?;
                 dict.set_item("denoises", denoises)?;
@@ -108,7 +114,7 @@ fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 }
 
 /// Where the options of a policy stand.
-fn path_of(name: &str, kind: &str) -> String {
+pub(crate) fn path_of(name: &str, kind: &str) -> String {
     if name == kind { kind.to_owned() } else { format!("policies.{name}.{kind}") }
 }
 

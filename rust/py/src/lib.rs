@@ -15,6 +15,7 @@ mod scene;
 mod scene_map;
 mod schemas;
 mod step_arrays;
+mod swift;
 mod traffic_batch;
 mod world;
 mod world_plans;
@@ -43,6 +44,7 @@ fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
     networks::register(m)?;
     drivers::register(m)?;
     egos::register(m)?;
+    swift::register(m)?;
     planner::register(m)?;
     render::register(m)?;
     scene::register(m)?;

@@ -1,5 +1,6 @@
 //! Networks on the kernels of `ccdiff_nets`: what drives and plans without torch.
 
+use crate::swift;
 use ccdiff_bridge::errors::{from_model, py};
 use ccdiff_bridge::{AskedDriver, Handed, PyTrajectoryModel};
 use ccdiff_nets::compute::weights;
@@ -7,6 +8,7 @@ use ccdiff_nets::guidance::GuidanceConfig;
 use ccdiff_nets::networks::kinds::{check_own, described};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::PlannedTraffic;
+use ccdiff_nets::traffic::swift::SWIFT;
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;
@@ -25,7 +27,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
     let found = py.detach(|| {
         let (header, _) = weights::read(&path)?;
-        Ok(check_own(&described(&path, &header)?).is_err())
+        Ok(header["kind"] != SWIFT.name && check_own(&described(&path, &header)?).is_err())
     });
     found.map_err(from_model)
 }
@@ -49,6 +51,9 @@ fn traffic_policy<'py>(
     num_threads: usize,
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
+    if kind == SWIFT.name {
+        return swift::policy(py, name, options, &weights, dt_s, num_threads);
+    }
     let asked = AskedDriver { name, kind, options, dt_s, scenes };
     asked.policy(py, |config| PlannedTraffic::new(config, &weights, num_threads))
 }

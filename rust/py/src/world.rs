@@ -7,6 +7,7 @@ use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_
 use crate::scene::PyScene;
 use crate::schemas::to_json;
 use crate::step_arrays::{Outputs, elements, typed, writable};
+use crate::swift;
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
@@ -366,6 +367,17 @@ impl PyVecWorld {
         let me = self.here()?;
         let plan = me.world.explain(world_idx, driver).map_err(from_sim)?;
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
+    }
+
+    /// What swift traffic would see of vehicles of a world: arrays `own`, `ego`, `others` [n, K, F] and `seen` [n].
+    fn swift_rows<'py>(
+        &self,
+        py: Python<'py>,
+        world_idx: usize,
+        agents: Vec<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let me = self.lock()?;
+        swift::rows(py, &me.world.view(world_idx).map_err(from_sim)?, &agents)
     }
 
     /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it

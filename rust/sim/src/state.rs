@@ -160,7 +160,7 @@ impl AgentStates {
 
     /// Whether two agents are hitched to each other: they never touch.
     #[inline]
-    pub(crate) fn hitched(&self, i: usize, j: usize) -> bool {
+    pub fn hitched(&self, i: usize, j: usize) -> bool {
         !self.chain.is_empty() && self.chain[i] == self.chain[j]
     }
 

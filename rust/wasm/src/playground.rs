@@ -1,6 +1,7 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
+use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_nuscenes::decode_scene;
 use ccdiff_sim::options::read;
@@ -75,8 +76,13 @@ impl Playground {
     /// Keeps the weights of a network, checked.
     pub(crate) fn weights(&mut self) -> Result<(), String> {
         let bytes = std::mem::take(&mut self.given);
-        let model = TrajectoryModel::from_bytes("weights", &bytes).map_err(|e| e.to_string())?;
-        self.weights.push((model.config().kind.as_str().into(), bytes));
+        let kind = if Swift::from_bytes(CcdiffConfig::default(), "weights", &bytes, DT_S).is_ok() {
+            SWIFT.name.into()
+        } else {
+            let model = TrajectoryModel::from_bytes("weights", &bytes).map_err(|e| e.to_string())?;
+            model.config().kind.as_str().into()
+        };
+        self.weights.push((kind, bytes));
         Ok(())
     }
 
@@ -87,9 +93,14 @@ impl Playground {
         for (kind, bytes) in &self.weights {
             let Some(asked) = options["policies"][kind].get(kind) else { continue };
             let config: CcdiffConfig = read(kind, &asked.to_string()).map_err(|e| e.to_string())?;
+            let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
+            if kind == SWIFT.name {
+                let policy = Swift::from_bytes(config, kind, bytes, dt_s).map_err(|e| e.to_string())?;
+                drivers.push((kind.clone(), Box::new(policy)));
+                continue;
+            }
             let model = TrajectoryModel::from_bytes(kind, bytes).map_err(|e| e.to_string())?;
             let policy = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
-            let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
             policy.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
             drivers.push((kind.clone(), Box::new(policy)));
         }

@@ -12,6 +12,7 @@ pub(crate) mod config;
 mod memory;
 mod planned_agents;
 mod planning;
+pub mod swift;
 mod way_out;
 
 pub use config::{

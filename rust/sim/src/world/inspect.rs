@@ -7,7 +7,7 @@ use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
 use crate::options::{self, CRITICALITY};
-use crate::policy::{Driver, PlanOverride, PlanRecord};
+use crate::policy::{Driver, PlanOverride, PlanRecord, WorldView};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
@@ -197,6 +197,14 @@ impl VecWorld {
         options::without_defaults(&WorldConfig::TABLE, &mut changed);
         changed["names of drivers"] = self.policies.names().collect();
         changed
+    }
+
+    /// What a policy would see of a world now.
+    ///
+    /// # Errors
+    /// As [`Self::status`].
+    pub fn view(&self, world_idx: usize) -> Result<WorldView<'_>> {
+        Ok(self.begun(world_idx)?.view(&self.config))
     }
 
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {

@@ -97,7 +97,7 @@ fn cumulative(logits: &[f32], temperature: f64) -> Vec<f64> {
 }
 
 /// Speed and yaw rate at the end of a token.
-fn bounded(speed: f32, speed_change: f32, yaw_rate: f32) -> [f32; 2] {
+pub(crate) fn bounded(speed: f32, speed_change: f32, yaw_rate: f32) -> [f32; 2] {
     let end = speed + speed_change;
     let end = if end < STANDING_MPS { 0.0 } else { end };
     let bound = (CURVATURE_1PM * end.max(speed)).max(LEAST_BOUND_RADPS);

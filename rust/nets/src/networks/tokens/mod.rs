@@ -7,7 +7,7 @@
 //! Differs from both: a vehicle is a row of its own, in its own frame; elements are attended to without projections.
 
 pub(crate) mod draw;
-mod grid;
+pub(crate) mod grid;
 mod network;
 
 pub(crate) use draw::{Now, drawn};

@@ -1,0 +1,319 @@
+//! Swift traffic: each vehicle drives by a small network that was taught what guided CCDiff does (`ccdiff-env distil`).
+//!
+//! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the nearest to the ego
+//! see who the ego is, and how strongly they shall hinder it. Nobody asks the map anything but the routes.
+
+mod network;
+mod seen;
+mod watch;
+
+pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
+
+use crate::compute::weights::{parse, read};
+use crate::error::{ModelError, Result};
+use crate::networks::ccdiff::CCDIFF;
+use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
+use crate::networks::tokens::grid::TOKEN_STEPS;
+use crate::sampling::noise::Noise;
+use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided};
+use ccdiff_sim::SimError;
+use ccdiff_sim::dynamics::Dynamics;
+use ccdiff_sim::geom::Real;
+use ccdiff_sim::options;
+use ccdiff_sim::policy::{
+    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
+};
+use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::stage::History;
+use ccdiff_sim::world::Candidates;
+use network::{Hidden, Network};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::path::Path;
+use watch::Watch;
+
+/// The driver. Of the options of networks it takes [`TAKEN`]; it is careful and follows routes always.
+pub const SWIFT: Kind = Kind {
+    name: "swift",
+    title: "swift traffic",
+    style: CCDIFF.kind.style,
+    options: Some(&CcdiffConfig::TABLE),
+    always: false,
+    make: None,
+};
+
+/// Options that mean something to it.
+const TAKEN: [&str; 7] = [
+    "weights",
+    "num_guided",
+    "criticality",
+    "temperature",
+    "adversary_policy",
+    "guided_from_s",
+    "guided_until_s",
+];
+/// Step of the worlds, seconds, as trained.
+pub const DT_S: Real = 0.1;
+/// Metres before the end of its route at which a vehicle leaves.
+const END_M: Real = 0.5;
+
+/// Traffic of a batch of worlds.
+#[derive(Debug)]
+pub struct Swift {
+    network: Network,
+    config: CcdiffConfig,
+    adversary_policy: Option<AdversaryPolicy>,
+    /// Threads that plan; `None`: the caller's.
+    pool: Option<ThreadPool>,
+}
+
+/// The memory of one thread.
+#[derive(Debug, Default)]
+struct Scratch {
+    rows: Rows,
+    strengths: Vec<Real>,
+    hidden: Hidden,
+    watch: Watch,
+}
+
+/// Who decides in a world, who of them is guided, and how strongly.
+struct Decides<'a> {
+    request: &'a PlanRequest<'a>,
+    history: &'a History,
+    agents: Vec<usize>,
+    egos: Vec<usize>,
+    ranking: Vec<usize>,
+    guided: Vec<usize>,
+    criticality: Real,
+}
+
+impl Swift {
+    /// From a file of weights, for worlds with a step; it plans on so many threads, which changes no bit.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`], [`ModelError::Checkpoint`] for the files, [`ModelError::Config`] and [`ModelError::Sim`] for options.
+    pub fn load(config: CcdiffConfig, weights: &Path, dt_s: Real, num_threads: usize) -> Result<Self> {
+        let pool = if num_threads > 1 { Some(planning_pool(num_threads)?) } else { None };
+        let (header, tensors) = read(weights)?;
+        Self::of(config, Network::new(weights, &header, tensors)?, dt_s, pool)
+    }
+
+    /// The same of the bytes of a file, on the caller's thread; errors name `name`.
+    ///
+    /// # Errors
+    /// [`ModelError::Checkpoint`], [`ModelError::Config`], [`ModelError::Sim`].
+    pub fn from_bytes(config: CcdiffConfig, name: &str, bytes: &[u8], dt_s: Real) -> Result<Self> {
+        let path = Path::new(name);
+        let (header, tensors) = parse(path, bytes)?;
+        Self::of(config, Network::new(path, &header, tensors)?, dt_s, None)
+    }
+
+    fn of(config: CcdiffConfig, network: Network, dt_s: Real, pool: Option<ThreadPool>) -> Result<Self> {
+        options::check("ccdiff", &config)?;
+        if (dt_s - DT_S).abs() > 1e-6 {
+            let expected = "0.1: what swift traffic was trained with";
+            return Err(ModelError::Config { field: "dt_s", got: dt_s.to_string(), expected });
+        }
+        let mut changed = serde_json::to_value(&config).unwrap_or_default();
+        options::without_defaults(&CcdiffConfig::TABLE, &mut changed);
+        let others =
+            changed.as_object().into_iter().flatten().filter(|(name, _)| !TAKEN.contains(&name.as_str()));
+        if let Some((name, value)) = others.into_iter().next() {
+            let expected = format!("its default: swift traffic takes {} alone", TAKEN.join(", ")).into();
+            let field = format!("ccdiff.{name}").into();
+            return Err(SimError::Config { field, got: value.to_string(), expected }.into());
+        }
+        let file = config.adversary_policy.as_ref();
+        let adversary_policy = file.map(|file| AdversaryPolicy::load(Path::new(file))).transpose()?;
+        Ok(Self { network, config, adversary_policy, pool })
+    }
+
+    /// Who decides now.
+    fn decides<'a>(&self, request: &'a PlanRequest<'a>) -> ccdiff_sim::Result<Decides<'a>> {
+        let (world, states) = (&request.world, request.world.states);
+        let history = world.history.filter(|h| h.len() >= STATES).ok_or_else(|| SimError::Policy {
+            policy: SWIFT.name.into(),
+            message: "the world keeps too short a history".into(),
+        })?;
+        let there = |a: &usize| {
+            request.drives(*a)
+                && states.active[*a]
+                && !world.halted[*a]
+                && world.scene.kinds[*a] == AgentKind::Vehicle
+                && !world.scene.routes[*a].is_parked()
+        };
+        let agents: Vec<usize> = (0..states.len()).filter(there).collect();
+        let egos = egos_of(world);
+        let wanted = request.plan_override;
+        let mut criticality = wanted.criticality.unwrap_or(self.config.criticality);
+        if !self.config.guides_at(world) || egos.is_empty() {
+            criticality = 0.0;
+        }
+        let (mut ranking, mut guided) = (Vec::new(), Vec::new());
+        if criticality > 0.0 {
+            let to_ego = |a: usize| {
+                let from = states.position(a);
+                egos.iter()
+                    .map(|e| (states.position(*e) - from).norm_squared())
+                    .fold(Real::INFINITY, Real::min)
+            };
+            ranking.extend(agents.iter().copied().filter(|a| !egos.contains(a)));
+            ranking.sort_by(|a, b| to_ego(*a).total_cmp(&to_ego(*b)));
+            guided = select_guided(&ranking, wanted, self.config.num_guided, |_| true);
+            if let Some(policy) = self.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
+                let plan = request.plan.map(|plan| &plan.record);
+                let seen = Candidates::new(world, plan, |a| request.drives(a), policy.max_candidates())?;
+                let (agent, strength) = policy.choose(&seen).unzip();
+                guided = agent.into_iter().filter(|a| ranking.contains(a)).collect();
+                criticality *= strength.unwrap_or_default();
+            }
+        }
+        Ok(Decides { request, history, agents, egos, ranking, guided, criticality })
+    }
+
+    /// Plans of some worlds.
+    fn planned(&self, due: &[&PlanRequest<'_>], scratch: &mut Scratch) -> ccdiff_sim::Result<Vec<PlanState>> {
+        let worlds: Vec<Decides<'_>> =
+            due.iter().map(|r| self.decides(r)).collect::<ccdiff_sim::Result<_>>()?;
+        scratch.rows.clear();
+        scratch.strengths.clear();
+        for d in &worlds {
+            let strength = self.network.strength(d.criticality);
+            for a in &d.agents {
+                scratch.rows.add(&d.request.world, d.history, *a, &d.egos);
+                scratch.strengths.push(if d.guided.contains(a) { strength } else { 0.0 });
+            }
+        }
+        self.network.see(&mut scratch.rows, &scratch.strengths, &mut scratch.hidden);
+        let mut first = 0;
+        let plans = worlds.into_iter().map(|d| {
+            let plan = self.draw(&d, first, scratch);
+            first += d.agents.len();
+            plan_of(d, plan)
+        });
+        Ok(plans.collect())
+    }
+
+    /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it touches nobody in
+    /// the next 1.5 s, all others doing as they have drawn; guided vehicles do not mind the ego.
+    fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
+        let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
+        let (world, temperature) = (&d.request.world, self.config.temperature as Real);
+        let mut drawn = |i: usize, draw: usize| {
+            let (a, speed) = (d.agents[i], world.states.speed_mps[d.agents[i]]);
+            let noise = Noise::new(world.noise_seed, a as u64);
+            let [change, yaw_rate] = network.draw(first + i, noise, draw, temperature, hidden);
+            let [end, yaw_rate] = bounded(speed, change, yaw_rate);
+            [(end - speed) / (TOKEN_STEPS as Real * DT_S), yaw_rate]
+        };
+        let mut motions: Vec<[Real; 2]> = (0..d.agents.len()).map(|i| drawn(i, 0)).collect();
+        watch.enter(world, &d.agents, &motions);
+        for (i, a) in d.agents.iter().enumerate() {
+            let minds = |j: usize| !(d.guided.contains(a) && d.egos.contains(&j));
+            if !watch.touches(world, *a, minds) {
+                continue;
+            }
+            let mut gentlest = motions[i];
+            for draw in 1..CAREFUL_DRAWS {
+                let motion = drawn(i, draw);
+                watch.put(world, *a, motion);
+                if !watch.touches(world, *a, minds) {
+                    gentlest = motion;
+                    break;
+                }
+                if motion[0] < gentlest[0] {
+                    gentlest = motion;
+                }
+            }
+            motions[i] = gentlest;
+            watch.put(world, *a, gentlest);
+        }
+        motions
+    }
+}
+
+/// The agents of a world whom guided vehicles hinder: its ego, and all that are driven from outside.
+pub fn egos_of(world: &WorldView<'_>) -> Vec<usize> {
+    (0..world.states.len()).filter(|a| world.states.active[*a] && is_ego(world, *a)).collect()
+}
+
+/// The plan of a world in which agents do as drawn.
+fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
+    let world = &d.request.world;
+    let (m, dynamics) = (d.agents.len(), Dynamics::default());
+    let mut plan = PlanState::default();
+    for (a, [acceleration, yaw_rate]) in d.agents.iter().zip(motions) {
+        let mut state = world.states.kin_state(*a);
+        for _ in 0..TOKEN_STEPS {
+            dynamics.step(&mut state, [acceleration, yaw_rate, 0.0], world.dt_s, &world.scene.footprints[*a]);
+            plan.record.samples.extend([state.x, state.y, state.heading_rad]);
+            plan.speed_mps.push(state.speed_mps);
+        }
+    }
+    let is_guided = |a: &usize| d.criticality > 0.0 && d.guided.contains(a);
+    plan.record = PlanRecord {
+        made_at: world.elapsed_steps,
+        guided: d.agents.iter().map(is_guided).collect(),
+        agents: d.agents,
+        follows_plan: vec![true; m],
+        selected_sample: vec![0; m],
+        graph: vec![false; m * m],
+        ttc_s: vec![Real::INFINITY; m * m],
+        realism_cost: vec![Real::NAN; m],
+        shift_sigmas: vec![Real::NAN; m],
+        ranking: d.ranking,
+        num_samples: 1,
+        num_steps: TOKEN_STEPS,
+        ..plan.record
+    };
+    plan
+}
+
+impl TrafficPolicy for Swift {
+    fn name(&self) -> &str {
+        SWIFT.name
+    }
+
+    fn history_states(&self) -> usize {
+        STATES
+    }
+
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {
+        let is_due = |r: &&PlanRequest<'_>| r.is_due(TOKEN_STEPS);
+        let due: Vec<&PlanRequest<'_>> = requests.iter().filter(is_due).collect();
+        if due.is_empty() {
+            return Ok(vec![None; requests.len()]);
+        }
+        let this = &*self;
+        let plans = match &this.pool {
+            Some(pool) => {
+                let share = due.len().div_ceil(pool.current_num_threads()).max(1);
+                let plan = |part: &[&PlanRequest<'_>]| this.planned(part, &mut Scratch::default());
+                let parts: Vec<_> =
+                    pool.install(|| due.par_chunks(share).map(plan).collect::<ccdiff_sim::Result<_>>())?;
+                parts.concat()
+            }
+            None => this.planned(&due, &mut Scratch::default())?,
+        };
+        let mut plans = plans.into_iter();
+        Ok(requests.iter().map(|r| if is_due(&r) { plans.next() } else { None }).collect())
+    }
+
+    fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
+        let route = &world.scene.routes[agent_idx];
+        if world.scene.kinds[agent_idx] != AgentKind::Vehicle {
+            return Replay.act(world, None, agent_idx);
+        }
+        if route.is_parked() {
+            return AgentMotion::Place(world.states.pose(agent_idx), Default::default());
+        }
+        if world.route_s_m[agent_idx] >= route.path.length_m() - END_M {
+            return AgentMotion::Leave;
+        }
+        match plan.and_then(|plan| plan.follow(world, agent_idx)) {
+            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
+            // it came after the decision
+            None => Replay.act(world, None, agent_idx),
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! The network of swift traffic: agents pass one small network, the greatest of each feature stays, two layers follow, then the
+//! logits of the bins of speed change, and of those of yaw rate given the first.
+
+use super::SWIFT;
+use super::seen::{EGO, OTHER, OWN, Rows, WHO};
+use crate::compute::weights::{Entry, Weights, broken, field};
+use crate::error::Result;
+use crate::kernels::{Checked, Packed, linear};
+use crate::networks::tokens::grid::{BINS, SPEED, YAW_RATE};
+use crate::sampling::noise::Noise;
+use ccdiff_sim::geom::Real;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Widest layer of a file.
+const MOST_WIDTH: usize = 1024;
+
+/// Network and the memory that it works in.
+#[derive(Debug, Clone)]
+pub(super) struct Network {
+    others: [Packed; 2],
+    trunk: [Packed; 2],
+    speed: Packed,
+    turning: Packed,
+    /// What a bin of speed adds to the features of turning, [[`BINS`], width].
+    by_speed: Vec<Real>,
+    yaw_rate: Packed,
+    /// Criticality of worlds and that of the network, both rising.
+    dial: Vec<[Real; 2]>,
+}
+
+/// What was computed of some rows; memory that is used again.
+#[derive(Debug, Default)]
+pub(super) struct Hidden {
+    x: Vec<Real>,
+    a: Vec<Real>,
+    b: Vec<Real>,
+    speed: Vec<Real>,
+    turning: Vec<Real>,
+    cumulative: Vec<Real>,
+}
+
+impl Network {
+    /// From header and tensors of a file.
+    ///
+    /// # Errors
+    /// [`crate::ModelError::Checkpoint`] names the field or tensor.
+    pub(super) fn new(
+        path: &Path,
+        header: &serde_json::Value,
+        tensors: BTreeMap<String, Entry>,
+    ) -> Result<Self> {
+        let kind: String = field(path, header, "kind")?;
+        if kind != SWIFT.name {
+            return Err(broken(path, "kind", format!("{kind:?}"), format!("{:?}", SWIFT.name)));
+        }
+        let dial: Vec<[Real; 2]> = field(path, header, "dial")?;
+        let rises = dial.windows(2).all(|w| w[1][0] > w[0][0] && w[1][1] >= w[0][1]);
+        let (first, fits) = (dial.first().copied(), dial.iter().flatten().all(|x| (0.0..=100.0).contains(x)));
+        if first != Some([0.0, 0.0]) || !rises || !fits {
+            return Err(broken(
+                path,
+                "dial",
+                format!("{dial:?}"),
+                "rising pairs up to 100, the first of them 0, 0",
+            ));
+        }
+        let width = |name: &str| {
+            let found = tensors.get(&format!("{name}.bias")).map_or(1, |(_, numbers)| numbers.len());
+            found.clamp(1, MOST_WIDTH)
+        };
+        let [near, far, first, second, turning] =
+            ["others.0", "others.1", "trunk.0", "trunk.1", "turning"].map(width);
+        let weights = Weights::new(path, tensors);
+        let layer = |name: &str, inputs: usize, outputs: usize| {
+            let rows = weights.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
+            let bias = weights.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
+            Packed::new(rows, bias, outputs, inputs)
+        };
+        let network = Self {
+            others: [layer("others.0", OTHER, near), layer("others.1", near, far)],
+            trunk: [layer("trunk.0", OWN + 2 * EGO + 1 + far, first), layer("trunk.1", first, second)],
+            speed: layer("speed", second, BINS),
+            turning: layer("turning", second, turning),
+            by_speed: weights.take("by_speed", &[BINS, turning]).unwrap_or_default().to_vec(),
+            yaw_rate: layer("yaw_rate", turning, BINS),
+            dial,
+        };
+        weights.finish().map(|()| network)
+    }
+
+    /// The network's criticality for one of worlds; beyond the table it goes on evenly.
+    pub(super) fn strength(&self, criticality: Real) -> Real {
+        let [low, high] =
+            match self.dial.windows(2).find(|w| criticality <= w[1][0]).or(self.dial.windows(2).last()) {
+                Some(w) => [w[0], w[1]],
+                None => [[0.0, 0.0], [1.0, 1.0]],
+            };
+        low[1] + (criticality - low[0]) / (high[0] - low[0]) * (high[1] - low[1])
+    }
+
+    /// Features and logits of rows at strengths [n]. Who is not guided does not know who the ego is.
+    pub(super) fn see(&self, rows: &mut Rows, strengths: &[Real], hidden: &mut Hidden) {
+        let (level, far) = (Checked::now(), self.others[1].columns);
+        let Hidden { x, a, b, speed, turning, .. } = hidden;
+        let mut others = rows.others.chunks_exact_mut(OTHER);
+        for (seen, strength) in rows.seen.iter().zip(strengths) {
+            let told = |other: &mut [Real]| other[WHO] = other[WHO].min(0.0);
+            others.by_ref().take(*seen).filter(|_| *strength <= 0.0).for_each(told);
+        }
+        linear(level, &rows.others, &self.others[0], true, a);
+        linear(level, a, &self.others[1], true, b);
+        x.clear();
+        let mut found = b.chunks_exact(far);
+        let mut greatest = vec![0.0; far];
+        for (i, strength) in strengths.iter().enumerate() {
+            greatest.fill(0.0);
+            for other in found.by_ref().take(rows.seen[i]) {
+                greatest.iter_mut().zip(other).for_each(|(g, x)| *g = if *x > *g { *x } else { *g });
+            }
+            let ego = &rows.ego[i * EGO..][..EGO];
+            let told = if *strength > 0.0 { 1.0 } else { 0.0 };
+            x.extend_from_slice(&rows.own[i * OWN..][..OWN]);
+            x.extend(ego.iter().map(|e| e * told));
+            x.push(*strength);
+            x.extend(ego.iter().map(|e| e * strength));
+            x.extend_from_slice(&greatest);
+        }
+        linear(level, x, &self.trunk[0], true, a);
+        linear(level, a, &self.trunk[1], true, b);
+        linear(level, b, &self.speed, false, speed);
+        linear(level, b, &self.turning, false, turning);
+    }
+
+    /// A change of speed (m/s in half a second) and a yaw rate (rad/s) of a row, by four random words.
+    pub(super) fn draw(
+        &self,
+        row: usize,
+        noise: Noise,
+        draw: usize,
+        temperature: Real,
+        hidden: &mut Hidden,
+    ) -> [Real; 2] {
+        let words = noise.block(draw as u64).map(|w| (w >> 8) as Real / (1u32 << 24) as Real);
+        let Hidden { a, b, speed, turning, cumulative, .. } = hidden;
+        let bin = drawn(&speed[row * BINS..][..BINS], words[0], temperature, cumulative);
+        let width = self.turning.columns;
+        let add = |(t, s): (&Real, &Real)| if t + s > 0.0 { t + s } else { 0.0 };
+        a.clear();
+        a.extend(turning[row * width..][..width].iter().zip(&self.by_speed[bin * width..]).map(add));
+        linear(Checked::now(), a, &self.yaw_rate, false, b);
+        let turn = drawn(b, words[2], temperature, cumulative);
+        [SPEED.value(bin, words[1]), YAW_RATE.value(turn, words[3])]
+    }
+}
+
+/// The bin that a share of the probabilities of logits falls into.
+fn drawn(logits: &[Real], share: Real, temperature: Real, cumulative: &mut Vec<Real>) -> usize {
+    let greatest = logits.iter().fold(Real::NEG_INFINITY, |m, v| if *v > m { *v } else { m });
+    let mut sum = 0.0;
+    cumulative.clear();
+    cumulative.extend(logits.iter().map(|logit| {
+        sum += libm::expf((logit - greatest) / temperature);
+        sum
+    }));
+    cumulative.iter().take_while(|c| **c <= share * sum).count().min(BINS - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn header() -> serde_json::Value {
+        json!({"format": 1, "kind": "swift", "dial": [[0.0, 0.0], [1.0, 2.0], [2.0, 5.0]]})
+    }
+
+    /// One feature everywhere: how far the farthest agent is that says it is the ego.
+    fn tensors() -> BTreeMap<String, Entry> {
+        let trunk = OWN + 2 * EGO + 1 + 1;
+        let mut found = BTreeMap::new();
+        let sizes = [
+            ("others.0", OTHER, 1),
+            ("others.1", 1, 1),
+            ("trunk.0", trunk, 1),
+            ("trunk.1", 1, 1),
+            ("speed", 1, BINS),
+            ("turning", 1, 1),
+            ("yaw_rate", 1, BINS),
+        ];
+        for (name, inputs, outputs) in sizes {
+            found.insert(format!("{name}.weight"), (vec![outputs, inputs], vec![0.0; outputs * inputs]));
+            found.insert(format!("{name}.bias"), (vec![outputs], vec![0.0; outputs]));
+        }
+        found.insert("by_speed".into(), (vec![BINS, 1], vec![0.0; BINS]));
+        let mut set = |name: &str, at: usize, value: Real| {
+            if let Some((_, numbers)) = found.get_mut(name) {
+                numbers[at] = value;
+            }
+        };
+        set("others.0.weight", WHO, 1.0);
+        set("others.1.weight", 0, 1.0);
+        set("trunk.0.weight", trunk - 1, 1.0);
+        set("trunk.1.weight", 0, 1.0);
+        set("speed.weight", 7, 100.0);
+        set("yaw_rate.bias", 3, 100.0);
+        found
+    }
+
+    #[test]
+    fn the_dial_goes_through_its_pairs_and_on() {
+        let network = Network::new(Path::new("x"), &header(), tensors()).unwrap();
+        for (criticality, strength) in [(0.0, 0.0), (0.5, 1.0), (1.0, 2.0), (1.5, 3.5), (4.0, 11.0)] {
+            assert!((network.strength(criticality) - strength).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn only_guided_vehicles_know_who_the_ego_is() {
+        let network = Network::new(Path::new("x"), &header(), tensors()).unwrap();
+        let mut hidden = Hidden::default();
+        let mut seen = |strength: Real| {
+            let mut other = vec![0.0; OTHER];
+            other[WHO] = 1.0;
+            let mut rows = Rows { own: vec![0.0; OWN], ego: vec![0.0; EGO], others: other, seen: vec![1] };
+            network.see(&mut rows, &[strength], &mut hidden);
+            let draws = (0..64).map(|draw| network.draw(0, Noise::new(3, 0), draw, 1.0, &mut hidden));
+            draws.collect::<Vec<_>>()
+        };
+        let (told, untold) = (seen(1.0), seen(0.0));
+        assert!(told.iter().all(|[change, _]| SPEED.bin(*change) == 7));
+        assert!(untold.iter().any(|[change, _]| SPEED.bin(*change) != 7));
+        assert!(told.iter().chain(&untold).all(|[_, yaw_rate]| YAW_RATE.bin(*yaw_rate) == 3));
+    }
+
+    #[test]
+    fn files_that_do_not_fit_are_named() {
+        let refused = |header: &serde_json::Value, tensors| {
+            Network::new(Path::new("x"), header, tensors).unwrap_err().to_string()
+        };
+        for (field, value) in [
+            ("kind", json!("tokens")),
+            ("dial", json!([[0.0, 0.0], [1.0, -1.0]])),
+            ("dial", json!([[1.0, 1.0]])),
+            ("dial", json!("x")),
+        ] {
+            let mut bad = header();
+            bad[field] = value;
+            assert!(refused(&bad, tensors()).contains(field));
+        }
+        for name in ["speed.bias", "by_speed", "trunk.0.weight"] {
+            let mut bad = tensors();
+            bad.insert(name.into(), (vec![2], vec![0.0; 2]));
+            assert!(refused(&header(), bad).contains(name.trim_end_matches(".bias")), "{name}");
+        }
+        let mut more = tensors();
+        more.insert("more".into(), (vec![1], vec![0.0]));
+        assert!(refused(&header(), more).contains("more"));
+    }
+}

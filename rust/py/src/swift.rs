@@ -1,0 +1,71 @@
+//! Swift traffic: the policy, and what it sees as arrays, for training.
+
+use crate::drivers::path_of;
+use ccdiff_bridge::errors::{from_model, from_sim, py};
+use ccdiff_bridge::{contained, policy_capsule};
+use ccdiff_nets::networks::tokens::token_of;
+use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
+use ccdiff_sim::options;
+use ccdiff_sim::policy::WorldView;
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::{PyCapsule, PyDict};
+use std::path::Path;
+
+/// Adds the function of this file to the module.
+pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(swift_bins, module)?)
+}
+
+/// Bins [n, 2] of changes of speed (m/s in half a second) and yaw rates (rad/s).
+#[pyfunction]
+fn swift_bins(changes: Vec<(f32, f32)>) -> Vec<[usize; 2]> {
+    changes.into_iter().map(|(speed, yaw_rate)| token_of(speed, yaw_rate)).collect()
+}
+
+/// The policy of a name; `settings` is a `CcdiffConfig` as JSON.
+pub(crate) fn policy<'py>(
+    py: Python<'py>,
+    name: &str,
+    settings: &str,
+    weights: &Path,
+    dt_s: f32,
+    num_threads: usize,
+) -> PyResult<Bound<'py, PyCapsule>> {
+    let config = options::read(&path_of(name, SWIFT.name), settings).map_err(from_sim)?;
+    let made = py.detach(|| Swift::load(config, weights, dt_s, num_threads));
+    policy_capsule(py, contained(Box::new(made.map_err(from_model)?)))
+}
+
+/// What it would see of some vehicles.
+pub(crate) fn rows<'py>(
+    py: Python<'py>,
+    world: &WorldView<'_>,
+    agents: &[usize],
+) -> PyResult<Bound<'py, PyDict>> {
+    let count = world.states.len();
+    let Some(history) = world.history.filter(|h| h.len() >= STATES) else {
+        let message = format!("swift_rows: expected a driver that looks back at {STATES} states or more");
+        return Err(py::ConfigError::new_err(message));
+    };
+    if let Some(a) = agents.iter().find(|a| **a >= count || !world.states.active[**a]) {
+        return Err(py::UnknownNameError::new_err(format!(
+            "agent {a}: expected one that is there, below {count}"
+        )));
+    }
+    let (mut rows, egos) = (Rows::default(), egos_of(world));
+    agents.iter().for_each(|a| rows.add(world, history, *a, &egos));
+    let (n, mut at) = (agents.len(), 0);
+    let mut others = vec![0.0; n * NEIGHBOURS * OTHER];
+    for (to, seen) in others.chunks_exact_mut(NEIGHBOURS * OTHER).zip(&rows.seen) {
+        to[..seen * OTHER].copy_from_slice(&rows.others[at..at + seen * OTHER]);
+        at += seen * OTHER;
+    }
+    let dict = PyDict::new(py);
+    dict.set_item("own", PyArray1::from_vec(py, rows.own).reshape([n, OWN])?)?;
+    dict.set_item("ego", PyArray1::from_vec(py, rows.ego).reshape([n, EGO])?)?;
+    dict.set_item("others", PyArray1::from_vec(py, others).reshape([n, NEIGHBOURS, OTHER])?)?;
+    let seen: Vec<i64> = rows.seen.iter().map(|seen| *seen as i64).collect();
+    dict.set_item("seen", PyArray1::from_vec(py, seen))?;
+    Ok(dict)
+}
