@@ -50,10 +50,10 @@ def paper_weights(scenes: SceneSet, folder: str) -> Path:
     return path
 
 
-def ego_steps(scenes: SceneSet, steps: int, **options: object) -> None:
+def ego_steps(scenes: SceneSet, steps: int, traffic: str = "ccdiff", **options: object) -> None:
     for envs in ENVS:
         env = ccdiff_env.make_vec(
-            envs, scenes=scenes, traffic="ccdiff", driver="idm", copy=False, info="end", **options
+            envs, scenes=scenes, traffic=traffic, driver="idm", copy=False, info="end", **options
         )
         env.reset(seed=0)
         idle = np.zeros(env.action_space.shape, np.float32)
@@ -146,6 +146,10 @@ def main() -> None:
         known = [name for name in NETWORKS if name != SWIFT and shipped_weights(name).exists()]
         compare(known if args.models == "all" else args.models.split(","), scenes, args.rounds)
         return
+    for traffic in ("idm", SWIFT, "idm", SWIFT):
+        print(f"Ego-v0 in {traffic} traffic, criticality 1 where there is one")
+        ccdiff = {"ccdiff": {"criticality": 1.0}} if traffic == SWIFT else {}
+        ego_steps(scenes, args.steps, traffic, num_threads=args.threads, **ccdiff)
     for guided, criticality in (("not guided", 0.0), ("criticality 1, K = 5", 1.0)):
         for denoising_steps in (5, 1):
             print(f"Ego-v0 in CCDiff traffic, {guided}, denoising steps: {denoising_steps}")
