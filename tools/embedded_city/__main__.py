@@ -1,8 +1,6 @@
-"""``python -m tools.embedded_city`` generates the shipped data set anew, ``--city`` the second one,
-whose hashes it writes into the protocol of planners.
+"""``python -m tools.embedded_city`` generates the shipped data set.
 
-With ``--dense FOLDER`` it generates the same kinds of scene with two to three times the actors, in
-a folder of their own.
+With ``--city`` it generates the second one, and writes its hashes into the protocol of planners.
 """
 
 from __future__ import annotations
@@ -12,10 +10,10 @@ import json
 from pathlib import Path
 
 from ccdiff_env.scenes.embedded import CITY as CITY_FILE
-from ccdiff_env.scenes.embedded import SHIPPED, embedded_scenes
+from ccdiff_env.scenes.embedded import SHIPPED as FILE
+from ccdiff_env.scenes.embedded import embedded_scenes
 from tools.embedded_city.dataset import generate, pack
-from tools.embedded_city.scenes import CITY, DENSE
-from tools.embedded_city.scenes import SHIPPED as USUAL
+from tools.embedded_city.scenes import CITY, SHIPPED
 
 
 def fix_hashes(protocol: Path) -> None:
@@ -29,18 +27,10 @@ def fix_hashes(protocol: Path) -> None:
 
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--dense", type=Path, metavar="FOLDER", help="write the dense set there")
 parser.add_argument("--city", action="store_true", help="the set that planners are compared on")
 args = parser.parse_args()
-folder = args.dense
-if folder is None:
-    path = Path(__file__).parents[2] / "ccdiff_env" / (CITY_FILE if args.city else SHIPPED)
-    pack(generate(CITY if args.city else USUAL), path)
-    if args.city:
-        fix_hashes(path.parent / "planner-1.2.json")
-    print(f"wrote {path}, {path.stat().st_size // 1000} kB")
-else:
-    for name, content in generate(DENSE).items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_bytes(content)
-    print(f"wrote {folder}")
+path = Path(__file__).parents[2] / "ccdiff_env" / (CITY_FILE if args.city else FILE)
+pack(generate(CITY if args.city else SHIPPED), path)
+if args.city:
+    fix_hashes(path.parent / "planner-1.2.json")
+print(f"wrote {path}, {path.stat().st_size // 1000} kB")

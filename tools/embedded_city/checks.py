@@ -73,15 +73,16 @@ class DrivableArea:
             edges += [(*p, *q) for p, q in zip(ring, ring[1:] + ring[:1], strict=True)]
         self.edges: npt.NDArray[np.float64] = np.array(edges)
 
+    def crossings(self, y: float) -> npt.NDArray[np.float64]:
+        """Return where its edges cross a line from west to east."""
+        ax, ay, bx, by = self.edges.T
+        spans = (ay > y) != (by > y)
+        across = (y - ay[spans]) / (by[spans] - ay[spans]) * (bx[spans] - ax[spans])
+        return np.asarray(ax[spans] + across)
+
     def contains(self, points: Sequence[Xy]) -> bool:
         """Return whether all points lie inside (even-odd rule)."""
-        ax, ay, bx, by = self.edges.T
-        for x, y in points:
-            spans = (ay > y) != (by > y)
-            at = ax[spans] + (y - ay[spans]) / (by[spans] - ay[spans]) * (bx[spans] - ax[spans])
-            if np.count_nonzero(at > x) % 2 == 0:
-                return False
-        return True
+        return all(np.count_nonzero(self.crossings(y) > x) % 2 for x, y in points)
 
 
 def first_overlap(tracks: Sequence[Track], duration_s: float, room_m: float) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tools.embedded_city.checks import DrivableArea
 from tools.embedded_city.city import LANE_WIDTH_M, PARKING_M, WALKWAY_M, City, Lane, Road
 from tools.embedded_city.curves import Curve, Segment, Xy
 
@@ -18,23 +19,10 @@ Record = dict[str, Any]
 METRES_PER_PIXEL = 2.0
 STRAIGHT_RADIUS_M = 999.999
 """What nuScenes writes as the radius of a path that is straight."""
-LAYERS = (
-    "polygon",
-    "line",
-    "node",
-    "drivable_area",
-    "road_segment",
-    "road_block",
-    "lane",
-    "ped_crossing",
-    "walkway",
-    "stop_line",
-    "carpark_area",
-    "road_divider",
-    "lane_divider",
-    "traffic_light",
-    "lane_connector",
-)
+LAYERS = """
+    polygon line node drivable_area road_segment road_block lane ped_crossing walkway stop_line
+    carpark_area road_divider lane_divider traffic_light lane_connector
+""".split()
 
 
 class MapWriter:
@@ -277,19 +265,9 @@ def mask_png(city: City) -> bytes:
     """
     columns, rows = (math.ceil(edge / METRES_PER_PIXEL) for edge in city.canvas)
     middles = (np.arange(columns) + 0.5) * METRES_PER_PIXEL
-    edges = np.array(
-        [
-            (*p, *q)
-            for ring in (city.drivable_exterior, *city.drivable_holes)
-            for p, q in zip(ring, ring[1:] + ring[:1], strict=True)
-        ]
-    )
-    ax, ay, bx, by = edges.T
-    lines = []
+    area, lines = DrivableArea(city), []
     for row in range(rows):
-        y = city.canvas[1] - (row + 0.5) * METRES_PER_PIXEL
-        spans = (ay > y) != (by > y)
-        at = ax[spans] + (y - ay[spans]) / (by[spans] - ay[spans]) * (bx[spans] - ax[spans])
+        at = area.crossings(city.canvas[1] - (row + 0.5) * METRES_PER_PIXEL)
         inside = (at[:, None] > middles).sum(axis=0) % 2 == 1
         lines.append(b"\0" + (inside * 255).astype(np.uint8).tobytes())
     header = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)

@@ -16,6 +16,11 @@ from tools.embedded_city.traffic import Braking
 Lanes = tuple[str, ...]
 
 
+def _lanes(text: str) -> list[Lanes]:
+    """Return pairs of lanes, each written ``from>to``."""
+    return [tuple(pair.split(">")) for pair in text.split()]
+
+
 def _oncoming(builder: ScenarioBuilder, approach: str) -> Lanes:
     """Return the lane opposite to an approach and the one straight on from it."""
     city = builder.city
@@ -28,20 +33,12 @@ def _oncoming(builder: ScenarioBuilder, approach: str) -> Lanes:
     return builder.draw.pick(lanes)
 
 
-LEFT_TURNS: list[Lanes] = [
-    ("avenue-1:f0", "ring-northwest:b0"),
-    ("avenue-2:b0", "ring-southwest:f0"),
-    ("avenue-3:f0", "parade-north:f0"),
-    ("avenue-4:b0", "parade-south:b0"),
-    ("parade-south:f0", "avenue-3:b0"),
-    ("parade-north:b0", "avenue-4:f0"),
-    ("avenue-5:f0", "ring-northeast:f0"),
-    ("parade-north:f0", "ring-north:f0"),
-    ("ring-southwest:f0", "parade-south:f0"),
-    ("ring-south:f0", "stem-east:f0"),
-    ("avenue-2:f0", "stem-west:b0"),
-    ("avenue-5:b0", "stem-east:b0"),
-]
+LEFT_TURNS = _lanes("""
+    avenue-1:f0>ring-northwest:b0 avenue-2:b0>ring-southwest:f0 avenue-3:f0>parade-north:f0
+    avenue-4:b0>parade-south:b0 parade-south:f0>avenue-3:b0 parade-north:b0>avenue-4:f0
+    avenue-5:f0>ring-northeast:f0 parade-north:f0>ring-north:f0 ring-southwest:f0>parade-south:f0
+    ring-south:f0>stem-east:f0 avenue-2:f0>stem-west:b0 avenue-5:b0>stem-east:b0
+""")
 
 
 def left_turn(builder: ScenarioBuilder) -> None:
@@ -62,40 +59,22 @@ def left_turn(builder: ScenarioBuilder) -> None:
         arrival += draw.between(1.7, 2.6)
 
 
-TEES: list[tuple[Lanes, list[Lanes]]] = [
-    (
-        ("stem-west:f0", "avenue-3:f0"),
-        [
-            ("avenue-2:f0", "avenue-3:f0"),
-            ("avenue-3:b0", "avenue-2:b0"),
-            ("avenue-3:b1", "avenue-2:b1"),
-        ],
-    ),
-    (
-        ("stem-west:f1", "avenue-2:b1"),
-        [("avenue-3:b1", "avenue-2:b1"), ("avenue-2:f1", "avenue-3:f1")],
-    ),
-    (
-        ("stem-west:b0", "ring-northwest:f0"),
-        [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")],
-    ),
-    (
-        ("stem-west:b0", "ring-north:b0"),
-        [("ring-north:f0", "ring-northwest:f0"), ("ring-northwest:b0", "ring-north:b0")],
-    ),
-    (
-        ("stem-east:b0", "ring-southeast:f0"),
-        [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")],
-    ),
-    (
-        ("stem-east:b0", "ring-south:b0"),
-        [("ring-south:f0", "ring-southeast:f0"), ("ring-southeast:b0", "ring-south:b0")],
-    ),
-    (
-        ("parade-south:b0", "ring-south:f0"),
-        [("ring-southwest:f0", "ring-south:f0"), ("ring-south:b0", "ring-southwest:b0")],
-    ),
+TEES = [
+    (lanes, main)
+    for lanes, *main in map(
+        _lanes,
+        """
+    stem-west:f0>avenue-3:f0 avenue-2:f0>avenue-3:f0 avenue-3:b0>avenue-2:b0 avenue-3:b1>avenue-2:b1
+    stem-west:f1>avenue-2:b1 avenue-3:b1>avenue-2:b1 avenue-2:f1>avenue-3:f1
+    stem-west:b0>ring-northwest:f0 ring-north:f0>ring-northwest:f0 ring-northwest:b0>ring-north:b0
+    stem-west:b0>ring-north:b0 ring-north:f0>ring-northwest:f0 ring-northwest:b0>ring-north:b0
+    stem-east:b0>ring-southeast:f0 ring-south:f0>ring-southeast:f0 ring-southeast:b0>ring-south:b0
+    stem-east:b0>ring-south:b0 ring-south:f0>ring-southeast:f0 ring-southeast:b0>ring-south:b0
+    parade-south:b0>ring-south:f0 ring-southwest:f0>ring-south:f0 ring-south:b0>ring-southwest:b0
+    """.strip().splitlines(),
+    )
 ]
+"""From a stem, and others on the main road."""
 
 
 def tee_crossing(builder: ScenarioBuilder) -> None:
@@ -134,20 +113,11 @@ def cut_in(builder: ScenarioBuilder) -> None:
         builder.through((mine,), before - draw.between(42.0, 50.0), speed * 0.95)
 
 
-BRAKING_LANES = [
-    "parade-south:f0",
-    "parade-south:f1",
-    "parade-north:b0",
-    "parade-north:b1",
-    "parade-north:f1",
-    "ring-southwest:f0",
-    "ring-southwest:b0",
-    "ring-northeast:f0",
-    "ring-northwest:f0",
-    "ring-southeast:b0",
-    "stem-west:f0",
-    "stem-east:b0",
-]
+BRAKING_LANES = """
+    parade-south:f0 parade-south:f1 parade-north:b0 parade-north:b1 parade-north:f1
+    ring-southwest:f0 ring-southwest:b0 ring-northeast:f0 ring-northwest:f0 ring-southeast:b0
+    stem-west:f0 stem-east:b0
+""".split()
 
 
 def hard_brake(builder: ScenarioBuilder) -> None:
@@ -164,20 +134,10 @@ def hard_brake(builder: ScenarioBuilder) -> None:
         builder.through((lane,), before + draw.between(22.0, 26.0), speed)
 
 
-QUEUES = [
-    "avenue-3:f0",
-    "avenue-3:f1",
-    "avenue-4:b0",
-    "avenue-4:b1",
-    "parade-south:f0",
-    "parade-south:f1",
-    "parade-north:b0",
-    "parade-north:b1",
-    "avenue-5:f0",
-    "avenue-5:f1",
-    "avenue-6:b0",
-    "ring-northeast:b0",
-]
+QUEUES = """
+    avenue-3:f0 avenue-3:f1 avenue-4:b0 avenue-4:b1 parade-south:f0 parade-south:f1
+    parade-north:b0 parade-north:b1 avenue-5:f0 avenue-5:f1 avenue-6:b0 ring-northeast:b0
+""".split()
 
 
 def queue(builder: ScenarioBuilder) -> None:
@@ -227,11 +187,7 @@ def double_left(builder: ScenarioBuilder) -> None:
         arrival += draw.between(0.5, 1.5)
 
 
-MERGES = [
-    ("avenue-6:f", "exit-east:f0"),
-    ("avenue-1:b", "entry-west:b0"),
-    ("parade-top:f", "exit-north:f0"),
-]
+MERGES = _lanes("avenue-6:f>exit-east:f0 avenue-1:b>entry-west:b0 parade-top:f>exit-north:f0")
 
 
 def merge_in(builder: ScenarioBuilder) -> None:
@@ -278,19 +234,13 @@ def free_curve(builder: ScenarioBuilder) -> None:
         builder.through((back,), length * draw.between(0.2, 0.95), draw.between(8.0, 10.5))
 
 
-WALKED: list[Lanes] = [
-    ("avenue-1:f1", "avenue-2:f1"),
-    ("avenue-2:b1", "avenue-1:b1"),
-    ("avenue-2:b0", "avenue-1:b0"),
-    ("ring-southwest:b0", "ring-northwest:b0"),
-    ("ring-northwest:f0", "ring-southwest:f0"),
-    ("ring-southwest:f0", "ring-south:f0"),
-    ("ring-south:f0", "ring-southeast:f0"),
-    ("ring-southeast:b0", "ring-south:b0"),
-    ("parade-north:f1", "parade-top:f1"),
-    ("ring-north:b0", "ring-northeast:b0"),
-    ("ring-northeast:f0", "ring-north:f0"),
-]
+WALKED = _lanes("""
+    avenue-1:f1>avenue-2:f1 avenue-2:b1>avenue-1:b1 avenue-2:b0>avenue-1:b0
+    ring-southwest:b0>ring-northwest:b0 ring-northwest:f0>ring-southwest:f0
+    ring-southwest:f0>ring-south:f0 ring-south:f0>ring-southeast:f0
+    ring-southeast:b0>ring-south:b0 parade-north:f1>parade-top:f1 ring-north:b0>ring-northeast:b0
+    ring-northeast:f0>ring-north:f0
+""")
 
 
 def pedestrians(builder: ScenarioBuilder) -> None:

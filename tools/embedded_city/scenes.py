@@ -24,57 +24,40 @@ from tools.embedded_city.scenario_builder import Draw, ScenarioBuilder
 from tools.embedded_city.scenarios import KINDS, ScenarioKind
 from tools.embedded_city.traffic import DT_S, Actor, Simulation
 
-SEED = "ccdiff-town-1"
+MOST_ACTORS = 20
+GAP_M = 13.0
+"""Room that a driver of the background finds at its start."""
 DURATION_S = 18.0
 SEEN_M = 80.0
 """Actors are annotated from when they first come this near to the ego until they last were."""
 ROOM_M = 0.3
 """Boxes keep at least about this distance."""
 NUM_TRIES = 400
-FIRST_DRAWS: dict[str, int] = {
-    "left-turn-00": 2,
-    "left-turn-01": 2,
-    "left-turn-03": 2,
-    "left-turn-05": 5,
-    "tee-crossing-00": 4,
-    "tee-crossing-01": 3,
-    "tee-crossing-02": 4,
-    "cut-in-00": 3,
-    "cut-in-01": 3,
-    "cut-in-03": 1,
-    "cut-in-04": 4,
-    "queue-00": 1,
-    "queue-01": 1,
-    "double-left-00": 1,
-    "merge-in-00": 4,
-    "merge-in-01": 2,
-    "merge-in-03": 8,
-    "pedestrians-00": 23,
-    "pedestrians-01": 16,
-    "pedestrians-02": 12,
-    "pedestrians-03": 21,
-}
-"""Draws that pass; those before are known to fail, so that skipping them only saves time."""
+FIRST_DRAWS = """
+    left-turn-00:2 left-turn-01:2 left-turn-03:2 left-turn-05:5 tee-crossing-00:4
+    tee-crossing-01:3 tee-crossing-02:4 cut-in-00:3 cut-in-01:3 cut-in-03:1 cut-in-04:4 queue-00:1
+    queue-01:1 double-left-00:1 merge-in-00:4 merge-in-01:2 merge-in-03:8 pedestrians-00:23
+    pedestrians-01:16 pedestrians-02:12 pedestrians-03:21
+"""
+"""Draws that pass, of the shipped set; those before are known to fail: to skip them saves time."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What makes a set: how full the city is, how many scenes, and their draws."""
+    """What makes a set: its seed, the draws that pass, and its number of scenes."""
 
-    num_most: int
-    """Actors of a scene, at most."""
-    gap_m: float
-    """Room that a driver of the background finds at its start."""
+    seed: str
     first_draws: Mapping[str, int]
-    seed: str = SEED
     num_scenes: int | None = None
     """Scenes of a split ``city``, spread over the kinds; by default ``train`` and ``val`` of each
     kind."""
 
 
-SHIPPED = Recipe(20, 13.0, FIRST_DRAWS)
-DENSE = Recipe(60, 8.5, {})
-CITY = Recipe(20, 13.0, {}, "ccdiff-city-1", 200)
+SHIPPED = Recipe(
+    "ccdiff-town-1",
+    {name: int(draw) for name, _, draw in (part.partition(":") for part in FIRST_DRAWS.split())},
+)
+CITY = Recipe("ccdiff-city-1", {}, 200)
 
 
 @dataclass(frozen=True)
@@ -85,20 +68,13 @@ class LoggedScene:
     split: str
     kind: ScenarioKind
     tracks: list[Track]
-    draw: int
-    """Number of the draw that passed the checks."""
-
-    @property
-    def num_frames(self) -> int:
-        """Number of key frames."""
-        return len(self.tracks[0].poses)
 
 
 def build_scenes(city: City, recipe: Recipe = SHIPPED) -> Iterator[LoggedScene]:
     """Yield all scenes of the set."""
     area = DrivableArea(city)
     for name, split, kind in _listed(recipe.num_scenes):
-        yield LoggedScene(name, split, kind, *_tracks(city, area, kind, name, recipe))
+        yield LoggedScene(name, split, kind, _tracks(city, area, kind, name, recipe))
 
 
 def _listed(num_scenes: int | None) -> Iterator[tuple[str, str, ScenarioKind]]:
@@ -115,19 +91,18 @@ def _listed(num_scenes: int | None) -> Iterator[tuple[str, str, ScenarioKind]]:
 
 def _tracks(
     city: City, area: DrivableArea, kind: ScenarioKind, name: str, recipe: Recipe
-) -> tuple[list[Track], int]:
-    """Return the tracks of the first draw that passes all checks, and its number."""
+) -> list[Track]:
+    """Return the tracks of the first draw that passes all checks."""
     for number in range(recipe.first_draws.get(name, 0), NUM_TRIES):
         draw = Draw(f"{recipe.seed}/{name}/{number}")
         builder = ScenarioBuilder(city, draw)
         kind.build(builder)
         if any(not _is_apart(builder, i) for i in range(len(builder.actors))):
             continue
-        most = recipe.num_most
-        add_background_actors(builder, draw.whole(most - 7, most), recipe.gap_m)
+        add_background_actors(builder, draw.whole(MOST_ACTORS - 7, MOST_ACTORS), GAP_M)
         Simulation(builder.actors).run(DURATION_S)
-        if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2, most):
-            return tracks, number
+        if not fault(tracks := _logged(builder.actors), area, kind.hardest_mps2):
+            return tracks
     raise RuntimeError(f"no draw of {name} passed the checks")
 
 
@@ -176,12 +151,12 @@ def rounded(pose: Pose) -> Pose:
     return Pose(round(pose.x, 3), round(pose.y, 3), round(pose.yaw, 5))
 
 
-def fault(tracks: list[Track], area: DrivableArea, hardest_mps2: float, num_most: int) -> str:
+def fault(tracks: list[Track], area: DrivableArea, hardest_mps2: float) -> str:
     """Return what is wrong with a scene, empty if it may go into the set."""
     ego = tracks[0]
     if len(ego.poses) != round(DURATION_S / KEY_FRAME_S) + 1:
         return "the ego leaves the city"
-    if not 6 <= len(tracks) <= num_most:
+    if not 6 <= len(tracks) <= MOST_ACTORS:
         return "too few or too many actors"
     if math.dist(ego.poses[0].xy, ego.poses[-1].xy) < 36.0:
         return "the ego goes nowhere"

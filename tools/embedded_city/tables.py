@@ -18,43 +18,19 @@ from tools.embedded_city.scenes import LoggedScene
 
 Record = dict[str, Any]
 
-TABLES = (
-    "category",
-    "attribute",
-    "visibility",
-    "instance",
-    "sensor",
-    "calibrated_sensor",
-    "ego_pose",
-    "log",
-    "scene",
-    "sample",
-    "sample_data",
-    "sample_annotation",
-    "map",
-)
-CATEGORIES = (
-    "human.pedestrian.adult",
-    "human.pedestrian.child",
-    "vehicle.car",
-    "vehicle.motorcycle",
-    "vehicle.bicycle",
-    "vehicle.bus.rigid",
-    "vehicle.truck",
-    "vehicle.construction",
-    "movable_object.barrier",
-    "movable_object.trafficcone",
-)
-ATTRIBUTES = (
-    "vehicle.moving",
-    "vehicle.stopped",
-    "vehicle.parked",
-    "cycle.with_rider",
-    "cycle.without_rider",
-    "pedestrian.sitting_lying_down",
-    "pedestrian.standing",
-    "pedestrian.moving",
-)
+TABLES = """
+    category attribute visibility instance sensor calibrated_sensor ego_pose log scene sample
+    sample_data sample_annotation map
+""".split()
+CATEGORIES = """
+    human.pedestrian.adult human.pedestrian.child vehicle.car vehicle.motorcycle vehicle.bicycle
+    vehicle.bus.rigid vehicle.truck vehicle.construction movable_object.barrier
+    movable_object.trafficcone
+""".split()
+ATTRIBUTES = """
+    vehicle.moving vehicle.stopped vehicle.parked cycle.with_rider cycle.without_rider
+    pedestrian.sitting_lying_down pedestrian.standing pedestrian.moving
+""".split()
 VISIBILITIES = ("v0-40", "v40-60", "v60-80", "v80-100")
 FIRST_TIMESTAMP_US = 1_600_000_000_000_000
 SCENE_APART_US = 100_000_000
@@ -142,12 +118,12 @@ def _rear_axle(centre: Pose, rotation: Sequence[float]) -> list[float]:
 
 
 def _add_scene(out: dict[str, list[Record]], number: int, scene: LoggedScene) -> None:
-    keys = [(number, frame) for frame in range(scene.num_frames)]
+    keys = [(number, frame) for frame in range(len(scene.tracks[0].poses))]
     out["scene"].append(
         {
             "token": token("scene", number),
             "log_token": token("log"),
-            "nbr_samples": scene.num_frames,
+            "nbr_samples": len(scene.tracks[0].poses),
             "first_sample_token": token("sample", *keys[0]),
             "last_sample_token": token("sample", *keys[-1]),
             "name": scene.name,

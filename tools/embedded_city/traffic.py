@@ -92,7 +92,6 @@ class Actor:
     """Whether it changes lanes without regard: nobody sees it coming, and it waits for nobody."""
     poses: list[Pose | None] = field(default_factory=list)
     """Result: the pose at each step from time 0 on, None once it has left."""
-    speeds: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -119,13 +118,12 @@ class Simulation:
         self.pose: list[Pose | None] = [self._pose(i) for i in range(len(actors))]
 
     def run(self, duration_s: float) -> None:
-        """Simulate from the warm-up to ``duration_s`` and write each actor's poses and speeds."""
+        """Simulate from the warm-up to ``duration_s`` and write each actor's poses."""
         num_warm_up = round(WARM_UP_S / DT_S)
         for step in range(-num_warm_up, round(duration_s / DT_S) + 1):
             if step >= 0:
-                for actor, pose, speed in zip(self.actors, self.pose, self.v, strict=True):
+                for actor, pose in zip(self.actors, self.pose, strict=True):
                     actor.poses.append(pose)
-                    actor.speeds.append(speed)
             self._step(step * DT_S)
 
     def _pose(self, i: int) -> Pose | None:
