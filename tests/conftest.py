@@ -31,6 +31,14 @@ def data_root() -> Path:
     pytest.skip("no real data: neither CCDIFF_DATA nor ../shared/data holds a nuscenes folder")
 
 
+@pytest.fixture(scope="session")
+def scenes():
+    """The embedded scenes of val."""
+    from ccdiff_env import embedded_scenes
+
+    return embedded_scenes("val")
+
+
 @pytest.fixture(scope="module")
 def browser():
     """Debian's Chromium, without a window."""

@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 from stable_baselines3 import PPO
 
-from ccdiff_env import embedded_scenes, parallel_env
+from ccdiff_env import parallel_env
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError
 
 RULES = {"agents": 4, "traffic": "idm", "horizon_steps": 40}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 @pytest.mark.parametrize("more", [{}, {"adversaries": 2}, {"decision_steps": 3}], ids=str)

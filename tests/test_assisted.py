@@ -12,11 +12,6 @@ from ccdiff_env.policies.steering import Steering
 from ccdiff_env.record.counterfactual import avoidability
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
-
-
 def driven(env, action, steps=60):
     """Info columns of the steps of an episode [T], by name."""
     rows = []

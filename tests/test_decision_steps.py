@@ -15,11 +15,6 @@ GOES_ON = {"on_collision": "stop", "on_off_road": "ignore", "terminate_at_goal":
 CONTACT = ("collision", "collision_kind", "collision_partner", "at_fault")
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
-
-
 def held(env, action, steps):
     """A decision by hand: reward, ends and figures of single steps, put together."""
     total, figures = np.float32(0.0), {}

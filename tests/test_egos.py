@@ -18,11 +18,6 @@ UNICYCLE = {"observation": dict(OBSERVATION), "dynamics": UnicycleLimits()}
 CONFIG = WorldConfig().with_options(**UNICYCLE)
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
-
-
 def agent_of(layout):
     torch = pytest.importorskip("torch")
     from ccdiff_env.envs.ego_network import Agent

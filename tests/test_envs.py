@@ -33,11 +33,6 @@ FORMS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
-
-
 def same(a, b) -> bool:
     """Equal bits, also in dictionaries."""
     if isinstance(a, dict):

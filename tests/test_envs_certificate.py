@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import Certificate, EgoEnv, embedded_scenes, replay
+from ccdiff_env import Certificate, EgoEnv, replay
 from ccdiff_env.errors import ResetNeededError, SnapshotError
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 def driven(scenes, *, episodes=1, **options) -> tuple[EgoEnv, list[float]]:

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv, embedded_scenes
+from ccdiff_env import EgoEnv, EgoVectorEnv
 from ccdiff_env.config import BevConfig, ObservationConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
 
@@ -20,11 +20,6 @@ ID = "ccdiff_env/Ego-v0"
 SMALL = {"size_px": 48, "metres_per_px": 0.75}
 #: Channel of the raster.
 DRIVABLE = 0
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 @pytest.mark.parametrize("form", ["bev", "dict"])

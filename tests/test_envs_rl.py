@@ -10,15 +10,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv, embedded_scenes
+from ccdiff_env import EgoEnv, EgoVectorEnv
 
 ID = "ccdiff_env/Ego-v0"
 RULES = {"traffic": "idm", "horizon_steps": 20}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 # -------------------------------------------------------------------------------- wrappers

@@ -16,7 +16,7 @@ import pytest
 from test_envs import ID, assert_same_trace, same
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, embedded_scenes
+from ccdiff_env import EgoEnv
 from ccdiff_env.errors import (
     ConfigError,
     ForkError,
@@ -24,12 +24,6 @@ from ccdiff_env.errors import (
     SnapshotError,
     ThreadError,
 )
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
-
 
 ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
 

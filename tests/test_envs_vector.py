@@ -8,7 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv, embedded_scenes
+from ccdiff_env import EgoEnv, EgoVectorEnv
 from ccdiff_env.errors import (
     ActionError,
     CcdiffError,
@@ -24,11 +24,6 @@ MODES = list(AutoresetMode)
 NUM_ENVS = 5
 #: Episodes end by themselves and by time.
 RULES = {"traffic": "idm", "horizon_steps": 25}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 def assert_same(one, other, path="") -> None:

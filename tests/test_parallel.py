@@ -15,15 +15,10 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, ren
 from pettingzoo.test.max_cycles_test import max_cycles_test
 
 import ccdiff_env
-from ccdiff_env import aec_env, embedded_scenes, errors, parallel_env
+from ccdiff_env import aec_env, errors, parallel_env
 from ccdiff_env.envs import key_agents
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.metrics import causal
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 @pytest.fixture(autouse=True)

@@ -28,11 +28,6 @@ OPTIONS = {"observation": dict(OBSERVATION), "dynamics": "assisted", "decision_s
 
 
 @pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
-
-
-@pytest.fixture(scope="module")
 def agent(scenes):
     """A network of random weights that has seen some observations."""
     torch.manual_seed(0)

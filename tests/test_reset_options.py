@@ -7,16 +7,11 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv, embedded_scenes
+from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError, UnknownNameError
 
 TOLD = ("scene", "ego", "start_step")
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 def driver_of(worlds, world_idx, agent):

@@ -5,16 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import ccdiff_env
 from ccdiff_env import EgoEnv, WorldConfig
 from ccdiff_env.bench.planner_score import COMFORT
 from ccdiff_env.config import RewardConfig
 from ccdiff_env.errors import ConfigError
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
 
 
 def worth(info, limit_mps):

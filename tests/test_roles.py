@@ -11,11 +11,6 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import Worlds
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
-
-
 def expected(own, columns, played, adversary, names, shaping):
     """Rewards [E, C]: of adversaries minus the mean of the egos', plus their own costs."""
     egos, others = played & ~adversary, played & adversary

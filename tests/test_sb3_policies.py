@@ -8,18 +8,13 @@ import torch
 from sb3_contrib import MaskablePPO
 from stable_baselines3 import PPO
 
-from ccdiff_env import AdversarySelectionVectorEnv, EgoVectorEnv, embedded_scenes
+from ccdiff_env import AdversarySelectionVectorEnv, EgoVectorEnv
 from ccdiff_env.envs.sb3 import SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.envs.sb3_rows import RowsExtractor, rows_policy
 from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy
 from ccdiff_env.policies.planners import load_sb3
 
 QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv, embedded_scenes
+from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv
 from ccdiff_env.bench import selection
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection import FEATURES, fork_actions, rule_actions
@@ -34,11 +34,6 @@ from ccdiff_env.view import render
 
 ID = "ccdiff_env/AdversarySelection-v0"
 QUICK = {"ccdiff": {"replan_steps": 5}, "horizon_steps": 40}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 def column(obs, name):

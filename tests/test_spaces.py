@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv, embedded_scenes
+from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.planners import Seat
@@ -21,11 +21,6 @@ from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE
 
 RASTER = {"observation": "dict", "bev": {"size_px": 36}}
-
-
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")
 
 
 def own(env):

@@ -28,11 +28,6 @@ from ccdiff_env.traffic import KINDS, NETWORKS, CcdiffConfig, PythonTraffic
 from ccdiff_env.worlds import Worlds
 
 
-@pytest.fixture(scope="module")
-def scenes() -> SceneSet:
-    return ccdiff_env.embedded_scenes("val")
-
-
 def test_a_plan_is_made_every_n_steps_and_followed_in_between(scenes):
     play = Play(scenes[:1], ccdiff={"replan_steps": 4, "num_samples": 2})
     assert play.native.explain(0) is None

@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 from traffic_play import Play
 
-import ccdiff_env
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.scenes import SceneSet
-
-
-@pytest.fixture(scope="module")
-def scenes() -> SceneSet:
-    return ccdiff_env.embedded_scenes("val")
 
 
 def test_careful_plans_leave_the_road_less(scenes):
