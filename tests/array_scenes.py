@@ -12,7 +12,7 @@ TIMES_S = np.arange(STEPS) * DT_S
 
 
 def agent(ident, x, y=0.0, **more):
-    """An agent at x, y (m), numbers or one per step; also `heading`, `valid`, `size`, `kind`."""
+    """An agent at x, y (m), numbers or one per step; also `heading`, `valid`, `size` and so on."""
     return {"id": ident, "x": x, "y": y, **more}
 
 
@@ -24,7 +24,7 @@ def wide_road():
     return {"drivable_area": [{"exterior": ring, "holes": []}], **empty}
 
 
-def array_scene(*agents, name="own", dt_s=DT_S):
+def array_scene(*agents, name="own", dt_s=DT_S, layers=None):
     """A scene of such agents, gaps and all; velocities are differences of the positions."""
     steps = max(np.size(a["x"]) for a in agents)
 
@@ -32,7 +32,10 @@ def array_scene(*agents, name="own", dt_s=DT_S):
         return np.stack([np.broadcast_to(np.asarray(a.get(key, default)), steps) for a in agents])
 
     x, y = rows("x", 0.0).astype(float), rows("y", 0.0).astype(float)
-    position = np.stack([x, y], -1)
+    position, valid = np.stack([x, y], -1), rows("valid", True).astype(bool)
+    velocity = np.gradient(position, dt_s, axis=1) if steps > 1 else np.zeros_like(position)
+    for row in np.flatnonzero([a.get("appears", False) for a in agents]):  # not from where it was
+        velocity[row, valid[row]] = np.gradient(position[row, valid[row]], dt_s, axis=0)
     return Scene.from_arrays(
         name,
         agent_ids=[a["id"] for a in agents],
@@ -40,10 +43,10 @@ def array_scene(*agents, name="own", dt_s=DT_S):
         sizes=np.array([a.get("size", (4.5, 2.0, 1.6)) for a in agents], np.float32),
         position=position.astype(np.float32),
         heading=rows("heading", 0.0).astype(np.float32),
-        velocity=np.gradient(position, dt_s, axis=1).astype(np.float32),
-        valid=rows("valid", True).astype(bool),
+        velocity=velocity.astype(np.float32),
+        valid=valid,
         dt=dt_s,
-        map_layers=wide_road(),
+        map_layers=wide_road() if layers is None else layers,
         mend=False,
     )
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds import Worlds
 
 STEPS = 131
@@ -20,33 +21,18 @@ def scene_of(tracks, valid=None, road=ROAD, walkers=0):
 
     The last ones of the tracks are pedestrians.
     """
-    position = np.zeros((len(tracks) + 1, STEPS, 2), np.float32)
-    heading = np.zeros((len(tracks) + 1, STEPS), np.float32)
-    position[0] = (-35.0, -25.0)
+    agents = [agent("ego", np.full(STEPS, -35.0), -25.0)]
     for i, (path, yaw) in enumerate(tracks, 1):
-        position[i], heading[i] = path, yaw
-    velocity = np.zeros_like(position)
-    there = np.ones((len(tracks) + 1, STEPS), bool)
-    for i, steps in (valid or {}).items():
-        there[i] = False
-        there[i, steps] = True
-    for i, at in enumerate(there):
-        velocity[i, at] = np.gradient(position[i, at], 0.1, axis=0)
-    names = ["ego", *(f"car-{i}" for i in range(len(tracks)))]
-    cars = len(names) - walkers
-    return Scene.from_arrays(
-        "background",
-        agent_ids=names,
-        agent_types=["vehicle"] * cars + ["pedestrian"] * walkers,
-        agent_categories=["vehicle.car"] * cars + ["human.pedestrian.adult"] * walkers,
-        sizes=np.array([[4.5, 2.0, 1.5]] * cars + [[0.6, 0.6, 1.8]] * walkers, np.float32),
-        position=position,
-        heading=heading,
-        velocity=velocity,
-        valid=there,
-        dt=0.1,
-        map_layers={"drivable_area": [road]},
-    )
+        x, y = np.broadcast_to(path, (STEPS, 2)).T
+        there = np.ones(STEPS, bool)
+        if i in (valid or {}):
+            there[:] = False
+            there[valid[i]] = True
+        walks = i > len(tracks) - walkers
+        more = {"kind": "pedestrian", "size": (0.6, 0.6, 1.8)} if walks else {}
+        more["appears"] = True
+        agents.append(agent(f"car-{i - 1}", x, y, heading=yaw, valid=there, **more))
+    return array_scene(*agents, name="background", layers={"drivable_area": [road]})
 
 
 def straight(start, velocity):

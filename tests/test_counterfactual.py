@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene
 
-from ccdiff_env import EgoEnv, Scene, embedded_scenes
+from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.record.counterfactual import (
     STEADY,
@@ -22,25 +23,12 @@ STEPS = 131
 
 def road(ego_x, ego_v, others, *, width=20.0):
     """A straight road along +x; agents are (x(t), y(t)) over the steps."""
-    tracks = [ego_x + ego_v * 0.1 * np.arange(STEPS)]
-    xy = [np.stack([tracks[0], np.zeros(STEPS)], 1)]
-    xy += [np.stack([np.broadcast_to(x, STEPS), np.broadcast_to(y, STEPS)], 1) for x, y in others]
-    position = np.array(xy, np.float32)
-    velocity = np.gradient(position, 0.1, axis=1).astype(np.float32)
-    n = len(position)
+    cars = [agent("ego", ego_x + ego_v * 0.1 * np.arange(STEPS))]
+    cars += [agent(f"a{i}", np.broadcast_to(x, STEPS), y) for i, (x, y) in enumerate(others)]
     half = width / 2
     ring = np.array([[-500, -half], [500, -half], [500, half], [-500, half]], np.float32)
-    return Scene.from_arrays(
-        "road",
-        agent_ids=["ego", *[f"a{i}" for i in range(n - 1)]],
-        agent_types=["vehicle"] * n,
-        sizes=np.tile(np.array([4.5, 2.0, 1.5], np.float32), (n, 1)),
-        position=position,
-        heading=np.zeros((n, STEPS), np.float32),
-        velocity=velocity,
-        valid=np.ones((n, STEPS), bool),
-        map_layers={"drivable_area": [{"exterior": ring, "holes": []}]},
-    )
+    layers = {"drivable_area": [{"exterior": ring, "holes": []}]}
+    return array_scene(*cars, name="road", layers=layers)
 
 
 def straight(obs):

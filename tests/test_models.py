@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from array_scenes import agent, array_scene
 
 from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError, ShapeError
@@ -31,24 +32,13 @@ def rectangle(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
 
 def road(num_steps: int = 110) -> Scene:
     """A follower closing in on a slower leader."""
-    t = 0.1 * np.arange(num_steps, dtype=np.float32)
-    x = np.stack([12.0 * t - 0.25 * t**2, 45.0 + 4.0 * t])
-    speed = np.stack([12.0 - 0.5 * t, np.full_like(t, 4.0)])
-    zeros = np.zeros_like(x)
-    return Scene.from_arrays(
-        "road",
-        position=np.stack([x, zeros], axis=-1),
-        heading=zeros,
-        velocity=np.stack([speed, zeros], axis=-1),
-        valid=np.ones(x.shape, dtype=bool),
-        sizes=np.array([[4.5, 2.0, 1.5], [4.5, 2.0, 1.5]], dtype=np.float32),
-        agent_ids=["ego", "leader"],
-        agent_types=["vehicle", "vehicle"],
-        map_layers={
-            "drivable_area": [{"exterior": rectangle(-100.0, -5.25, 300.0, 5.25), "holes": []}],
-            "lane_dividers": [rectangle(-100.0, y, 300.0, y)[:2] for y in (-1.75, 1.75)],
-        },
-    )
+    t = 0.1 * np.arange(num_steps)
+    layers = {
+        "drivable_area": [{"exterior": rectangle(-100.0, -5.25, 300.0, 5.25), "holes": []}],
+        "lane_dividers": [rectangle(-100.0, y, 300.0, y)[:2] for y in (-1.75, 1.75)],
+    }
+    cars = agent("ego", 12.0 * t - 0.25 * t**2), agent("leader", 45.0 + 4.0 * t)
+    return array_scene(*cars, name="road", layers=layers)
 
 
 def rows(path: Path) -> list[list[str]]:

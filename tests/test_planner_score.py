@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene
 from scipy.signal import savgol_filter
 
 import ccdiff_env
@@ -127,35 +128,21 @@ def street(*others, steps=150, ego_mps=None):
     `others`: kind, x, y, heading, speed of each, straight on. `ego_mps` are speeds by step.
     """
     speeds = np.full(steps, 8.0) if ego_mps is None else np.asarray(ego_mps)
-    ego_x = np.concatenate([[0.0], np.cumsum(0.1 * speeds[:-1])])
-    time = 0.1 * np.arange(steps)
-    ways = [(ego_x, np.full(steps, -1.75), 0.0)]
-    for _, x, y, heading, speed in others:
-        way = speed * time
-        ways.append((x + np.cos(heading) * way, y + np.sin(heading) * way, heading))
-    position = np.array([np.stack([x, y], axis=-1) for x, y, _ in ways], np.float32)
-    heading = np.array([np.full(steps, h) for *_, h in ways], np.float32)
+    agents = [agent("ego", np.concatenate([[0.0], np.cumsum(0.1 * speeds[:-1])]), -1.75)]
+    for i, (kind, x, y, heading, speed) in enumerate(others):
+        way = speed * 0.1 * np.arange(steps)
+        x, y = x + np.cos(heading) * way, y + np.sin(heading) * way
+        agents.append(agent(f"{i}", x, y, heading=heading, kind=kind))
     ring = np.array([[-50, -3.5], [300, -3.5], [300, 3.5], [-50, 3.5]], np.float32)
     x = np.arange(-50, 301, dtype=np.float32)
     lanes = [
-        {
-            "id": name,
-            "kind": "lane",
-            "centreline": np.stack([line, 0 * line + y], 1, dtype=np.float32),
-        }
+        {"id": name, "kind": "lane", "centreline": np.stack([line, 0 * line + y], 1, dtype="f4")}
         for name, line, y in (("right", x, -1.75), ("left", x[::-1], 1.75))
     ]
-    return ccdiff_env.Scene.from_arrays(
-        "street",
-        agent_ids=["ego", *(f"{i}" for i in range(len(others)))],
-        agent_types=["vehicle", *(kind for kind, *_ in others)],
-        sizes=np.array([[4.0, 2.0, 1.5]] * len(ways), np.float32),
-        position=position,
-        heading=heading,
-        velocity=np.gradient(position, 0.1, axis=1),
-        valid=np.ones((len(ways), steps), bool),
-        map_layers={"drivable_area": [{"exterior": ring, "holes": []}], "lanes": lanes},
-    )
+    layers = {"drivable_area": [{"exterior": ring, "holes": []}], "lanes": lanes}
+    for one in agents:
+        one["size"] = (4.0, 2.0, 1.5)
+    return array_scene(*agents, name="street", layers=layers)
 
 
 def row_of(scene, planner="constant_velocity"):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import shapely
+from array_scenes import agent, array_scene
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -23,26 +24,10 @@ def ring(half: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def scene() -> _native.Scene:
     """Ego eastwards at 10 m/s on a square with a hole; a walker that is there from step 10 on."""
-    num_steps = 20
-    x = np.arange(num_steps, dtype=np.float32)
-    position = np.zeros((2, num_steps, 2), np.float32)
-    position[0, :, 0] = x
-    position[1] = [5.0, 8.0]
-    velocity = np.zeros_like(position)
-    velocity[0, :, 0] = 10.0
-    valid = np.ones((2, num_steps), bool)
-    valid[1, :10] = False
-    return _native.Scene.from_arrays(
-        "square",
-        agent_ids=["ego", "walker"],
-        agent_types=["vehicle", "pedestrian"],
-        sizes=np.array([[4.6, 1.9, 1.5], [0.8, 0.8, 1.8]], np.float32),
-        position=position,
-        heading=np.zeros((2, num_steps), np.float32),
-        velocity=velocity,
-        valid=valid,
-        map_layers={"drivable_area": [{"exterior": ring(40), "holes": [ring(3) + 20]}]},
-    )
+    walks = {"kind": "pedestrian", "size": (0.8, 0.8, 1.8), "valid": np.arange(20) >= 10}
+    agents = agent("ego", np.arange(20.0), size=(4.6, 1.9, 1.5)), agent("walker", 5.0, 8.0, **walks)
+    layers = {"drivable_area": [{"exterior": ring(40), "holes": [ring(3) + 20]}]}
+    return array_scene(*agents, name="square", layers=layers)
 
 
 def test_the_ego_is_in_the_middle_on_the_road_and_holes_show_the_ground(scene):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene
 
 import ccdiff_env
 from ccdiff_env.config import WorldConfig
@@ -24,13 +25,11 @@ NO_CONSEQUENCE = {
 
 def road(num_steps: int = 91) -> ccdiff_env.Scene:
     """Six cars on a road of two lanes, each at a speed of its own."""
-    count, across = 6, np.array([-1.75, 1.75])
-    speed = np.linspace(5.0, 9.0, count, dtype=np.float32)
-    t = np.arange(num_steps, dtype=np.float32) * 0.1
-    x = 20.0 + 18.0 * np.arange(count)[:, None] + speed[:, None] * t
-    y = np.repeat(across[np.arange(count) % 2][:, None], num_steps, axis=1)
-    velocity = np.zeros((count, num_steps, 2), np.float32)
-    velocity[..., 0] = speed[:, None]
+    across, t = np.array([-1.75, 1.75]), np.arange(num_steps) * 0.1
+    cars = [
+        agent(f"car-{i}" if i else "ego", 20.0 + 18.0 * i + (5.0 + 0.8 * i) * t, across[i % 2])
+        for i in range(6)
+    ]
     line = np.linspace(0.0, 400.0, 401)
 
     def strip(low, high):
@@ -45,17 +44,8 @@ def road(num_steps: int = 91) -> ccdiff_env.Scene:
         }
         for i, at in enumerate(across)
     ]  # fmt: skip
-    return ccdiff_env.Scene.from_arrays(
-        f"road-{num_steps}",
-        agent_ids=["ego", *(f"car-{i}" for i in range(1, count))],
-        agent_types=["vehicle"] * count,
-        sizes=np.tile(np.array([[4.6, 1.9, 1.6]], np.float32), (count, 1)),
-        position=np.stack([x, y], axis=-1).astype(np.float32),
-        heading=np.zeros((count, num_steps), np.float32),
-        velocity=velocity,
-        valid=np.ones((count, num_steps), bool),
-        map_layers={"drivable_area": [strip(-3.5, 3.5)], "lanes": lanes},
-    )
+    layers = {"drivable_area": [strip(-3.5, 3.5)], "lanes": lanes}
+    return array_scene(*cars, name=f"road-{num_steps}", layers=layers)
 
 
 def keep_on(batch):
