@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from sb3_contrib import MaskablePPO
+from stable_baselines3.common.callbacks import BaseCallback
 
 from ccdiff_env import AdversarySelectionVectorEnv
 from ccdiff_env.bench import selection
-from ccdiff_env.bench.learning import curve_callback
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
@@ -32,6 +32,23 @@ from ccdiff_env.system.table import document
 SHIFT_COSTS = (0.03, 0.05)
 #: Seeds of two trainings share no world.
 SEED_STRIDE = 1_000_003
+
+
+class Curve(BaseCallback):
+    """Step, mean return and share of successes of the episodes that ended in each rollout."""
+
+    def _init_callback(self) -> None:
+        self.rows, self.recent = [], []
+
+    def _on_step(self) -> bool:
+        ended = (i for i in self.locals["infos"] if "episode" in i)
+        self.recent += [(i["episode"]["r"], float(i["is_success"])) for i in ended]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self.recent:
+            self.rows.append([float(self.num_timesteps), *np.mean(self.recent, axis=0).tolist()])
+            self.recent = []
 
 
 def arguments() -> argparse.Namespace:
@@ -82,7 +99,7 @@ def train(args: argparse.Namespace, scenes, weights: np.ndarray, seed: int) -> l
     curve = []
     for stage, cost in enumerate(SHIFT_COSTS):
         env.shift_cost = cost
-        callback = curve_callback()
+        callback = Curve()
         model.learn(args.steps, callback=callback)
         curve += [[step + stage * args.steps, *rest] for step, *rest in callback.rows]
     notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
@@ -106,10 +123,9 @@ def main() -> None:
         if not (args.out / f"policy-{seed}.safetensors").exists():
             curve = train(args, scenes, weights, seed)
             (args.out / f"curve-{seed}.json").write_text(json.dumps(curve))
-            first, last = curve[0], curve[-1]
+            spent = f"{time.process_time() - begun:.0f} s of a processor"
             print(
-                f"policy {seed}: the ego collides in {first[2]:.0%} of the first episodes, "
-                f"{last[2]:.0%} of the last; {time.process_time() - begun:.0f} s of a processor"
+                f"policy {seed}: the ego collides in {curve[0][2]:.0%}, then {curve[-1][2]:.0%}; {spent}"
             )
     choices += [
         selection.learned("learned", args.out / f"policy-{seed}.safetensors")
@@ -124,11 +140,8 @@ def main() -> None:
     (args.out / "rows.json").write_text(
         json.dumps([{"line": k[0], "point": k[1], "rows": rows} for k, rows in played.items()])
     )
-    text = document(
-        f"{len(unseen)} scenes that no training saw, {args.test_seeds} episodes of each, "
-        f"ego {args.ego}.",
-        *selection.table(played, ["learned"]),
-    )
+    what = f"{len(unseen)} unseen scenes, {args.test_seeds} episodes of each, ego {args.ego}."
+    text = document(what, *selection.table(played, ["learned"]))
     (args.out / "table.md").write_text(text)
     selection.plot(played, ["learned"], args.out / "tradeoff.png", ego=args.ego)
     print(text)

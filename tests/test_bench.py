@@ -6,26 +6,31 @@ import json
 
 import numpy as np
 import pytest
-import scipy.stats
 import shapely
 from shapely import affinity
 
 import ccdiff_env
 from ccdiff_env import _native, cli
-from ccdiff_env.bench.jobs import results, run_jobs
-from ccdiff_env.bench.learning import OBSERVATION, learning_table, training_jobs
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.bench.run import episodes_table
 from ccdiff_env.bench.scenes import scene_names
-from ccdiff_env.bench.tables import Condition, conditions, summarise, write_tables
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
+from ccdiff_env.bench.traffic_report import (
+    Condition,
+    conditions,
+    figures_table,
+    summarise,
+    tables,
+)
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import scores
 from ccdiff_env.record.episode import begin
 from ccdiff_env.record.episode import play as playing
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.system.table import document
 
 VAL = "embedded/val"
 
@@ -94,8 +99,7 @@ def test_control_sets_hold_moving_vehicles_only():
 
 def test_jobs_name_their_condition_and_the_floor_is_always_there():
     jobs = traffic_jobs(VAL, ["idm", "ccdiff"], num_controlled=(1, None), replan_steps=(5, 10))
-    raw = {job.name: [{"scene": "a"}] for job in jobs}
-    found = conditions(raw)
+    found = conditions({**job.arguments, "k": job.arguments["num_controlled"]} for job in jobs)
     assert Condition("replay", 0, 5) in found
     assert Condition("ccdiff", None, 10) in found
     assert Condition("idm", 1, 10) not in found
@@ -125,51 +129,50 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     assert figures.value["fde"] == 5.5
     # one bin: 0.2, 0.2 m/s² and 0.1 m/s³
     assert figures.value["cfd"] == pytest.approx(100 * 0.5 / 3)
-    assert figures.low["scr"] < 0.25 < figures.high["scr"]
+    assert figures.figure("scr")[1] < 0.25 < figures.figure("scr")[2]
     assert np.isnan(figures.value["fde_controlled"])
     table = {
         Condition("replay", 0, 5): summarise(log, log),
         Condition("idm", 1, 5): figures,
         Condition("idm", None, 5): summarise([{**r, "fde_m": 9.0} for r in rows], log),
     }
-    write_tables(table, tmp_path)
-    text = (tmp_path / "table.md").read_text(encoding="utf-8")
-    assert "0.25 [" in text
-    assert "| method | | 1 | Full |" in text
-    _, rs = scores(scr=[0.25, 0.25], orr=[0.5, 0.5], fde=[5.5, 9.0], cfd=[1.0, 1.0])
-    lines = [line for line in text.splitlines() if "| | RS |" in line]
-    assert all(f"{v:.2f}" in lines[0] for v in rs)
-    assert (tmp_path / "table.tex").read_text(encoding="utf-8").count(r"\midrule") == 1
+    text = document(*tables(table))
+    assert "| Floor: log replay | 0 | 0.5 | | | 0.00 [0.00, 0.00] |" in text
+    cs, rs = scores(scr=[0.25, 0.25], orr=[0.5, 0.5], fde=[5.5, 9.0], cfd=[1.0, 1.0])
+    for k, c, r in zip(("1", "Full"), cs, rs, strict=True):
+        assert f"| IDM | {k} | 0.5 | {c:.2f} | {r:.2f} | 0.25 [" in text
+    figures_table(table).write_csv(tmp_path / "figures.csv")
     assert len((tmp_path / "figures.csv").read_text(encoding="utf-8").splitlines()) == 4
 
 
 def test_conditions_stand_by_number_and_intervals_are_never_nan():
-    names = [f"ccdiff-K{k}-T5-000" for k in ("Full", "10", "2", "1")]
-    found = conditions({name: [] for name in names})
-    assert [c.k for c in found] == ["1", "2", "10", "Full"]
+    rows = [{"method": "ccdiff", "k": k, "replan_steps": 5} for k in (None, 10, 2, 1)]
+    assert [c.k for c in conditions(rows)] == ["1", "2", "10", "Full"]
     histogram = np.full((3, 20), 0.05).tolist()
     rows = [_row(str(i), True, 0.0, 1.0, histogram) for i in range(10)]
     figures = summarise([*({**row, "fde_controlled_m": 2.0} for row in rows[1:]), rows[0]], rows)
     assert figures.value["fde_controlled"] == 2.0
-    assert figures.low["fde_controlled"] == figures.high["fde_controlled"] == 2.0
+    assert figures.figure("fde_controlled") == (2.0, 2.0, 2.0)
 
 
-def test_tables_of_periods_show_methods_that_plan_and_lines_join_neighbours(tmp_path):
-    histogram = np.full((3, 20), 0.05).tolist()
-    figures = summarise(*[[_row("a", True, 0.0, 1.0, histogram)]] * 2)
-    named = [("ccdiff", 10, 5), ("ccdiff", None, 5), ("ccdiff", 5, 20), ("ccdiff", 5, 10)]
-    named += [("ccdiff", 5, 5), ("ccdiff", 1, 5), ("idm", 5, 5)]
-    table = {Condition(*c): figures for c in named}
-    write_tables(table, tmp_path)
-    by_k, by_period = (tmp_path / "table.md").read_text(encoding="utf-8").split("T seconds, K = 5")
-    assert "| method | | 1 | 5 | 10 | Full |" in by_k
-    assert "| IDM |" in by_k
-    assert "| method | | 0.5 s | 1 s | 2 s |" in by_period
-    assert "| CCDiff |" in by_period
-    assert "| IDM |" not in by_period
-    lines = _lines([c for c in table if c.method == "ccdiff"])
+def test_lines_of_a_plot_join_neighbours():
+    named = [(10, 5), (None, 5), (5, 20), (5, 10), (5, 5), (1, 5)]
+    lines = _lines([Condition("ccdiff", *c) for c in named])
     assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
     assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
+
+
+def test_a_row_of_an_episode_has_its_keys_and_figures_and_no_tape(tmp_path):
+    rows = [
+        {"planner": "idm", "scene": "a", "score": 0.5, "actions": "QUJD", "action": {"a": 1}},
+        {"planner": "idm", "scene": "b", "hit": {"new": True, "all": None}, "kinds": ["front"]},
+    ]
+    episodes_table(rows).write_csv(tmp_path / "episodes.csv")
+    assert (tmp_path / "episodes.csv").read_text().splitlines() == [
+        "planner,scene,score,hit_new,hit_all",
+        "idm,a,0.5,,",
+        "idm,b,,1.0,",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -260,77 +263,18 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
     command = ["bench", "traffic", "--out", str(tmp_path), "--quiet", "--k", "1,Full"]
     assert cli.main([*command, "--methods", "idm"]) == 0
     assert "Floor" in capsys.readouterr().out
-    for name in ("table.md", "table.tex", "figures.csv", "scores.png", "run.json"):
+    for name in ("table.md", "table.tex", "episodes.csv", "figures.csv", "scores.pdf", "run.json"):
         assert (tmp_path / name).stat().st_size > 0
     assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
     assert "other settings: seed" in capsys.readouterr().err
     planners = ["bench", "planners", "--out", str(tmp_path / "p"), "--quiet"]
     assert cli.main([*planners, "--planners", "idm", "--traffic", "replay,idm"]) == 0
-    assert (tmp_path / "p" / "worst.md").exists()
+    for name in ("table.tex", "episodes.csv", "figures.csv", "report.html"):
+        assert (tmp_path / "p" / name).stat().st_size > 0
 
 
 def test_all_methods_have_drivers_that_exist():
     assert {m.driver for m in METHODS.values()} <= {name for name, *_ in _native.drivers()}
-
-
-def test_learning_tables_average_over_scenes_then_seeds():
-    def rows(score):
-        parts = {
-            "collision": 0.5, "no_at_fault_collision": 0.75, "on_road": 1.0, "progress": 0.5,
-            "comfort": 1.0,
-        }  # fmt: skip
-        return [{**parts, "score": score, "scene": i} for i in range(10)]
-
-    table = learning_table(
-        {
-            ("egos/replay-0.zip", "idm"): rows(0.2),
-            ("egos/replay-1.zip", "idm"): rows(0.4),
-            ("idm", "idm"): rows(1.0),
-        }
-    )
-    lines = [line for line in table.splitlines() if line.startswith("| ")]
-    assert lines[1] == (
-        "| PPO, trained in replay | 50.0 ± 0.0 | 25.0 ± 0.0 | 0.0 ± 0.0 | 50.0 ± 0.0 | "
-        "100.0 ± 0.0 | 0.30 ± 0.14 |"
-    )
-    assert lines[2] == "| idm | 50.0 | 25.0 | 0.0 | 50.0 | 100.0 | 1.00 |"
-    assert lines[3] == "| evaluated in | trained in | seed 0 | seed 1 |"
-    assert lines[4] == "| IDM | replay | 50.0 (25.0) | 50.0 (25.0) |"
-    assert len(lines) == 5
-
-
-def test_stages_are_compared_with_log_replay_pair_by_pair():
-    def rows(*collisions):
-        whole = dict.fromkeys(("on_road", "progress", "comfort", "score"), 1.0)
-        return [
-            {**whole, "scene": i, "collision": c, "no_at_fault_collision": 1.0 - c}
-            for i, c in enumerate(3 * collisions)
-        ]
-
-    table = learning_table(
-        {
-            ("egos/replay-0.zip", "ccdiff"): rows(1.0, 1.0, 0.0, 0.0),
-            ("egos/critical-0.zip", "ccdiff"): rows(1.0, 0.0, 0.0, 0.0),
-            ("egos/critical-1.zip", "ccdiff"): rows(1.0, 1.0, 1.0, 1.0),  # nothing to compare with
-        }
-    )
-    difference = np.array(3 * [0.0, -100.0, 0.0, 0.0])
-    cell = f"{difference.mean():+.1f} ± {scipy.stats.sem(difference):.1f}"
-    assert table.splitlines()[-1] == f"| CCDiff, no guidance | critical | {cell} | {cell} |"
-
-
-def test_training_jobs_save_egos_that_planners_can_be(tmp_path):
-    base, taught = training_jobs(
-        "embedded/train", ["replay"], [0], steps=4096, base_steps=8192, folder=tmp_path
-    )
-    for jobs, steps in ((base, 8192), (taught, 4096)):
-        run_jobs(jobs, tmp_path / "training", progress=False)
-        ((_, found),) = results(jobs, tmp_path / "training").items()
-        assert found["curve"][-1][0] == steps
-    scenes = ccdiff_env.embedded_scenes("val")[:2]
-    policy, options = taught[0].arguments["path"], {"observation": OBSERVATION}
-    assert len(play(scenes, policy, Traffic("log", "replay"), options=options)) == 2
-    assert taught[0].arguments["start"] == base[0].arguments["path"]
 
 
 def test_rankings_that_ask_the_network_find_their_own_control_set():

@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ccdiff_env.bench.comparison import (
+from ccdiff_env.bench.traffic_report import (
     PAPER,
     PAPER_COLUMNS,
+    Condition,
+    comparison,
     difference,
     paper_pairs,
-    write_comparison,
+    summarise,
 )
-from ccdiff_env.bench.tables import Condition, summarise
 from ccdiff_env.metrics import PAPER_BOUNDS, scores
+from ccdiff_env.system.table import document
 
 HISTOGRAM = np.full((3, 20), 0.05).tolist()
 LOG = [{"comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM} for _ in range(40)]
@@ -59,7 +61,8 @@ def test_differences_are_paired_over_scenes():
     one, other = figures(hits, metres + 2.0), figures(hits, metres)
     # the same shift in every scene has no spread, however much scenes differ
     assert difference(one, other, "fde") == pytest.approx((2.0, 2.0, 2.0))
-    assert other.high["fde"] - other.low["fde"] > 3.0
+    _, low, high = other.figure("fde")
+    assert high - low > 3.0
     # ten scenes of forty collide in one alone: the binomial interval of the difference
     more = hits.copy()
     more[np.flatnonzero(~hits)[:10]] = True
@@ -86,7 +89,7 @@ def test_pairs_are_counted_in_the_papers_order():
     assert paper_pairs(table(1.0), (5, 5), "scr", "ccdiff") == (15, 0, 0, 0)
 
 
-def test_the_page_holds_differences_to_ccdiff_and_the_papers_figures(tmp_path):
+def test_the_page_holds_differences_to_ccdiff_and_the_papers_figures():
     hits = [True] * 20 + [False] * 20
     table = {
         Condition("replay", 0, 5): figures([False] * 40, np.zeros(40)),
@@ -94,13 +97,11 @@ def test_the_page_holds_differences_to_ccdiff_and_the_papers_figures(tmp_path):
         Condition("ccdiff_equal", 5, 5): figures(hits, np.full(40, 8.0)),
         Condition("ccdiff", 5, 5): figures(hits, np.full(40, 7.0)),
     }
-    write_comparison(table, ["ctg", "ccdiff_equal", "ccdiff"], tmp_path)
-    text = (tmp_path / "comparison.md").read_text(encoding="utf-8")
+    text = document(*comparison(table))
     assert "### Less CCDiff, equal training" in text
     ctg = next(line for line in text.splitlines() if line.startswith("| CTG | 5 |"))
     assert "+0.50 [" in ctg
     assert "+1.00 [+1.00, +1.00]" in ctg
     assert "| CTG | 1.00, 0.42 | 0.00, 1.09 | 9.00, 7.40 |" in text
     assert "| CCDiff, equal training | 0.50, 0.46 |" in text
-    write_comparison({}, [], tmp_path)
-    assert "alone" in (tmp_path / "comparison.md").read_text(encoding="utf-8")
+    assert comparison({}) == ["One method alone."]

@@ -11,8 +11,8 @@ import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scene_names, scenes_of
-from ccdiff_env.bench.tables import conditions
 from ccdiff_env.bench.traffic import control_set, episodes, evaluate, traffic_jobs
+from ccdiff_env.bench.traffic_report import conditions
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.traffic import read_ranking
 
@@ -109,15 +109,11 @@ def test_the_command_plays_the_lists_of_a_file_and_only_those(tmp_path, capsys):
 
 
 def test_what_cannot_differ_is_not_played_twice():
-    found = conditions(
-        {
-            job.name: []
-            for job in traffic_jobs(
-                ONE, ["idm", "ccdiff", "ccdiff_random", "ccdiff_no_enc"],
-                num_controlled=(2, 5, None), replan_steps=(5, 10), replan_controlled=(5,),
-            )
-        }
+    jobs = traffic_jobs(
+        ONE, ["idm", "ccdiff", "ccdiff_random", "ccdiff_no_enc"],
+        num_controlled=(2, 5, None), replan_steps=(5, 10), replan_controlled=(5,),
     )  # fmt: skip
+    found = conditions({**job.arguments, "k": job.arguments["num_controlled"]} for job in jobs)
     by_method: dict[str, set[tuple[int | None, int]]] = {}
     for c in found:
         by_method.setdefault(c.method, set()).add((c.num_controlled, c.replan_steps))

@@ -8,13 +8,13 @@ from html.parser import HTMLParser
 import pytest
 
 from ccdiff_env import cli
-from ccdiff_env.bench.examples import choose_examples, examples_table
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
 from ccdiff_env.bench.plots import colours_of
-from ccdiff_env.bench.tables import Condition
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
+from ccdiff_env.bench.traffic_report import Condition, choose_examples, examples_tables
+from ccdiff_env.system.table import document
 
 VAL = "embedded/val"
 
@@ -95,13 +95,8 @@ def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(pla
     for link in links:
         page = folder / link.partition("#")[0]
         assert 10_000 < page.stat().st_size < 1_000_000
-    worst = (folder / "worst.md").read_text(encoding="utf-8")
-    assert worst.count("](replays/") == 4
-    # each score opens its scenes, those with a replay lead to it
+    assert (folder / "table.md").read_text(encoding="utf-8").count("](replays/") == 4
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert 'href="#idm-in-ccdiff-criticality-1"' in page
-    assert '<h3 id="idm-in-ccdiff-criticality-1">' in page
-    assert (folder / "scenes.md").read_text(encoding="utf-8").count("](replays/") == 4
     assert "made by <code>" in page
     assert cli.main(command) == 0
     assert "differ" not in capsys.readouterr().out
@@ -246,9 +241,8 @@ def test_examples_are_guided_scenes_with_realistic_collisions_first():
     assert [(c.method, c.k, r["scene"]) for c, r in chosen] == [
         ("ccdiff", "4", "c"), ("ccdiff", "4", "b"), ("ccdiff", "4", "a"),
     ]  # fmt: skip
-    text = examples_table(
-        chosen, {(c, r["scene"]): f"replays/{r['scene']}.html" for c, r in chosen}
-    )
+    pages = {(c, r["scene"]): f"replays/{r['scene']}.html" for c, r in chosen}
+    text = document(*examples_tables(chosen, pages))
     assert "| [c](replays/c.html) | yes | 0.40 | 1.60 | 1.0 | 0.0 |" in text
 
 

@@ -19,8 +19,7 @@ from ccdiff_env.bench.cross_evaluation import (
     generation_jobs,
     set_folders,
 )
-from ccdiff_env.bench.cross_ranking import ranking
-from ccdiff_env.bench.cross_report import write_cross
+from ccdiff_env.bench.cross_report import cross_rows, figures_table, plot, sets_table, tables
 from ccdiff_env.bench.planners import TRAFFIC, Traffic, drive, play
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
@@ -35,6 +34,7 @@ from ccdiff_env.bench.scenario_sets import (
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
+from ccdiff_env.system.table import document
 from ccdiff_env.system.version import __version__
 
 VAL = "embedded/val"
@@ -239,9 +239,11 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
         settings={}, scenarios=scenarios,
     )  # fmt: skip
 
-    def rows(*hits):
+    def rows(generator, planner, *hits):
         return [
             {
+                "generator": generator,
+                "planner": planner,
                 "scene": s.scene,
                 "collision": float(h),
                 "no_at_fault_collision": 1.0,
@@ -250,12 +252,17 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
             for s, h in zip(scenarios, hits, strict=True)
         ]
 
-    cells = {("idm", "idm"): rows(1, 1, 0), ("idm", "pdm"): rows(1, 0, 0)}
-    cells |= {(None, "idm"): rows(1, 1, 0), (None, "pdm"): rows(0, 0, 0)}
-    write_cross({"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0, 0.1)}, cells, tmp_path)
-    with (tmp_path / "cross.csv").open(encoding="utf-8") as file:
+    episodes = [*rows("idm", "idm", 1, 1, 0), *rows("idm", "pdm", 1, 0, 0)]
+    episodes += [*rows(None, "idm", 1, 1, 0), *rows(None, "pdm", 0, 0, 0)]
+    sets, realism = {"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0, 0.1)}
+    crossed = cross_rows(sets, episodes)
+    figures_table(crossed).write_csv(tmp_path / "figures.csv")
+    with (tmp_path / "figures.csv").open(encoding="utf-8") as file:
         found = {
-            (r["generator"], r["planner"], r["scenarios"]): (int(r["count"]), float(r["collision"]))
+            (r["generator"], r["planner"], r["scenarios"]): (
+                int(r["scenes"]),
+                float(r["collision"]),
+            )
             for r in csv.DictReader(file)
         }
     assert found == {
@@ -266,9 +273,10 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
         ("idm", "idm", "avoidable"): (2, 0.5),
         ("idm", "pdm", "avoidable"): (2, 0.0),
     }
-    text = (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert sets_table(sets, realism)[1][0][0][:5] == ["idm", 3, 2, 0, 1]
+    text = document(*tables(sets, realism, crossed))
     assert "| IDM | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.50 | 1.0 | 2.0 |" in text
-    assert (tmp_path / "cross.png").stat().st_size > 0
+    assert plot(crossed, tmp_path / "cross").stat().st_size > 0
 
 
 def test_a_limit_takes_the_first_scenes():
@@ -291,7 +299,7 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
     assert command("one") == 0
     assert {path.name: path.stat().st_mtime_ns for path in raw.iterdir()} == first
     assert command("two") == 0
-    for name in ("table.md", "cross.csv", "sets/idm/manifest.json", "sets/replay/manifest.json"):
+    for name in ("table.md", "figures.csv", "sets/idm/manifest.json", "sets/replay/manifest.json"):
         one, two = ((tmp_path / f / name).read_bytes() for f in ("one", "two"))
         assert one == two
     capsys.readouterr()
@@ -327,53 +335,6 @@ def test_sets_of_nuscenes_are_made_by_one_command_and_checked_by_digest(
 ):
     digest = "9779971cc50fe8b9e5eaa6e80f0865dd4ca283d29de19e6a8ef1118d5d546c98"
     assert one_command(tmp_path, capsys, f"nuscenes:{data_root}/nuscenes/val") == digest
-
-
-def test_generators_and_planners_are_ranked_over_kinds_of_traffic(tmp_path):
-    folders = {}
-    # (episodes with a collision, avoidable ones) of ten; shares of collisions and scores by planner
-    for kind, (hit, avoidable), (idm, pdm) in (
-        ("mild", (3, 1), ((0.1, 0.9), (0.3, 0.5))),
-        ("hard", (5, 4), ((0.3, 0.7), (0.5, 0.3))),
-    ):
-        folders[kind] = tmp_path / kind
-        folders[kind].mkdir()
-        (folders[kind] / "sets.csv").write_text(
-            "generator,scenarios,collision,at_fault,avoidable,realism_cost,shift_sigmas,fde_m,cfd,"
-            f"seconds\nidm,10,{hit},0,{avoidable},nan,nan,2.04,3,0.456\n"
-        )
-        rows = [
-            f"{generator},{planner},{scope},10,{values[0]},0,0,0,0,0,{values[1]},0,0"
-            for generator in ("idm", "reacting")
-            for scope in ("all", "avoidable")
-            for planner, values in (("idm", idm), ("pdm", pdm))
-        ]
-        head = "generator,planner,scenarios,count,collision,l,h,at_fault,l,h,score,l,h\n"
-        (folders[kind] / "cross.csv").write_text(head + "\n".join(rows) + "\n")
-    lines = ranking(folders).splitlines()
-    # what other planners do is that of the PDM-like one: the sets were made against IDM
-    assert lines[2:4] == [
-        "| [hard](hard/report.html) | IDM | 10 | 0.50 | 0.00 | 0.40 | | 2.0 | 3.0 | 0.50 | 0.46 |",
-        "| [mild](mild/report.html) | IDM | 10 | 0.30 | 0.00 | 0.10 | | 2.0 | 3.0 | 0.30 | 0.46 |",
-    ]
-    assert "| PDM-Closed | 0.40 | 0.40 | 0.00 | 0.40 | 0.40 |" in lines
-    assert "| IDM | | | | 0.80 | 0.20 |" in lines
-
-
-def test_several_kinds_of_traffic_have_a_page_together(tmp_path, capsys):
-    names = ["--generators", "idm", "--planners", "idm,replay", "--limit", "1", "--quiet"]
-    command = ["bench", "scenarios", "--out", str(tmp_path / "all"), *names]
-    assert cli.main([*command, "--traffic", "replay,ido"]) == 2
-    assert "no traffic 'ido'" in capsys.readouterr().err
-    assert not (tmp_path / "all").exists()
-    assert cli.main([*command, "--traffic", "replay,idm"]) == 0
-    assert "replay/report.html" in (tmp_path / "all" / "report.html").read_text()
-    for kind in ("replay", "idm"):
-        assert (tmp_path / "all" / kind / "report.html").is_file()
-        out = ["--out", str(tmp_path / kind), "--traffic", kind]
-        assert cli.main(["bench", "scenarios", *out, *names]) == 0
-        alone, together = (tmp_path / f / "cross.csv" for f in (kind, f"all/{kind}"))
-        assert alone.read_bytes() == together.read_bytes()
 
 
 def test_a_job_refuses_a_set_that_changed(tmp_path, made):

@@ -132,11 +132,9 @@ def test_names_of_no_device_are_refused(device: str) -> None:
     "words",
     [
         "realism --methods ccdiff_one_sample --samples 1",
-        "reactivity --traffic ccdiff",
         "planners --planners idm --traffic ccdiff",
         "traffic --methods ccdiff --k 2",
         "scenarios --generators idm --planners idm",
-        "learning --steps 64 --base-steps 64 --seeds 1 --stages ccdiff",
     ],
 )
 def test_networks_of_every_benchmark_run_where_they_are_told(

@@ -87,8 +87,6 @@ VERBS = {
     "traffic": f"bench traffic --methods constant_velocity,idm --k 1,2,3,4,5,10,Full {SHORT}",
     "scenarios": f"bench scenarios --generators idm --planners idm,replay --plans 8 {SHORT}",
     "realism": f"bench realism --methods replay,constant_velocity,idm --samples 2 {SHORT}",
-    "reactivity": f"bench reactivity --traffic replay,idm {SHORT}",
-    "speed": "bench speed --rounds 1 --limit 1 --out",
 }
 
 

@@ -80,13 +80,11 @@ def test_notebooks_run(path, tmp_path):
     [
         ["planners", "--planners", "idm", "--traffic", "ccdiff"],
         ["traffic", "--methods", NETWORKS, "--k", "1", "--t", "1"],
-        ["speed", "--rounds", "1"],
     ],
     ids=lambda words: words[0],
 )
 def test_benchmarks_run(words, tmp_path):
-    workers = [] if words[0] == "speed" else ["--workers", "1"]
-    command = ["bench", *words, *workers, "--limit", "1", "--out", str(tmp_path / "run")]
+    command = ["bench", *words, "--limit", "1", "--out", str(tmp_path / "run")]
     code = f"from ccdiff_env_cli import main\nassert main({command}) == 0"
     assert without_torch(code, tmp_path) == "done"
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import are_few, mean_interval
-from ccdiff_env.bench.planner_report import over_seeds, permutation_p, short_name
+from ccdiff_env.bench.intervals import difference, scene_means
+from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.errors import ConfigError
@@ -63,16 +61,15 @@ def compare(first: Record, second: Record) -> str:
         if other.planner != one.planner:
             title += f", {short_name(other.planner)}"
         for traffic in (t for t in one.rows if t in other.rows):
-            before, after = (_by_scene(result, traffic) for result in (one, other))
+            before, after = (scene_means(of.rows[traffic], "score") for of in (one, other))
             shared = [scene for scene in before if scene in after]
             if not shared:
                 continue
-            a, b = (np.array([of[s]["score"] for s in shared]) for of in (before, after))
-            less = [{"scene": s, "score": d} for s, d in zip(shared, b - a, strict=True)]
-            p = None if are_few(less) else permutation_p(b - a)
+            a, b = (np.array([of[s] for s in shared]) for of in (before, after))
             label = TRAFFIC[traffic].label
-            means = (float(a.mean()), float(b.mean()), mean_interval(less, "score"))
-            rows.append([title, label, len(shared), *means, p])
+            figure, p = difference(b - a)
+            means = float(a.mean()), float(b.mean())
+            rows.append([title, label, len(shared), *means, figure, None if np.isnan(p) else p])
             scores = zip(shared, a.tolist(), b.tolist(), strict=True)
             changed += [[s, title, label, x, y] for s, x, y in scores if x != y]
     if not rows:
@@ -105,8 +102,3 @@ def _differing(one: Result, other: Result) -> list[str]:
     if one.planner_source != other.planner_source:
         notes.append(f"the source of {short_name(one.planner)}")
     return notes
-
-
-def _by_scene(result: Result, traffic: str) -> dict[str, Mapping[str, Any]]:
-    rows = over_seeds({(result.planner, traffic): result.rows[traffic]})
-    return {row["scene"]: row for row in rows[result.planner, traffic]}

@@ -15,7 +15,14 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs
+from ccdiff_env.bench.planners import (
+    CHUNK,
+    TRAFFIC,
+    Traffic,
+    drive,
+    planner_jobs,
+    window_of,
+)
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
     ScenarioSet,
@@ -123,6 +130,8 @@ def generation_jobs(
         As in :func:`ccdiff_env.bench.scenario_sets.generate`.
     """
     traffic_named(traffic)
+    if window_of(source) is not None:
+        raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
     parts = chunks(scene_names(source), CHUNK)
     return [
         Job(

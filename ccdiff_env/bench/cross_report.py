@@ -9,123 +9,164 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.cross_evaluation import Realism
-from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, mean_interval
+from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, figures, mean_interval
 from ccdiff_env.bench.planner_report import short_name
-from ccdiff_env.bench.plots import new_plot, save_plot
+from ccdiff_env.bench.plots import plot_matrix
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
-from ccdiff_env.system.files import file_name, write_aside
-from ccdiff_env.system.table import Block, Column, Table, TableRows, document
+from ccdiff_env.system.files import file_name
+from ccdiff_env.system.table import Block, Column, Table, TableRows
 
-__all__ = ["avoidable_rows", "write_collisions", "write_cross"]
+__all__ = ["collisions_tables", "cross_rows", "figures_table", "plot", "sets_table", "tables"]
 
-#: Rows of each planner in each set; the generator is ``None`` where the traffic reacted.
-Cells = Mapping[tuple[str | None, str], Sequence[Mapping[str, Any]]]
-
-REACTING = "the planner tested (traffic reacts)"
+Row = Mapping[str, Any]
+Sets = Mapping[str, ScenarioSet]
+#: How episodes and files name traffic that reacts to the planner, and how tables do.
+REACTING, REACTING_TITLE = "reacting", "the planner tested (traffic reacts)"
 #: Figures of a cell: column of the rows, title.
 _FIGURES = {
     "collision": "Share of scenarios with a collision",
     "at_fault": "Share with a collision at fault",
     "score": "Score",
 }
+#: How far the guided vehicles are from what the model or the log has.
+_REALISM = (
+    Column("realism_cost", "C(tau)"),
+    Column("shift_sigmas"),
+    Column("fde_m", "FDE m", digits=1),
+)
 
 
-def write_cross(
-    sets: Mapping[str, ScenarioSet],
-    realism: Mapping[str, Realism],
-    cells: Cells,
-    folder: Path,
-) -> None:
-    """Write ``table.md``, ``cross.csv``, ``sets.csv`` and ``cross.png``.
+def cross_rows(sets: Sets, episodes: Iterable[Row]) -> list[dict[str, Any]]:
+    """Return episodes with what reports ask: ``at_fault``, and whether a collision is avoidable.
 
     Parameters
     ----------
-    sets, realism
-        Sets and their realism by generator.
-    cells
-        Rows per scene of every planner in every set, and in reacting traffic.
-    folder
-        Where to.
+    sets
+        The sets by generator.
+    episodes
+        Rows with ``planner`` and ``generator``, ``None`` where the traffic reacted.
     """
-    planners = list(dict.fromkeys(planner for _, planner in cells))
-    subsets = {
-        "all": {g: {s.scene for s in made.scenarios} for g, made in sets.items()},
-        "avoidable": {g: {s.scene for s in m.scenarios if s.avoidable} for g, m in sets.items()},
-    }
-    parts = {
-        name: {
-            (g, p): [
-                {**row, "at_fault": 1.0 - row["no_at_fault_collision"]}
-                for row in rows
-                if g is None or row["scene"] in kept[g]
-            ]
-            for (g, p), rows in cells.items()
-            if name == "all" or g is not None
+    avoidable = {(g, s.scene): s.avoidable for g, made in sets.items() for s in made.scenarios}
+    return [
+        {
+            **row,
+            "generator": row["generator"] or REACTING,
+            "at_fault": 1.0 - row["no_at_fault_collision"],
+            "avoidable": avoidable.get((row["generator"], row["scene"])),
         }
-        for name, kept in subsets.items()
-    }
-    few = any(are_few(rows) for rows in parts["avoidable"].values() if rows)
-    blocks: list[Block] = [FEW if few else _verdict(parts["avoidable"], list(sets), planners)]
-    blocks += _sets_table(sets, realism)
+        for row in episodes
+    ]
+
+
+def _subsets(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """All episodes, and those of sets in which collisions can be avoided."""
+    return {"all": list(rows), "avoidable": [row for row in rows if row["avoidable"]]}
+
+
+def figures_table(rows: Sequence[Row]) -> Table:
+    """Return the figures of every planner in every set, of all scenarios and of avoidable ones."""
+    tidy = [{**row, "scenarios": name} for name, part in _subsets(rows).items() for row in part]
+    return figures(tidy, ("generator", "planner", "scenarios"), tuple(_FIGURES))
+
+
+def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> list[Block]:
+    """Return the verdict, the sets, and a matrix of sets and planners for each figure."""
+    first, parts = next(iter(sets.values())), _subsets(rows)
+    few = are_few(parts["avoidable"]) or any(map(are_few, _cells(parts["all"]).values()))
+    blocks: list[Block] = [FEW if few else _verdict(parts["avoidable"])]
+    counted = sets_table(sets, realism)[1]
+    shown: TableRows = [
+        [short_name(str(row[0])), row[1], *(_share(n, of) for n, of in counts), *row[5:9]]
+        for row, counts in counted
+    ]
+    titles = ("with a collision", "of them at fault", "of them avoidable")
+    columns = ["made against", "scenarios", *titles, *_REALISM, Column("cfd", "CFD", digits=1)]
+    what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
+    blocks += [Table(columns, shown, "Scenario sets"), what]
     for name, part in parts.items():
-        for figure, title in _FIGURES.items():
-            scope = "all scenarios" if name == "all" else "avoidable scenarios only"
-            blocks.append(_matrix(part, list(sets), planners, figure, f"{title}: {scope}"))
+        scope = "all scenarios" if name == "all" else "avoidable scenarios only"
+        blocks += [_matrix(part, f, f"{title}: {scope}") for f, title in _FIGURES.items()]
     foot = (
         "Rows: the ego that the traffic was made against; columns: the planner tested. In a set "
         "the others do as recorded. Brackets: 95 % bootstrap intervals over scenarios, none of "
         f"fewer than {LEAST_SCENES}."
     )
-    write_aside(folder / "table.md", document(*blocks, foot))
-    _write_csv(sets, realism, parts, folder)
-    _plot(parts, list(sets), planners, folder / "cross.png")
+    return [*blocks, foot]
 
 
-def _verdict(part: Cells, generators: Sequence[str], planners: Sequence[str]) -> str:
+def _cells(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        found.setdefault((row["generator"], row["planner"]), []).append(row)
+    return found
+
+
+def _verdict(avoidable: Sequence[Row]) -> str:
     """Say who collides least where collisions can be avoided, and whose traffic is hardest."""
-    share = {
-        (g, p): float(np.mean([row["collision"] for row in part[g, p]]))
-        for g in generators
-        for p in planners
-        if part.get((g, p))
-    }
+    share = {k: float(np.mean([r["collision"] for r in v])) for k, v in _cells(avoidable).items()}
     if not share:
         return "No collision in these sets could have been avoided."
 
-    by_planner = {p: _mean(v for key, v in share.items() if key[1] == p) for p in planners}
-    by_set = {g: _mean(v for key, v in share.items() if key[0] == g) for g in generators}
-    best = min(planners, key=lambda p: by_planner[p])
-    worst = max(planners, key=lambda p: by_planner[p])
-    hard = max(generators, key=lambda g: by_set[g])
+    def means(place: int) -> dict[str, float]:
+        names = dict.fromkeys(key[place] for key in share)
+        return {n: float(np.mean([v for k, v in share.items() if k[place] == n])) for n in names}
+
+    by_planner, by_set = means(1), means(0)
+    best, worst = (of(by_planner, key=by_planner.__getitem__) for of in (min, max))
     text = f"{short_name(best)} collides least ({by_planner[best]:.2f} of the avoidable scenarios)"
     if best != worst:
         text += f", {short_name(worst)} most ({by_planner[worst]:.2f})"
-    if len(generators) > 1:
+    if len(by_set) > 1:
+        hard = max(by_set, key=by_set.__getitem__)
         text += f". The set made against {short_name(hard)} is the hardest ({by_set[hard]:.2f})"
     return text + "."
 
 
-def _mean(values: Iterable[float]) -> float:
-    listed = list(values)
-    return float(np.mean(listed)) if listed else np.nan
+def sets_table(
+    sets: Sets, realism: Mapping[str, Realism]
+) -> tuple[list[str], list[tuple[list[Any], list[tuple[int, int]]]]]:
+    """Return heads of the sets' file, and for each set its row and its counts with their bases."""
+    found = []
+    for generator, made in sets.items():
+        hit = [s for s in made.scenarios if s.collision]
+        fault, avoidable = sum(s.at_fault for s in hit), sum(s.avoidable for s in hit)
+        real, total = realism[generator], len(made.scenarios)
+        figures = [real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds]
+        row = [generator, total, len(hit), fault, avoidable, *figures]
+        found.append((row, [(len(hit), total), (fault, len(hit)), (avoidable, len(hit))]))
+    heads = ["generator", "scenarios", "collision", "at_fault", "avoidable", "realism_cost"]
+    return [*heads, "shift_sigmas", "fde_m", "cfd", "seconds"], found
 
 
-def avoidable_rows(
-    sets: Mapping[str, ScenarioSet], cells: Cells
-) -> dict[tuple[str, str], list[Mapping[str, Any]]]:
-    """Return the rows of every planner in every set, by planner and generator: avoidable ones."""
-    kept = {g: {s.scene for s in made.scenarios if s.avoidable} for g, made in sets.items()}
-    return {
-        (planner, generator): [row for row in rows if row["scene"] in kept[generator]]
-        for (generator, planner), rows in cells.items()
-        if generator is not None
-    }
+def _share(count: int, total: int) -> str:
+    return f"{count} ({count / total:.2f})" if total else "0"
 
 
-def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int) -> None:
-    """Write ``collisions.md``: collisions of the egos that the sets were made against.
+def _matrix(part: Sequence[Row], name: str, title: str) -> Table:
+    cells = _cells(part)
+    planners = list(dict.fromkeys(planner for _, planner in cells))
+    generators = list(dict.fromkeys(generator for generator, _ in cells))
+    lines: TableRows = []
+    for generator in sorted(generators, key=REACTING.__eq__):
+        rows = [cells.get((generator, planner), []) for planner in planners]
+        label = REACTING_TITLE if generator == REACTING else short_name(generator)
+        lines.append([label, max(map(len, rows)), *(mean_interval(r, name) for r in rows)])
+    others = [
+        [row for (g, p), of in cells.items() if p == planner and g not in (planner, REACTING)
+         for row in of]
+        for planner in planners
+    ]  # fmt: skip
+    if len(set(generators) - {REACTING}) > 1 and any(others):
+        means = [float(np.mean([r[name] for r in rows])) if rows else None for rows in others]
+        lines.append(["mean, own set left out", "", *means])
+    heads = (Column(planner, short_name(planner)) for planner in planners)
+    return Table(["made against", "scenarios", *heads], lines, title)
+
+
+def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
+    """Return the collisions of the egos that the sets were made against.
 
     Parameters
     ----------
@@ -137,7 +178,7 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
         Collisions of each set that get a replay page.
     """
     heads = ("scene", "hit", "time s", "at fault", "avoidable")
-    tables = []
+    found: list[Block] = []
     for generator, made in sets.items():
         rows: TableRows = []
         for i, s in enumerate(s for s in made.scenarios if s.collision):
@@ -150,129 +191,22 @@ def write_collisions(sets: Mapping[str, ScenarioSet], folder: Path, replays: int
             kind = str(s.kind).removeprefix("collision_")
             figures = (s.realism_cost, s.shift_sigmas, s.fde_m)
             rows.append([scene, kind, f"{s.time_s:.1f}", *verdicts, *figures])
-        tables.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
-    write_aside(folder / "collisions.md", document(*tables))
+        found.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
+    return found
 
 
-#: How far the guided vehicles are from what the model or the log has.
-_REALISM = (
-    Column("realism_cost", "C(tau)"),
-    Column("shift_sigmas"),
-    Column("fde_m", "FDE m", digits=1),
-)
+def plot(rows: Sequence[Row], path: Path) -> Path:
+    """Draw collisions and scores of every planner in every set."""
+    cells = _cells(rows)
 
+    def name(generator: str) -> str:
+        return "(reacting)" if generator == REACTING else short_name(generator)
 
-def _sets_figures(made: ScenarioSet) -> tuple[int, int, int, int]:
-    """Scenarios, those with a collision, at fault, and avoidable."""
-    hit = [s for s in made.scenarios if s.collision]
-    return (
-        len(made.scenarios),
-        len(hit),
-        sum(s.at_fault for s in hit),
-        sum(s.avoidable for s in hit),
-    )
-
-
-def _share(count: int, total: int) -> str:
-    return f"{count} ({count / total:.2f})" if total else "0"
-
-
-def _sets_table(sets: Mapping[str, ScenarioSet], realism: Mapping[str, Realism]) -> list[Block]:
-    first = next(iter(sets.values()))
-    rows: TableRows = []
-    for generator, made in sets.items():
-        total, hit, fault, avoidable = _sets_figures(made)
-        shares = (_share(hit, total), _share(fault, hit), _share(avoidable, hit))
-        real = realism[generator]
-        figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd)
-        rows.append([short_name(generator), total, *shares, *figures])
-    shares_of = ("with a collision", "of them at fault", "of them avoidable")
-    figures_of = (*_REALISM, Column("cfd", "CFD", digits=1))
-    what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
-    return [
-        "### Scenario sets",
-        what,
-        Table(["made against", "scenarios", *shares_of, *figures_of], rows),
-    ]
-
-
-def _matrix(
-    part: Cells, generators: Sequence[str], planners: Sequence[str], name: str, title: str
-) -> Table:
-    lines: TableRows = []
-    for generator in (*generators, None):
-        rows = [part.get((generator, planner), []) for planner in planners]
-        if any(rows):
-            label = REACTING if generator is None else short_name(generator)
-            cells = [mean_interval(r, name) if r else None for r in rows]
-            lines.append([label, max(map(len, rows)), *cells])
-    others = [
-        [row for g in generators if g != planner for row in part[g, planner]]
-        for planner in planners
-    ]
-    if len(generators) > 1 and any(others):
-        means = [mean_interval(rows, name)[0] if rows else None for rows in others]
-        lines.append(["mean, own set left out", "", *means])
-    heads = (Column(planner, short_name(planner)) for planner in planners)
-    return Table(["made against", "scenarios", *heads], lines, title)
-
-
-def _write_csv(
-    sets: Mapping[str, ScenarioSet],
-    realism: Mapping[str, Realism],
-    parts: Mapping[str, Cells],
-    folder: Path,
-) -> None:
-    heads = ["generator", "scenarios", "collision", "at_fault", "avoidable", "realism_cost"]
-    rows: TableRows = []
-    for generator, made in sets.items():
-        real = realism[generator]
-        figures = (real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds)
-        rows.append([generator, *_sets_figures(made), *figures])
-    heads += ["shift_sigmas", "fde_m", "cfd", "seconds"]
-    Table(heads, rows).write_csv(folder / "sets.csv")
-    rows = [
-        [
-            made_against or "reacting",
-            planner,
-            subset,
-            len(of),
-            *(mean_interval(of, f) for f in _FIGURES),
-        ]
-        for subset, cells in parts.items()
-        for (made_against, planner), of in cells.items()
-        if of
-    ]
-    heads = ["generator", "planner", "scenarios", "count", *_FIGURES]
-    Table(heads, rows).write_csv(folder / "cross.csv")
-
-
-def _plot(
-    parts: Mapping[str, Cells], generators: Sequence[str], planners: Sequence[str], path: Path
-) -> None:
-    size = (4.2 + 1.5 * len(planners), 3.6 + 1.0 * len(generators))
-    figure, axes = new_plot(*size, nrows=2, ncols=2)
-    for line, (subset, cells) in zip(np.asarray(axes), parts.items(), strict=True):
-        rows = list(dict.fromkeys(generator for generator, _ in cells))
-        for axis, name in zip(line, ("collision", "score"), strict=True):
-            values = np.array(
-                [
-                    [
-                        np.mean([r[name] for r in cells.get((g, p), [])] or [np.nan])
-                        for p in planners
-                    ]
-                    for g in rows
-                ]
-            )
-            colours = "Reds" if name == "collision" else "Greens"
-            axis.imshow(values, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
-            for (i, j), value in np.ndenumerate(values):
-                if np.isfinite(value):
-                    colour = "#ffffff" if value > 0.6 else "#000001"
-                    axis.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour)
-            axis.set_xticks(range(len(planners)), [short_name(p) for p in planners], fontsize=8)
-            labels = ["(reacting)" if g is None else short_name(g) for g in rows]
-            axis.set_yticks(range(len(rows)), labels, fontsize=8)
-            axis.set_title(f"{name}, {subset} scenarios", fontsize=10)
-            axis.set_ylabel("made against", fontsize=8)
-    save_plot(figure, path)
+    values = {
+        figure: {
+            (name(g), short_name(p)): float(np.mean([row[figure] for row in of]))
+            for (g, p), of in cells.items()
+        }
+        for figure in ("collision", "score")
+    }
+    return plot_matrix(values, "made against", path)

@@ -17,7 +17,6 @@ __all__ = [
     "Episode",
     "Relations",
     "drivable",
-    "features",
     "logged",
     "measure",
     "off_road",
@@ -26,8 +25,6 @@ __all__ = [
 
 #: Logged steps that rankings look at, the present one left out.
 PAST_STEPS = 30
-#: Cliques that are counted per step at most.
-MOST_CLIQUES = 1000
 
 
 @dataclass(frozen=True)
@@ -103,27 +100,6 @@ def off_road(scene: Scene, motion: Motion, replan_steps: int = 5) -> OffRoad | N
     return motion.off_road(drivable(scene), replan_steps=replan_steps, elevation_m=heights)
 
 
-def features(episode: Episode) -> dict[str, Any]:
-    """Return what may tell collisions in advance, from the history of the episode.
-
-    ``vehicles``: their number; ``ttc_cliques``, ``distance_cliques``: sets of two vehicles and more
-    that are all joined in the graphs of times to contact and of distances, over all steps;
-    ``of_vehicle``: how many of the former hold each vehicle [A].
-    """
-    found = {
-        name: causal.clique_counts(measure, top_per_frame=MOST_CLIQUES)
-        for name, measure in (("ttc", episode.history.ttc), ("distance", episode.history.distance))
-    }
-    counts = np.zeros(len(episode.agents), np.int64)
-    counts[found["ttc"].agents] = found["ttc"].counts
-    return {
-        "vehicles": len(episode.agents),
-        "ttc_cliques": found["ttc"].num_cliques,
-        "distance_cliques": found["distance"].num_cliques,
-        "of_vehicle": counts.tolist(),
-    }
-
-
 def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     """Return the figures of one episode, all of them finite or ``None``."""
     motion, log, controlled = episode.motion, episode.log, episode.controlled
@@ -167,8 +143,6 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "shift_sigmas": _number(np.concatenate(shift).mean() if shift else np.nan),
         "gradient_cosine": _number(cosine),
         "conflict_share": _number(conflict_share),
-        "features": features(episode),
-        "vehicle_collided": found.agents["new"].tolist(),
         "graph_sparsity": _number(
             np.mean([_sparsity(p.graph) for p in episode.plans]) if episode.plans else np.nan
         ),

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ccdiff_env.bench.page import write_report_page
-from ccdiff_env.bench.planner_report import (
-    BASES,
-    comparison,
-    over_seeds,
-    summary,
-    verdict,
-)
+from ccdiff_env.bench.planner_report import BASES, comparison, summary, verdict
 from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.system.table import document
 from ccdiff_env.system.terminal import counted
@@ -77,9 +71,7 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
         number = sum(known.partition(" #")[0] == name for known in named)
         named[f"{name} #{number + 1}" if number else name] = result
     traffic = list(members[0][1].rows)
-    found = over_seeds(
-        {(name, t): result.rows[t] for name, result in named.items() for t in traffic}
-    )
+    found = {(name, t): result.rows[t] for name, result in named.items() for t in traffic}
     planners = list(named)
     bases = [name for name, result in named.items() if result.planner in BASES]
     privileged = {name for name, result in named.items() if result.privileged}
@@ -90,4 +82,4 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
                 f"{record.label(result)}: [{record.code}]({record.code}), source "
                 f"{result.planner_source[:8]}, trained on: {record.training_data or 'not said'}"
             )
-    return document(*blocks, comparison(found, planners, traffic, bases).rstrip())
+    return document(*blocks, *comparison(found, planners, traffic, bases))

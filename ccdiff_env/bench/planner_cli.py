@@ -8,12 +8,12 @@ from pathlib import Path
 
 from ccdiff_env.bench.arguments import (
     PLANNERS,
-    Run,
     add_replays,
     add_run_arguments,
     add_traffic,
     seeds_of,
 )
+from ccdiff_env.bench.run import Run
 from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.system.terminal import say, say_page
 
@@ -37,7 +37,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--planners",
         default="constant_velocity,lane_idm,idm,pdm,replay",
-        help=f"comma-separated, of: {PLANNERS}",
+        help=PLANNERS,
     )
     parser.add_argument(
         "--nuplan",
@@ -49,8 +49,14 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="store_true",
         help="a column of nuPlan's own score, by the metrics of nuplan-devkit",
     )
-    traffic = add_traffic(parser, None)  # the protocol can tell whether it was given
-    traffic.help = f"{traffic.help} (default: {_USUAL_TRAFFIC})"
+    # without a default, so that the protocol can tell whether it was given
+    add_traffic(parser, None, f"the others (default: {_USUAL_TRAFFIC}), comma-separated")
+    for name, what, usual in (
+        ("history", "of the log before an episode", "30, or 10 in scenes of 9.1 s"),
+        ("horizon", "that an episode lasts at most", "100, or 80 in scenes of 9.1 s"),
+    ):
+        words = f"steps {what}; scenes that are shorter are refused (default: {usual})"
+        parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
     parser.add_argument(
         "--protocol",
         help="what fixes scenes, traffic and seeds, planner-1.2 (default: the options choose them)",
@@ -63,8 +69,10 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 
 def _planners(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.planner_report import short_name, worst_scenes, write_report
-    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
+    from ccdiff_env.bench import planner_report as report
+    from ccdiff_env.bench.intervals import grouped
+    from ccdiff_env.bench.planners import TRAFFIC, planner_jobs, window_of
+    from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
     from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
@@ -76,24 +84,31 @@ def _planners(args: argparse.Namespace) -> int:
     planners = list(dict.fromkeys(args.planners.split(",")))
     traffic = (args.traffic or _USUAL_TRAFFIC).split(",")
     seeds = seeds_of(args.seeds or "0,1,2")
+    source = str(place_from(args))
+    window = window_of(source, args.history_steps, args.horizon_steps)
     jobs = [
         job
         for seed in seeds
         for job in planner_jobs(
-            str(place_from(args)), planners, traffic, seed=seed, by_nuplan=args.nuplan_score
+            source, planners, traffic, seed=seed, window=window, by_nuplan=args.nuplan_score
         )
     ]
     scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
     if fixed:
         PROTOCOL.check(args.level, scenes)
-    run = Run(args, "planners", seeds=seeds, **fixed)
+    title = f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic"
+    if window is not None:
+        title += ", {horizon_steps} steps after {history_steps}".format(**window)
+        print(title)
+    run = Run(args, "planners", seeds=seeds, window=window, **fixed)
     run.note(
         planners={job.arguments["planner"]: job.arguments["sources"]["planner"] for job in jobs},
         traffic={job.arguments["traffic"]: job.arguments["sources"]["traffic"] for job in jobs},
         scenes=scenes,
         protocol_sha256=PROTOCOL.sha256,
     )
-    rows = run.rows(jobs, "planner", "traffic")
+    rows = run.episodes(jobs, "planner", "traffic")
+    found: report.Results = grouped(rows, "planner", "traffic")  # type: ignore[assignment]
     job_of = {
         (job.arguments["planner"], job.arguments["traffic"], job.arguments["seed"], scene): job
         for job in jobs
@@ -106,21 +121,34 @@ def _planners(args: argparse.Namespace) -> int:
                 row["scene"],
             )
             for planner in planners
-            for name, row in worst_scenes(rows, planner, args.replays)
+            for name, row in report.worst_scenes(found, planner, args.replays)
         },
-        lambda key: f"{short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
+        lambda key: f"{report.short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
     )
     privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
-    write_report(rows, run.folder, worst=max(args.replays, 10), pages=pages, privileged=privileged)
+    scores = [
+        report.verdict(found, planners, traffic),
+        *report.summary(found, planners, traffic, privileged),
+        *report.parts_tables(found),
+    ]
+    files = {"figures.csv": report.figures_table(found)}
+    if len(planners) > 1:
+        files["pairs.csv"] = report.pairs_table(found)
+    criticality = {
+        name: float(TRAFFIC[name].ccdiff.get("criticality", 0.0))
+        for name in traffic
+        if TRAFFIC[name].driver == "ccdiff"
+    }
     return run.report(
-        f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic",
-        plots=["robustness.png"],
-        parts={
-            "Scores": "table.md",
-            "Planners against one another": "comparison.md",
-            "Worst scenes": "worst.md",
-            "All scenes": "scenes.md",
+        title,
+        {
+            "Scores": scores,
+            "Planners against one another": report.comparison(found, planners, traffic),
+            "Worst scenes": report.worst_table(found, max(args.replays, 10), pages),
         },
+        rows,
+        files,
+        plot_robustness(found, criticality, report.short_name, run.folder / "robustness"),
     )
 
 

@@ -1,41 +1,47 @@
-"""Report of the planner benchmark: table, robustness curve, worst scenes."""
+"""Report of the planner benchmark: scores, paired differences, worst scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import FEW, RESAMPLES, are_few, brackets, mean_interval
-from ccdiff_env.bench.page import anchor
+from ccdiff_env.bench.intervals import (
+    FEW,
+    RESAMPLES,
+    are_few,
+    brackets,
+    difference,
+    figures,
+    interval,
+    mean_interval,
+    scene_means,
+)
 from ccdiff_env.bench.planners import TRAFFIC
-from ccdiff_env.bench.plots import colours_of, new_plot, save_plot
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.system.files import write_aside
-from ccdiff_env.system.table import Block, Cell, Column, Figure, Table, TableRows, document
+from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import planner_title
 
 __all__ = [
     "BASES",
     "comparison",
+    "figures_table",
     "headlines",
-    "over_seeds",
-    "permutation_p",
+    "pairs_table",
+    "parts_tables",
     "short_name",
     "summary",
     "title_of",
     "verdict",
     "worst_scenes",
     "worst_table",
-    "write_report",
 ]
 
 Row = Mapping[str, Any]
-#: Rows of one planner in one traffic: planner, traffic -> one dictionary per scene.
+#: Episodes of every planner in every traffic: planner, traffic -> rows per scene and seed.
 Results = Mapping[tuple[str, str], Sequence[Row]]
 
 _PARTS = (
@@ -61,43 +67,37 @@ _REASONS = {
     "ttc": "close call",
 }
 #: What built-in planners are, where the name alone does not say it.
-_TITLES = {
-    "idm": "IDM, log's path and speed",
-}
+_TITLES = {"idm": "IDM, log's path and speed", "zero": "zero action"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
-#: Scores from here on are no bad ones: such scenes are listed where they have a replay alone.
+#: Scenes with a lower score are listed; others where they have a replay.
 BAD_BELOW = 0.7
-_STATISTICS = PROTOCOL.fields["statistics"]
 
 
-def over_seeds(found: Results) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Return rows that are means over the seeds of each scene: scenes are what is resampled."""
-    means: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for key, rows in found.items():
-        by_scene: dict[str, list[Row]] = {}
-        for row in rows:
-            by_scene.setdefault(row["scene"], []).append(row)
-        means[key] = [
-            {
-                "scene": scene,
-                "log_fails": several[0].get("log_fails", False),
-                **{part: _mean([row[part] for row in several]) for part in _parts(several)},
-            }
-            for scene, several in sorted(by_scene.items())
-        ]
-    return means
+def _names(found: Results) -> tuple[list[str], list[str]]:
+    """Planners and traffic of results."""
+    return list(dict.fromkeys(p for p, _ in found)), list(dict.fromkeys(t for _, t in found))
 
 
-def _parts(rows: Iterable[Row]) -> tuple[str, ...]:
-    """Columns of rows: nuPlan's own score where all have it."""
-    return _PARTS[:1] + (NUPLAN,) * all(NUPLAN in row for row in rows) + _PARTS[1:]
+def _few(found: Results) -> bool:
+    return any(map(are_few, found.values()))
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    """Mean over seeds; ``None`` for what the scene does not have."""
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+def _parts(found: Results) -> tuple[str, ...]:
+    """Figures of a planner: nuPlan's own score where all episodes have it."""
+    by_nuplan = all(NUPLAN in row for rows in found.values() for row in rows)
+    return (_PARTS[0], *[NUPLAN] * by_nuplan, *_PARTS[1:])
+
+
+def _scores(
+    found: Results, planner: str, traffic: Sequence[str], name: str = "score"
+) -> npt.NDArray[np.float64]:
+    """Scores of a planner, means over seeds [traffic, S], scenes sorted by name."""
+    return np.array([list(scene_means(found[planner, t], name).values()) for t in traffic])
+
+
+def _mean_of(values: npt.NDArray[np.float64]) -> Figure:
+    return mean_interval([{"score": value} for value in values.tolist()], "score")
 
 
 def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str, Figure]:
@@ -106,7 +106,7 @@ def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str,
     Parameters
     ----------
     found
-        One row per scene, the same scenes in all traffic.
+        Episodes, of the same scenes in all traffic.
     planner, traffic
         Which.
 
@@ -116,71 +116,90 @@ def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str,
         ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the
         logged driver scores 0, where there are such.
     """
-    table = _table(found, planner, traffic)
-    kept = [not row["log_fails"] for row in found[planner, traffic[0]]]
+    table = _scores(found, planner, traffic)
+    fails = _log_fails(found[planner, traffic[0]])
     count = table.shape[1]
     resamples = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
-    drawn = table[:, resamples].mean(axis=2)
-    few = are_few(found[planner, traffic[0]])
-    low, high = (np.nan, np.nan) if few else np.percentile(drawn.min(axis=0), [2.5, 97.5])
-    means = _by_scene(table.mean(axis=0))
+    drawn = table[:, resamples].mean(axis=2).min(axis=0)
+    low, high = (np.nan, np.nan) if are_few(found[planner, traffic[0]]) else interval(drawn)
     heads = {
-        "mean": mean_interval(means, "score"),
-        "worst": (float(table.mean(axis=1).min()), float(low), float(high)),
+        "mean": _mean_of(table.mean(axis=0)),
+        "worst": (float(table.mean(axis=1).min()), low, high),
     }
-    if any(kept) and not all(kept):
-        rest = [row for row, keep in zip(means, kept, strict=True) if keep]
-        heads["rest"] = mean_interval(rest, "score")
+    if fails and len(fails) < count:
+        scenes = scene_means(found[planner, traffic[0]], "score")
+        kept = [scene not in fails for scene in scenes]
+        heads["rest"] = _mean_of(table.mean(axis=0)[kept])
     return heads
 
 
-def _by_scene(values: npt.NDArray[np.float64]) -> list[dict[str, Any]]:
-    """Rows of scores by scene [S]."""
-    return [{"scene": i, "score": value} for i, value in enumerate(values)]
+def _log_fails(rows: Sequence[Row]) -> list[str]:
+    """Scenes in which the logged driver scores 0."""
+    return sorted({row["scene"] for row in rows if row.get("log_fails")})
 
 
-def _table(found: Results, planner: str, traffic: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Scores of a planner [traffic, S]."""
-    return np.array([[row["score"] for row in found[planner, name]] for name in traffic])
+def figures_table(found: Results) -> Table:
+    """Return score and parts of every planner in every traffic; their mean and worst traffic."""
+    planners, traffic = _names(found)
+    parts = _parts(found)
+    rows = [row for of in found.values() for row in of]
+    table = figures(rows, ("planner", "traffic"), parts)
+    ends: TableRows = [
+        [planner, name, len(_scores(found, planner, traffic)[0]), heads[name], *[None] * rest]
+        for planner in planners
+        for rest, heads in [(len(parts) - 1, headlines(found, planner, traffic))]
+        for name in ("mean", "worst")
+    ]
+    return Table(table.heads, [*table.rows, *ends])
 
 
 def comparison(
     found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = BASES
-) -> str:
-    """Return paired differences of planners in Markdown: against both IDM, and the best other one.
+) -> list[Block]:
+    """Return paired differences of planners: from both IDM, and from the best other one.
 
     Parameters
     ----------
     found
-        One row per scene, the same scenes in all traffic.
+        Episodes, of the same scenes in all traffic.
     planners, traffic
         Which.
     bases
         Both IDM, by their names among the planners.
     """
-    count = len(next(iter(found.values())))
     if len(planners) < 2:
-        return "One planner alone.\n"
-    if any(map(are_few, found.values())):
-        return f"{FEW}\n"
+        return ["One planner alone."]
+    if _few(found):
+        return [FEW]
+    names = [name for name in ("score", NUPLAN) if name in _parts(found)]
     rows: TableRows = []
-    for planner, other, pairs in _pairs(found, planners, traffic, bases):
-        figure, p = mean_interval(_by_scene(pairs), "score"), permutation_p(pairs)
-        same = "cannot be told apart" if p >= _STATISTICS["level"] else ""
-        rows.append([title_of(planner), title_of(other), figure, p, same])
+    for name in names:
+        for planner, other, pairs in _pairs(found, planners, traffic, bases, name):
+            figure, p = difference(pairs)
+            same = (
+                "no significant difference" if p >= PROTOCOL.fields["statistics"]["level"] else ""
+            )
+            of = [name.replace("_", " ")] if len(names) > 1 else []
+            rows.append([*of, title_of(planner), title_of(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
-    return document(
+    heads = ["figure"] if len(names) > 1 else []
+    count = len(next(iter(scene_means(found[planners[0], t], "score") for t in traffic)))
+    return [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
-        Table(["planner", "against", *columns, ""], rows),
-    )
+        Table([*heads, "planner", "against", *columns, ""], rows),
+    ]
 
 
 def _pairs(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str]
+    found: Results,
+    planners: Sequence[str],
+    traffic: Sequence[str],
+    bases: Sequence[str],
+    name: str = "score",
 ) -> Iterator[tuple[str, str, npt.NDArray[np.float64]]]:
-    """Differences [S] of scores, means over traffic: to ``bases``, and to the best other one."""
-    scores = {p: _table(found, p, traffic).mean(axis=0) for p in planners}
+    """Differences [S] of scores, means over traffic: from ``bases``, and from the best other."""
+    scores = {p: _scores(found, p, traffic, name).mean(axis=0) for p in planners}
     for planner in planners:
         best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
         for other in dict.fromkeys([*bases, best]):
@@ -188,97 +207,37 @@ def _pairs(
                 yield planner, other, scores[planner] - scores[other]
 
 
-def permutation_p(pairs: npt.NDArray[np.float64]) -> float:
-    """Return the two-sided p of a mean difference [S] by the permutation test of signs."""
-    rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], size=(_STATISTICS["permutations"], len(pairs)))
-    drawn = np.abs(signs @ pairs)
-    return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
+def pairs_table(found: Results) -> Table:
+    """Return the differences of :func:`comparison` in each traffic and over all, with p."""
+    planners, traffic = _names(found)
+    names = [name for name in ("score", NUPLAN) if name in _parts(found)]
+    rows: TableRows = [
+        [planner, other, label, name, *difference(pairs)]
+        for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]
+        for name in names
+        for planner, other, pairs in _pairs(found, planners, some, BASES, name)
+    ]
+    return Table(["planner", "against", "traffic", "figure", "difference", "p"], rows)
 
 
-def write_report(
-    found: Results,
-    folder: Path,
-    *,
-    worst: int = 10,
-    pages: Mapping[tuple[str, str, str], str] | None = None,
-    privileged: Collection[str] = (),
-) -> None:
-    """Write scores, headlines and pairs (``.csv``), tables (``.md``) and ``robustness.png``.
-
-    Parameters
-    ----------
-    found
-        Rows per scene and seed of every planner in every traffic.
-    folder
-        Where to.
-    worst
-        Scenes to list per planner.
-    pages
-        Addresses of replays by planner, traffic and scene.
-    privileged
-        Planners that use what a vehicle cannot know.
-    """
-    planners = list(dict.fromkeys(p for p, _ in found))
-    traffic = list(dict.fromkeys(t for _, t in found))
-    shown = _parts(row for rows in found.values() for row in rows)
-    parts = ("seed", "scene", *shown, "min_ttc_s")
-    rows = [[*key, *(row[part] for part in parts)] for key, of in found.items() for row in of]
-    Table(["planner", "traffic", *parts], rows).write_csv(folder / "scores.csv")
-    write_aside(folder / "scenes.md", scenes_table(found, planners, traffic, pages or {}))
-    write_aside(folder / "worst.md", worst_table(found, worst, pages or {}))
-    found = over_seeds(found)
-    write_aside(folder / "comparison.md", comparison(found, planners, traffic))
-    _write_headlines(found, planners, traffic, folder / "headlines.csv")
-    if len(planners) > 1:
-        _write_pairs(found, planners, traffic, folder / "pairs.csv")
-    columns = [Column(part, interval=part == "score") for part in shown]
+def parts_tables(found: Results) -> list[Block]:
+    """Return a table of score and parts for each traffic."""
+    planners, traffic = _names(found)
+    parts = _parts(found)
+    columns = [Column(part, interval=part == "score") for part in parts]
     tables = [
         Table(
             ["planner", *columns],
             [
-                [title_of(p), *(mean_interval(found[p, t], part) for part in shown)]
+                [title_of(p), *(mean_interval(found[p, t], part) for part in parts)]
                 for p in planners
             ],
             f"Traffic: {TRAFFIC[t].label}",
         )
         for t in traffic
     ]
-    best = "" if any(map(are_few, found.values())) else " Emphasised: best of its traffic."
-    text = document(
-        verdict(found, planners, traffic),
-        *summary(found, planners, traffic, privileged, opens=True),
-        *tables,
-        f"Means over scenes and seeds. {brackets(found.values())}{best}",
-    )
-    write_aside(folder / "table.md", text)
-    _plot(found, planners, traffic, folder / "robustness.png")
-
-
-def _write_headlines(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path
-) -> None:
-    """Write mean, worst and each traffic's score of every planner, with intervals, as CSV."""
-    names = ["mean", "worst", *traffic]
-    rows: TableRows = []
-    for planner in planners:
-        heads = headlines(found, planner, traffic)
-        heads |= {name: mean_interval(found[planner, name], "score") for name in traffic}
-        rows.append([planner, *(heads[name] for name in names)])
-    Table(["planner", *names], rows).write_csv(path)
-
-
-def _write_pairs(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path
-) -> None:
-    """Write the differences of :func:`comparison` in each traffic, with p, as CSV."""
-    rows: TableRows = []
-    for name in traffic:
-        for planner, other, pairs in _pairs(found, planners, [name], BASES):
-            figure = mean_interval(_by_scene(pairs), "score")
-            rows.append([planner, other, name, figure, permutation_p(pairs)])
-    columns = (Column("difference"), Column("p"))
-    Table(["planner", "against", "traffic", *columns], rows).write_csv(path)
+    best = "" if _few(found) else " Bold: best of its traffic."
+    return [*tables, f"Means over scenes and seeds. {brackets(found.values())}{best}"]
 
 
 def short_name(planner: str) -> str:
@@ -294,8 +253,7 @@ def title_of(planner: str) -> str:
 def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:
     """Return the scenes in which a planner scores least: traffic and row, the worst first.
 
-    Each scene stands once, with the traffic that is worst. Ties go to the smaller least time to
-    contact.
+    Each scene occurs once, with its worst traffic. Ties go to the smaller least time to contact.
     """
     rows = [(name, row) for (p, name), part in found.items() if p == planner for row in part]
     rows.sort(key=lambda r: (r[1]["score"], r[1]["min_ttc_s"], r[0], r[1]["scene"]))
@@ -307,13 +265,13 @@ def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Ro
 
 def worst_table(
     found: Results, count: int, pages: Mapping[tuple[str, str, str], str], traffic: str = "traffic"
-) -> str:
-    """Return the worst scenes of every planner in Markdown.
+) -> list[Block]:
+    """Return the worst scenes of every planner.
 
     Parameters
     ----------
     found
-        Rows per scene of every planner in every traffic.
+        Episodes of every planner in every traffic.
     count
         Scenes per planner.
     pages
@@ -328,14 +286,11 @@ def worst_table(
             page = pages.get((planner, name, row["scene"]))
             if row["score"] < BAD_BELOW or page is not None:
                 kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
-                rows.append([_scene(row, page), kind, row["score"], _why(row)])
-        table = Table(["scene", traffic, Column("score"), "why"], rows)
-        blocks += [f"### {short_name(planner)}", table or f"No scene below {BAD_BELOW:g}."]
-    return document(*blocks)
-
-
-def _scene(row: Row, page: str | None) -> str:
-    return row["scene"] if page is None else f"[{row['scene']}]({page})"
+                scene = row["scene"] if page is None else f"[{row['scene']}]({page})"
+                rows.append([scene, kind, row["score"], _why(row)])
+        table = Table(["scene", traffic, Column("score"), "why"], rows, short_name(planner))
+        blocks.append(table or f"### {short_name(planner)}\n\nNo scene below {BAD_BELOW:g}.")
+    return blocks
 
 
 def _why(row: Row) -> str:
@@ -346,68 +301,9 @@ def _why(row: Row) -> str:
     return ", ".join(why)
 
 
-def scenes_table(
-    found: Results,
-    planners: Sequence[str],
-    traffic: Sequence[str],
-    pages: Mapping[tuple[str, str, str], str],
-) -> str:
-    """Return the scenes behind each cell of :func:`summary`, the worst first, in Markdown.
-
-    Parameters
-    ----------
-    found
-        Rows per scene and seed of every planner in every traffic.
-    planners, traffic
-        Which.
-    pages
-        Addresses of replays by planner, traffic and scene.
-    """
-    tables = []
-    for planner, name in ((p, t) for p in planners for t in traffic):
-        seeds: dict[str, list[Row]] = {}
-        for row in found[planner, name]:
-            seeds.setdefault(row["scene"], []).append(row)
-        means = {scene: float(np.mean([r["score"] for r in rows])) for scene, rows in seeds.items()}
-        rows: TableRows = []
-        for scene in sorted(seeds, key=lambda scene: (means[scene], scene)):
-            worst = min(seeds[scene], key=lambda row: row["score"])
-            link = _scene(worst, pages.get((planner, name, scene)))
-            rows.append([link, means[scene], _why(worst)])
-        tables.append(Table(["scene", Column("score"), "why"], rows, _cell_title(planner, name)))
-    return document(*tables)
-
-
-def _cell_title(planner: str, traffic: str) -> str:
-    return f"{short_name(planner)} in {TRAFFIC[traffic].label}"
-
-
-def _plot(found: Results, planners: Sequence[str], traffic: Sequence[str], path: Path) -> None:
-    level = {n: float(TRAFFIC[n].ccdiff.get("criticality", 0.0)) for n in traffic}
-    names = sorted((n for n in traffic if TRAFFIC[n].driver == "ccdiff"), key=lambda n: level[n])
-    if len(names) < 2:
-        return
-    figure, axes = new_plot(7, 4.2)
-    x = [level[n] for n in names]
-    aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
-    for (planner, colour), by in zip(colours_of(planners).items(), aside, strict=True):
-        means = np.array([mean_interval(found[planner, n], "score") for n in names])
-        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
-        axes.errorbar(
-            np.array(x) + by, means[:, 0], yerr=whiskers, fmt="o-", label=short_name(planner),
-            color=colour, markersize=4.5, elinewidth=1, capsize=2.5,
-        )  # fmt: skip
-    axes.set_xlabel("criticality of the CCDiff traffic")
-    axes.set_ylabel("score")
-    axes.set_ylim(0, 1)
-    axes.grid(alpha=0.3)
-    axes.legend(framealpha=0)
-    save_plot(figure, path)
-
-
 def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> str:
     """Say in two sentences who is best, and where planners break."""
-    if any(map(are_few, found.values())):
+    if _few(found):
         return FEW
     mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
     label = {name: TRAFFIC[name].label for name in traffic}
@@ -438,7 +334,7 @@ def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> 
             f"{short_name(planner)} breaks most: from {mean[planner, top][0]:.2f} ({label[top]}) "
             f"to {mean[planner, low][0]:.2f} ({label[low]})"
         )
-    count = len(next(iter(found.values())))
+    count = len({row["scene"] for row in next(iter(found.values()))})
     return ". ".join([*sentences, counted(count, "scene")]) + "."
 
 
@@ -447,36 +343,26 @@ def summary(
     planners: Sequence[str],
     traffic: Sequence[str],
     privileged: Collection[str] = (),
-    *,
-    opens: bool = False,
 ) -> list[Block]:
     """Return a matrix of planners and traffic, the best of each emphasised, and its notes.
 
     Parameters
     ----------
     found
-        One row per scene, the same scenes in all traffic.
+        Episodes, of the same scenes in all traffic.
     planners, traffic
         Which.
     privileged
         Planners that use what a vehicle cannot know; they are marked.
-    opens
-        Whether each score leads to its scenes, see :func:`scenes_table`.
     """
-    rows = next(iter(found.values()))
     heads = {planner: headlines(found, planner, traffic) for planner in planners}
     ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}
     ends = {name: title for name, title in ends.items() if name in heads[planners[0]]}
-    some = len(planners) > 1 and not any(map(are_few, found.values()))
+    some = len(planners) > 1 and not _few(found)
     scores = [Column(t, TRAFFIC[t].label, best=some) for t in traffic]
     lines: TableRows = []
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
-        cells: list[Cell] = []
-        for column in scores:
-            figure = mean_interval(found[planner, column.name], "score")
-            score, gap, interval = column.text(figure).partition(" ")
-            place = f"(#{anchor(_cell_title(planner, column.name))})"
-            cells.append(f"[{score}]{place}{gap}{interval}" if opens else figure)
+        cells = [mean_interval(found[planner, t], "score") for t in traffic]
         mark = " †" if planner in privileged else ""
         lines.append([title_of(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
     columns = [*scores, *(Column(name, title) for name, title in ends.items())]
@@ -484,7 +370,7 @@ def summary(
     if privileged:
         blocks.append("† privileged: uses what a vehicle cannot know, as the log.")
     if "rest" in ends:
-        fails = ", ".join(row["scene"] for row in rows if row["log_fails"])
+        fails = ", ".join(_log_fails(next(iter(found.values()))))
         blocks.append(
             f"*log can*: without the scenes in which the logged driver scores 0 ({fails})."
         )

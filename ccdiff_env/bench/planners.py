@@ -42,8 +42,11 @@ __all__ = [
     "is_privileged",
     "planner_jobs",
     "play",
+    "window_of",
 ]
 
+#: Steps before an episode, and those that it lasts at most, in scenes of 9.1 s as Waymo's.
+SHORT_WINDOW = {"history_steps": 10, "horizon_steps": 80}
 HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
 #: Scenes that share a batch of the network.
 CHUNK: int = PROTOCOL.fields["batch"]
@@ -140,13 +143,55 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
 TRAFFIC.update({n: replace(TRAFFIC[n], **own) for n, own in PROTOCOL.fields["traffic"].items()})
 
 
+def window_of(
+    source: str, history_steps: int | None = None, horizon_steps: int | None = None
+) -> dict[str, int] | None:
+    """Return the steps of the log before an episode and the most that it lasts.
+
+    By default they are those of the protocol (3 s and 10 s); where a scene is too short for these,
+    but has the 9.1 s of Waymo's, all scenes have 1 s and 8 s.
+
+    Parameters
+    ----------
+    source
+        The scenes, a text of :func:`ccdiff_env.load`.
+    history_steps, horizon_steps
+        What is asked for, in steps of the scenes.
+
+    Returns
+    -------
+    dict or None
+        ``history_steps`` and ``horizon_steps``; ``None`` for those of the protocol.
+
+    Raises
+    ------
+    ConfigError
+        If a scene is shorter; names it.
+    """
+    usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
+    asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
+    window = {name: usual[name] if steps is None else steps for name, steps in asked.items()}
+    if min(window.values()) < 1:
+        raise ConfigError(f"{window} asked for, expected at least one step of each")
+    shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
+    if window == usual and shortest.num_steps <= sum(usual.values()):
+        window = {**SHORT_WINDOW, **{name: n for name, n in asked.items() if n is not None}}
+    if shortest.num_steps <= sum(window.values()):
+        raise ConfigError(
+            f"scene {shortest.name!r} has {shortest.num_steps} steps, expected at least "
+            f"{sum(window.values()) + 1}: {window['history_steps']} of history, the present one "
+            f"and {window['horizon_steps']} to drive; see --history-steps and --horizon-steps"
+        )
+    return None if window == usual else window
+
+
 def planner_jobs(
     source: str,
     planners: Sequence[str],
     traffic: Sequence[str],
     *,
     seed: int = 0,
-    options: Mapping[str, Any] | None = None,
+    window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
@@ -166,8 +211,8 @@ def planner_jobs(
         choice of adversaries, see examples/train_adversary_selection.py.
     seed
         Seed of the episodes.
-    options
-        Further fields of :class:`~ccdiff_env.config.WorldConfig`, such as what policies observe.
+    window
+        As :func:`window_of` returns it.
     by_nuplan
         Whether nuPlan's own score is taken, too, see :mod:`ccdiff_env.bench.nuplan_score`.
     """
@@ -190,7 +235,7 @@ def planner_jobs(
                 "traffic": name,
                 "seed": seed,
                 "sources": drives[planner, name],
-                **({"options": dict(options)} if options else {}),
+                **({"window": dict(window)} if window else {}),
                 **({"by_nuplan": True} if by_nuplan else {}),
             },
             {
@@ -225,7 +270,7 @@ def evaluate(
     traffic: str,
     seed: int,
     sources: Mapping[str, str | None] | None = None,
-    options: Mapping[str, Any] | None = None,
+    window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
@@ -246,7 +291,7 @@ def evaluate(
         seed=seed,
         record=(),
         sources=sources,
-        options=options,
+        window=window,
         by_nuplan=by_nuplan,
         device=device,
     )
@@ -254,16 +299,21 @@ def evaluate(
 
 
 def with_log(
-    rows: Sequence[dict[str, Any]], source: str, names: Sequence[str]
+    rows: Sequence[dict[str, Any]],
+    source: str,
+    names: Sequence[str],
+    window: Mapping[str, int] | None = None,
 ) -> list[dict[str, Any]]:
     """Return rows that say whether the logged driver scores 0 in the scene: ``log_fails``."""
-    fails = _log_fails(source, tuple(names))
+    fails = _log_fails(source, tuple(names), tuple((window or {}).items()))
     return [{**row, "log_fails": row["scene"] in fails} for row in rows]
 
 
 @lru_cache(maxsize=64)
-def _log_fails(source: str, names: tuple[str, ...]) -> frozenset[str]:
-    rows = play(scenes_of(source, names), "replay", TRAFFIC["replay"])
+def _log_fails(
+    source: str, names: tuple[str, ...], window: tuple[tuple[str, int], ...]
+) -> frozenset[str]:
+    rows = play(scenes_of(source, names), "replay", TRAFFIC["replay"], options=dict(window))
     return frozenset(row["scene"] for row in rows if row["score"] == 0.0)
 
 
@@ -276,7 +326,7 @@ def evaluate_recorded(
     seed: int,
     record: Collection[str],
     sources: Mapping[str, str | None] | None = None,
-    options: Mapping[str, Any] | None = None,
+    window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
     device: str = "cpu",
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
@@ -288,15 +338,15 @@ def evaluate_recorded(
         planner,
         on_device(TRAFFIC[traffic], device),
         seed=seed,
-        options=options,
+        options=window,
         record=names if by_nuplan else record,
     )
     if by_nuplan:
-        steps = PROTOCOL.fields["world"]["horizon_steps"]
+        steps = {**PROTOCOL.fields["world"], **(window or {})}["horizon_steps"]
         for row in rows:
             row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
     chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
-    return with_log(rows, source, names), chosen
+    return with_log(rows, source, names, window), chosen
 
 
 def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:

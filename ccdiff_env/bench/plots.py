@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.methods import label_of
-from ccdiff_env.bench.tables import Condition, Figures
-from ccdiff_env.metrics import scores
+from ccdiff_env.bench.traffic_report import Condition
 from ccdiff_env.system.files import read_text, write_aside
+from ccdiff_env.system.table import Figure as Figure3
 from ccdiff_env.view.page import colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["colours_of", "new_plot", "plot_scores", "save_plot"]
+__all__ = [
+    "colours_of",
+    "new_plot",
+    "plot_bars",
+    "plot_matrix",
+    "plot_robustness",
+    "plot_scores",
+    "save_plot",
+]
 
 _DRIVERS = colours()["light"]
 #: Colours of methods and planners: those of the drivers on replays, but for yellow, which white
@@ -58,35 +67,128 @@ def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]
     return figure, axes
 
 
-def save_plot(figure: Figure, path: Path) -> None:
-    """Write a plot as PNG, and as SVG beside it whose text has the colour of the page."""
+def save_plot(figure: Figure, path: Path) -> Path:
+    """Write a plot as vectors: PDF for papers, SVG for pages, whose text has the page's colour.
+
+    Returns
+    -------
+    Path
+        That of the SVG; the name of ``path``, whatever its suffix.
+    """
     from matplotlib import pyplot as plt
 
-    figure.savefig(path, dpi=130)
+    figure.savefig(path.with_suffix(".pdf"), metadata={"CreationDate": None})
     drawn = path.with_suffix(".svg")
     figure.savefig(drawn, transparent=True, metadata={"Date": None})
     plt.close(figure)
-    text = read_text(drawn)
-    write_aside(drawn, text.replace("#000000", "currentColor"))
+    write_aside(drawn, read_text(drawn).replace("#000000", "currentColor"))
+    return drawn
 
 
-def plot_scores(table: Mapping[Condition, Figures], path: Path) -> None:
+def plot_robustness(
+    found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
+    level: Mapping[str, float],
+    label: Callable[[str], str],
+    path: Path,
+) -> Path | None:
+    """Draw scores of planners against the criticality of CCDiff traffic, where there are two.
+
+    Parameters
+    ----------
+    found
+        Episodes of every planner in every traffic.
+    level
+        Criticality by traffic, of CCDiff alone.
+    label
+        Title of a planner.
+    path
+        Where to.
+    """
+    planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
+    if len(names) < 2:
+        return None
+    figure, axes = new_plot(7, 4.2)
+    aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
+    for (planner, colour), by in zip(colours_of(planners).items(), aside, strict=True):
+        means = np.array([mean_interval(found[planner, n], "score") for n in names])
+        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
+        axes.errorbar(
+            np.array([level[n] for n in names]) + by, means[:, 0], yerr=whiskers, fmt="o-",
+            label=label(planner), color=colour, markersize=4.5, elinewidth=1, capsize=2.5,
+        )  # fmt: skip
+    axes.set_xlabel("criticality of the CCDiff traffic")
+    axes.set_ylabel("score")
+    axes.set_ylim(0, 1)
+    axes.grid(alpha=0.3)
+    axes.legend(framealpha=0)
+    return save_plot(figure, path)
+
+
+def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Path) -> Path:
+    """Draw figures in [0, 1] by method and name as groups of bars with intervals."""
+    figure, axes = new_plot(7, 4.2)
+    colours, width = colours_of(table), 0.8 / len(table)
+    names = list(next(iter(table.values())))
+    for i, (method, by_name) in enumerate(table.items()):
+        value, low, high = np.array(list(by_name.values())).T
+        axes.bar(
+            np.arange(len(names)) + (i - 0.5 * (len(table) - 1)) * width, value, width,
+            color=colours[method], yerr=[value - low, high - value], label=label_of(method),
+            error_kw={"linewidth": 1, "ecolor": "#000000"},
+        )  # fmt: skip
+    axes.set_xticks(np.arange(len(names)), names)
+    axes.set_ylabel(ylabel)
+    axes.set_ylim(0, 1)
+    axes.grid(axis="y", alpha=0.3)
+    axes.legend(fontsize=8, loc="upper left", framealpha=0)
+    return save_plot(figure, path)
+
+
+def plot_matrix(
+    values: Mapping[str, Mapping[tuple[str, str], float]], ylabel: str, path: Path
+) -> Path:
+    """Draw a figure in [0, 1] per panel: by row and column, with the number in each cell.
+
+    Collisions are red, scores green.
+    """
+    cells = next(iter(values.values()))
+    rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    size = (2.2 + (1.0 + 0.75 * len(columns)) * len(values), 1.8 + 0.5 * len(rows))
+    figure, axes = new_plot(*size, ncols=len(values), squeeze=False)
+    for axis, (title, of) in zip(axes[0], values.items(), strict=True):  # type: ignore[index]
+        table = np.array([[of.get((row, name), np.nan) for name in columns] for row in rows])
+        colours = "Reds" if title.startswith("collision") else "Greens"
+        axis.imshow(table, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
+        for (i, j), value in np.ndenumerate(table):
+            if np.isfinite(value):
+                colour = "#ffffff" if value > 0.6 else "#000001"
+                axis.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=8)
+        axis.set_xticks(range(len(columns)), columns, fontsize=8, rotation=30, ha="right")
+        axis.set_yticks(range(len(rows)), rows, fontsize=8)
+        axis.set_title(title, fontsize=10)
+        axis.set_ylabel(ylabel, fontsize=8)
+    return save_plot(figure, path)
+
+
+def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> Path | None:
     """Draw controllability against realism, every condition a point, with the Pareto front.
 
     Numbers of vehicles K at the shortest time between plans are joined by a line, longer times at
     one K by a dotted one. The ends of lines have names.
+
+    Parameters
+    ----------
+    pairs
+        CS and RS by condition.
+    path
+        Where to.
     """
-    chosen = [c for c in table if c.num_controlled != 0]
-    named = {n: [table[c].value[n] for c in chosen] for n in ("scr", "orr", "fde", "cfd")}
-    cs, rs = scores(**named)  # type: ignore[arg-type]
-    at = {c: (float(rs[i]), float(cs[i])) for i, c in enumerate(chosen) if np.isfinite(rs[i])}
-    chosen = list(at)
-    if not chosen:  # no road, no realism
-        return
+    at = {c: (rs, cs) for c, (cs, rs) in pairs.items() if np.isfinite(rs)}
+    if not at:  # no road, no realism
+        return None
     figure, axes = new_plot(7, 5.2)
-    colours = colours_of(c.method for c in chosen)
-    for method, colour in colours.items():
-        for j, (line, names) in enumerate(_lines([c for c in chosen if c.method == method])):
+    for method, colour in colours_of(c.method for c in at).items():
+        for j, (line, names) in enumerate(_lines([c for c in at if c.method == method])):
             points = np.array([at[c] for c in line])
             style: dict[str, Any] = {"color": colour, "linewidth": 1, "markersize": 4.5}
             if j == 0:
@@ -105,7 +207,7 @@ def plot_scores(table: Mapping[Condition, Figures], path: Path) -> None:
     axes.set_ylabel("controllability score CS")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8, framealpha=0)
-    save_plot(figure, path)
+    return save_plot(figure, path)
 
 
 def _lines(rows: Sequence[Condition]) -> list[tuple[list[Condition], list[str]]]:

@@ -43,7 +43,6 @@ _SHOW = (
     "progress.py",
     "page.py",
     "plots.py",
-    "tables.py",
     "cli.py",
     "planner_cli.py",
 )

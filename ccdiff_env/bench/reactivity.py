@@ -1,7 +1,7 @@
-"""Reactivity: the ego leaves its log in plausible ways, and the others must cope.
+"""Reactivity: the ego leaves its log in plausible ways, and the others must avoid it.
 
 In the manner of reactivity tests of nuPlan, not an implementation of any. An ego that moves at
-2 m/s and more at the start of the episode
+2 m/s or faster at the start of the episode
 
 * ``speed``: brakes on its logged path with 2 m/s², or as the log where that is slower;
 * ``lateral``: moves over by 1.5 m within 3 s at its logged pace, to the left, else to the right,
@@ -14,28 +14,21 @@ In the manner of reactivity tests of nuPlan, not an implementation of any. An eg
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.episode import logged, off_road
-from ccdiff_env.bench.intervals import brackets, mean_interval
-from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planner_score import TTC_BOUND_S
-from ccdiff_env.bench.planners import CHUNK, HISTORY_STEPS, TRAFFIC, drive
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.planners import HISTORY_STEPS, Traffic, drive
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
-from ccdiff_env.system.files import file_name, write_aside
-from ccdiff_env.system.table import Column, Table, document
 
-__all__ = ["WAYS", "altered", "evaluate", "reactivity_jobs", "write_reactivity"]
+__all__ = ["WAYS", "altered", "reactions"]
 
 WAYS = ("log", "speed", "lateral", "direction")
 LEAST_SPEED_MPS, LEAST_CHANGE_M = 2.0, 1.0
@@ -148,63 +141,35 @@ def _off_road(scene: Scene, ego: int, path: Path3) -> npt.NDArray[np.bool_]:
     return np.zeros(x.size, bool) if road is None else road.centroid[0]
 
 
-def reactivity_jobs(source: str, traffic: Sequence[str], *, seed: int = 0) -> list[Job]:
-    """Return the jobs: traffic x ways x chunks of the scenes.
+def reactions(scenes: SceneSet, traffic: Traffic, *, seed: int) -> dict[str, dict[str, float]]:
+    """Play scenes with an ego that goes each of :data:`WAYS`; return figures by scene's name.
 
-    Parameters
-    ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
-    traffic
-        Names of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
-    seed
-        Seed of the episodes.
+    ``contact_on_log``, ``contact_off_log``: whether the ego is in a contact with a vehicle that
+    touches it neither at the start nor in the log, on its log and on average over the other ways
+    that the scene has room for; ``low_ttc_off_log``: whether its least time to contact is below
+    0.95 s. A scene without room has no such figures.
     """
-    for name in traffic:
-        if name not in TRAFFIC:
-            raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
-    parts = chunks(scene_names(source), CHUNK)
-    return [
-        Job(
-            f"{file_name(name)}-{way}-{i:03d}",
-            f"{__name__}:evaluate",
-            {
-                "source": source,
-                "names": part,
-                "traffic": name,
-                "way": way,
-                "seed": seed,
-            },
-        )
-        for name in traffic
-        for way in WAYS
-        for i, part in enumerate(parts)
-    ]
+    found: dict[str, dict[str, list[float]]] = {}
+    for way in WAYS:
+        changed = {scene.name: new for scene in scenes if (new := altered(scene, way)) is not None}
+        if not changed:
+            continue
+        batch, names = SceneSet(list(changed.values())), list(changed)
+        _, rollouts = drive(batch, "replay", traffic, seed=seed, record=names)
+        for name in names:
+            contact, low_ttc = _contact(scenes[name], rollouts[name])
+            figures = found.setdefault(name, {})
+            place = "on_log" if way == "log" else "off_log"
+            figures.setdefault(f"contact_{place}", []).append(contact)
+            figures.setdefault(f"low_ttc_{place}", []).append(low_ttc)
+    return {
+        scene: {name: float(np.mean(values)) for name, values in figures.items()}
+        for scene, figures in found.items()
+    }
 
 
-def evaluate(
-    *, source: str, names: Sequence[str], traffic: str, way: str, seed: int, device: str = "cpu"
-) -> list[dict[str, Any]]:
-    """Play scenes with an ego that goes a way: one dictionary for each that has room for it.
-
-    ``collision``: the ego is in a contact with a vehicle that touches it neither at the start nor
-    in the log; ``low_ttc``: its least time to contact is below 0.95 s; ``others``: two others
-    begin to touch.
-    """
-    original = list(scenes_of(source, names))
-    changed = [altered(scene, way) for scene in original]
-    kept = [(scene, new) for scene, new in zip(original, changed, strict=True) if new is not None]
-    if not kept:
-        return []
-    scenes = SceneSet([new for _, new in kept])
-    options = {"terminate_at_goal": False}
-    recorded = [scene.name for scene in scenes]
-    others = on_device(TRAFFIC[traffic], device)
-    _, rollouts = drive(scenes, "replay", others, seed=seed, options=options, record=recorded)
-    return [_row(scene, rollouts[new.name]) for scene, new in kept]
-
-
-def _row(scene: Scene, rollout: Rollout) -> dict[str, Any]:
+def _contact(scene: Scene, rollout: Rollout) -> tuple[float, float]:
+    """Whether the ego has a new contact with a vehicle, and a low time to contact."""
     vehicles = np.flatnonzero(np.array(scene.agent_types) == "vehicle")
     ego = int(np.flatnonzero(np.array(scene.agent_ids)[vehicles] == "ego")[0])
     motion = Motion(
@@ -217,34 +182,4 @@ def _row(scene: Scene, rollout: Rollout) -> dict[str, Any]:
     )
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     new = motion.collisions(log=logged(scene, vehicles, steps)).matrix("new")
-    others = np.delete(np.delete(new, ego, axis=0), ego, axis=1)
-    return {
-        "scene": scene.name,
-        "collision": bool(new[ego].any() or new[:, ego].any()),
-        "low_ttc": bool(motion.min_ttc()[ego] < TTC_BOUND_S),
-        "others": bool(others.any()),
-    }
-
-
-def write_reactivity(
-    found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]], folder: Path
-) -> None:
-    """Write ``table.md``: shares of scenes by traffic and way, with their intervals."""
-    figures = {
-        "collision": "collision with the ego",
-        "low_ttc": "low time to contact",
-        "others": "others collide",
-    }
-    rows = [
-        [
-            TRAFFIC[traffic].label,
-            way,
-            len(of),
-            *(mean_interval(of, f) if of else None for f in figures),
-        ]
-        for (traffic, way), of in found.items()
-    ]
-    columns = [Column(name, head) for name, head in figures.items()]
-    table = Table(["traffic", "the ego's way", "scenes", *columns], rows)
-    note = f"Shares of scenes. {brackets(found.values())} Low: below 0.95 s."
-    write_aside(folder / "table.md", document(table, note))
+    return float(new[ego].any() or new[:, ego].any()), float(motion.min_ttc()[ego] < TTC_BOUND_S)

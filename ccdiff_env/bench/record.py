@@ -16,7 +16,7 @@ from typing import Any
 
 from ccdiff_env.bench.planner_report import NUPLAN, title_of
 from ccdiff_env.bench.planner_score import score_of
-from ccdiff_env.bench.planners import TRAFFIC, is_privileged
+from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
@@ -38,6 +38,8 @@ FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
 #: Bytes of a submission, packed and unpacked, its members, and values of all texts of a record.
 MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
+#: Steps that an episode may last, or begin after.
+MOST_STEPS = 100_000
 _MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
 #: Letters that mean something in tables of Markdown.
 _MARKS = frozenset("|[]")
@@ -58,6 +60,8 @@ class Entry:
     planner_source: str | None
     made_from: Mapping[str, Any]
     rows: tuple[Mapping[str, Any], ...]
+    #: Steps before and of an episode; ``None`` for those of the protocol.
+    window: Mapping[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -152,7 +156,9 @@ class Record:
         groups: dict[str, list[Entry]] = {}
         for entry in self.entries:
             same = {k: v for k, v in entry.made_from.items() if k != "scenes"}
-            key = json.dumps([entry.planner, entry.planner_source, same], sort_keys=True)
+            key = json.dumps(
+                [entry.planner, entry.planner_source, entry.window, same], sort_keys=True
+            )
             groups.setdefault(key, []).append(entry)
         return [self._result(entries) for entries in groups.values()]
 
@@ -172,13 +178,16 @@ class Record:
                     f"{self.path}: {first.planner} in {traffic} has {len(there)} of "
                     f"{len(wanted)} episodes; finish the run"
                 )
-        made = first.made_from
-        level = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds)
+        made, window = first.made_from, first.window
+        level = None
+        if window is None:
+            level = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds)
         facts = {
             "protocol": made["protocol"],
             "scenes": scenes,
             "traffic": sorted(rows),
             "seeds": seeds,
+            "window": window,
             # a protocol fixes the weights that drive; others may be there or not
             "weights": None if level else made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
@@ -187,6 +196,8 @@ class Record:
         weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
         heading = level or f"{source_title(first.source, count)}, {weights}"
         heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
+        if window is not None:
+            heading += ", {horizon_steps} steps after {history_steps}".format(**window)
         key = json.dumps(facts, sort_keys=True)
         packaged = first.planner_source is None
         privileged = is_privileged(first.planner) if packaged else made.get("privileged") is True
@@ -262,7 +273,7 @@ def _declared(code: object, training_data: object) -> tuple[str | None, str | No
 def _entry(fields: Mapping[str, Any], where: str) -> Entry:
     """Return a raw result, checked: it may be anybody's."""
     try:
-        if fields["function"] != FUNCTION or "options" in fields["arguments"]:
+        if fields["function"] != FUNCTION:
             raise ValueError("no result of `bench planners`")
         given, made_from = dict(fields["arguments"]), dict(fields["made_from"])
         source_title(given["source"])
@@ -279,6 +290,12 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
             raise ValueError("hashes of its scenes")
         if not isinstance(made_from["protocol"], str):
             raise ValueError("protocol")
+        window = given.get("window")
+        if not (window is None or window.keys() == SHORT_WINDOW.keys()) or any(
+            type(steps) is not int or not 0 < steps < MOST_STEPS
+            for steps in (window or {}).values()
+        ):
+            raise ValueError(f"window {window!a:.80}")
         rows = tuple(_row(row, names, seed) for row in fields["result"])
         if [row["scene"] for row in rows] != list(names):
             raise ValueError("its scenes")
@@ -287,9 +304,8 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
             raise ValueError(f"planner's source {source!a:.80} of {planner}")
     except (AttributeError, CcdiffError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"damaged result of a run ({error}): {where}") from None
-    return Entry(
-        where, given["source"], tuple(names), planner, traffic, seed, source, made_from, rows
-    )
+    names, place = tuple(names), given["source"]
+    return Entry(where, place, names, planner, traffic, seed, source, made_from, rows, window)
 
 
 def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, Any]:

@@ -123,8 +123,8 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
         )
     planner = _planner(entry)
     scenes = scenes_of(source, entry.names)
-    rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed)
-    rows = with_log(rows, source, entry.names)
+    rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed, options=entry.window)
+    rows = with_log(rows, source, entry.names, entry.window)
     apart: Sequence[float] = getattr(planner, "apart", (0.0,) * len(rows))
     return [
         f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"

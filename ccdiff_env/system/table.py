@@ -1,9 +1,12 @@
-"""Tables of reports: one value, written as Markdown and CSV; pages and terminals read the first."""
+"""Tables of reports: one value, written as Markdown, LaTeX and CSV; pages and terminals read the
+first.
+"""
 
 from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +92,17 @@ class Table:
         text = "\n".join([drawn[0], "|" + "---|" * len(shown), *drawn[1:]])
         return f"### {self.title}\n\n{text}" if self.title else text
 
+    def latex(self) -> str:
+        """Return the table for LaTeX with booktabs; the best of a column is bold."""
+        shown = [c.texts([row[i] for row in self.rows]) for i, c in enumerate(self.columns)]
+        lines = [" & ".join(map(_latex, line)) + r" \\" for line in zip(*shown, strict=True)]
+        head = " & ".join(_latex(c.title) for c in self.columns) + r" \\"
+        columns = "l" + "c" * (len(self.columns) - 1)
+        parts = [r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
+        parts = [rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}"]
+        caption = [rf"\caption{{{_latex(self.title)}}}"] if self.title else []
+        return "\n".join([r"\begin{table}", *caption, *parts, r"\end{table}", ""])
+
     def write_csv(self, path: Path) -> None:
         """Write names and cells; figures in three columns, empty where nothing is known."""
         heads: list[str] = []
@@ -101,6 +115,19 @@ class Table:
             for row in self.rows:
                 flat = [x for cell in row for x in (cell if isinstance(cell, tuple) else (cell,))]
                 writer.writerow(["" if x is None or x != x else x for x in flat])
+
+
+_LATEX = {
+    **{letter: rf"\{letter}" for letter in "&%$#_{}"},
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+}
+
+
+def _latex(text: str) -> str:
+    """A text of Markdown for LaTeX: links are their words, ``**bold**`` is bold."""
+    words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    plain = "".join(_LATEX.get(letter, letter) for letter in words)
+    return re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", plain)
 
 
 #: A part of a document.

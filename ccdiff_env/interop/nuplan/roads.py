@@ -227,6 +227,8 @@ class RoadGraph:
     def intersections(self) -> list[Polygon]:
         """Return where connectors that come from different blocks overlap."""
         links = [b for b in range(len(self.blocks)) if not self.is_lane_block(b)]
+        if not links:  # shapely finds nothing wrong with an empty tree, but with an empty query
+            return []
         shapes = [self.block_surface(b) for b in links]
         origins = [set(self.neighbours(b, after=False)) for b in links]
         crossed = set()

@@ -1,0 +1,297 @@
+"""Run folders of resumable benchmarks: settings, jobs, episodes, replays, and the report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import sys
+import time
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
+from ccdiff_env.bench.page import write_report_page
+from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
+from ccdiff_env.bench.replays import make_replays
+from ccdiff_env.bench.scenes import scenes_of, source_title
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.models import weight_files
+from ccdiff_env.scenes.arguments import place_from
+from ccdiff_env.scenes.sources import coverage
+from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.table import Block, Table, document
+from ccdiff_env.system.terminal import counted, say, say_page
+from ccdiff_env.system.version import __version__
+from ccdiff_env.traffic import NETWORKS
+
+__all__ = ["Run", "episodes_table"]
+
+K = TypeVar("K", bound=Hashable)
+#: Arguments of jobs that name who drives, perhaps by a file.
+_DRIVE = ("planner", "generator", "ego", "method", "traffic", "start")
+#: Replays that a report shows with images.
+MAX_IMAGES = 8
+#: Fields of an episode that repeat it, too long for a table.
+_TAPE = ("actions", "action")
+
+
+class Run:
+    """A run folder of a resumable benchmark.
+
+    Parameters
+    ----------
+    args
+        Arguments of :func:`~ccdiff_env.bench.arguments.add_run_arguments`.
+    benchmark
+        Its name.
+    **settings
+        What else decides the results, ``seeds`` where there are several; a folder belongs to one
+        choice of all of it, and to the scenes, the seed, and weights of one's own. Results that
+        another package, other weights or another file of a planner made are made again.
+
+    Raises
+    ------
+    ConfigError
+        If the folder holds a run with other settings.
+    """
+
+    def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
+        place = place_from(args)
+        #: Text of the scenes, and how many of its split there are.
+        self.source = str(place)
+        self.coverage = coverage(place, len(scenes_of(self.source)))
+        self.folder: Path = args.out
+        #: SHA-256 of the shipped weights.
+        files = weight_files()
+        self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))
+        seeds = {"seed": args.seed} if hasattr(args, "seed") else {"seeds": settings.pop("seeds")}
+        self._line = f"seed {', '.join(str(s) for s in seeds.get('seeds', [seeds.get('seed')]))}"
+        self._options = {
+            "backend": args.backend,
+            "workers": args.workers,
+            "progress": not args.quiet,
+        }
+        self._device: str = args.device
+        self._images: list[tuple[str, str, Path]] = []
+        self._open = bool(args.open)
+        self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
+        #: Weight files by network, in place of the shipped ones.
+        self.own_weights = _weights_from(getattr(args, "weights", None) or [])
+        given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
+        given["coverage"] = self.coverage
+        given["own_weights"] = {name: sha256_of(Path(f)) for name, f in self.own_weights.items()}
+        self._made_with = made_with()
+        self._digests: dict[str, str | None] = {}
+        self._begun = False
+        if getattr(args, "overwrite", False):
+            self._delete()
+        elif getattr(args, "resume", False) and not (self.folder / "run.json").exists():
+            raise DatasetNotFoundError(f"--resume: there is no run in {self.folder}")
+        facts = {"weights": self.weights, "made_with": self._made_with}
+        self._facts = {**self._agreeing(given), **given, **facts}
+
+    def _delete(self) -> None:
+        """Delete the run of the folder; a folder of anything else is left as it is."""
+        if not self.folder.exists():
+            return
+        if not (self.folder / "run.json").is_file():
+            raise ConfigError(f"--overwrite deletes runs, but {self.folder} has no run.json")
+        shutil.rmtree(self.folder)
+
+    def _begin(self) -> None:
+        """Write what the run is, now that work begins: what is refused before leaves no folder."""
+        self._begun = True
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
+
+    def _agreeing(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return what ``run.json`` holds; refuse other settings than those."""
+        path = self.folder / "run.json"
+        with reading("settings of a run", path):
+            known = parsed_object(read_text(path)) if path.exists() else {}
+        if known:
+            known.setdefault("own_weights", {})
+        changed = [k for k in settings if k in known and known[k] != settings[k]]
+        if changed:
+            raise ConfigError(
+                f"--out holds a run with other settings: {changed[0]} {known[changed[0]]!r}, now "
+                f"{settings[changed[0]]!r}; choose another folder"
+            )
+        return known
+
+    def note(self, **facts: Any) -> None:
+        """Write into ``run.json`` what the results were made from; refuses nothing."""
+        self._facts |= facts
+        if self._begun:
+            self._begin()
+
+    def _dated(self, job: Job) -> Job:
+        """Return a job that knows what its result follows from beside its arguments."""
+        made_from: dict[str, Any] = {
+            "version": self._made_with["version"],
+            "package": self._made_with["package"],
+            "weights": self.weights,
+        }
+        given = job.arguments
+        if "source" in given:
+            made_from["scenes"] = scene_hashes(given["source"], given.get("names"))
+        if "sources" not in given:
+            found = {given[name]: self._digest(given[name]) for name in _DRIVE if given.get(name)}
+            made_from["files"] = {name: digest for name, digest in found.items() if digest}
+        if self._device != "cpu":  # results of another device are results of their own
+            given = {**given, "device": self._device}
+        return replace(job, arguments=given, made_from={**made_from, **job.made_from})
+
+    def _digest(self, name: str) -> str | None:
+        if name not in self._digests:
+            self._digests[name] = source_digest(name)
+        return self._digests[name]
+
+    def results(self, jobs: Sequence[Job]) -> dict[str, Any]:
+        """Do the jobs whose results are not there yet; return the results of all by name."""
+        jobs = [self._dated(job) for job in jobs]
+        self._begin()
+        run_jobs(jobs, self.folder / "raw", **self._options)
+        self._num_jobs += len(jobs)
+        return results(jobs, self.folder / "raw")
+
+    def processor_seconds(self, jobs: Sequence[Job]) -> dict[str, float]:
+        """Return the time of a processor that each finished job took, by name."""
+        return processor_seconds([self._dated(job) for job in jobs], self.folder / "raw")
+
+    def episodes(self, jobs: Sequence[Job], *keys: str, **names: str) -> list[dict[str, Any]]:
+        """Do the jobs, whose results are lists of episodes; return all of them in one list.
+
+        Each episode gets the arguments ``keys`` of its job, and further ones by other names.
+        """
+        given = {**{key: key for key in keys}, **names}
+        by_name, found = self.results(jobs), []
+        for job in jobs:
+            rows = by_name[job.name]
+            with reading("result", self.folder / "raw" / f"{job.name}.json"):
+                if not (rows and all(row.keys() for row in rows)):
+                    raise DatasetError("no rows of figures")
+            of_job = {name: job.arguments.get(key) for name, key in given.items()}
+            found += [{**of_job, **row} for row in rows]
+        return found
+
+    def replays(
+        self, wanted: Mapping[K, tuple[Job, str]], title: Callable[[K], str]
+    ) -> dict[K, str]:
+        """Write replay pages of scenes of jobs; return their addresses from the run folder.
+
+        The report shows the first ones with their titles.
+        """
+        dated = {key: (self._dated(job), scene) for key, (job, scene) in wanted.items()}
+        pages, changed = make_replays(dated, self.folder, **self._options)
+        self._num_changed += len(changed)
+        for key, address in list(pages.items())[:MAX_IMAGES]:
+            image = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
+            self._images.append((title(key), address, image))
+        return pages
+
+    def report(
+        self,
+        title: str,
+        parts: Mapping[str, Sequence[Block]],
+        episodes: Iterable[Mapping[str, Any]],
+        files: Mapping[str, Table],
+        *plots: Path | None,
+    ) -> int:
+        """Write the report, say its first part, and return the exit status.
+
+        ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables, and
+        ``episodes.csv`` a row per episode.
+
+        Parameters
+        ----------
+        title
+            Heading.
+        parts
+            Paragraphs and tables by heading; the first part is what was found.
+        episodes
+            One row per episode.
+        files
+            Further tables by the name of their file (``.csv``).
+        *plots
+            Images in the run folder.
+        """
+        if not self._begun:
+            self._begin()
+        texts = {head: document(*blocks) for head, blocks in parts.items()}
+        first, *rest = texts.items()
+        sections = [first[1], *(f"## {head}\n\n{text}" for head, text in rest if text.strip())]
+        write_aside(self.folder / "table.md", "\n".join(sections))
+        tables = [b for blocks in parts.values() for b in blocks if isinstance(b, Table) and b]
+        write_aside(self.folder / "table.tex", "\n".join(table.latex() for table in tables))
+        for name, table in {"episodes.csv": episodes_table(episodes), **files}.items():
+            table.write_csv(self.folder / name)
+        page = self.folder / "report.html"
+        facts = (
+            source_title(self.source, self.coverage),
+            self._line,
+            f"weights {self.weights[:12]}",
+            f"ccdiff-env {__version__}",
+            time.strftime("%Y-%m-%d"),
+        )
+        write_report_page(
+            page,
+            title=title,
+            line=" · ".join(facts),
+            plots=[plot for plot in plots if plot is not None],
+            parts=texts,
+            images=self._images,
+            command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
+        )
+        found, more, _ = first[1].partition("\n### ")
+        say(found)
+        if more:
+            print(f"figure by figure: {self.folder / 'table.md'}")
+        if self._num_changed:
+            differ = "replay differs" if self._num_changed == 1 else "replays differ"
+            print(
+                f"{self._num_changed} {differ} from what was measured "
+                "(by another machine or release)"
+            )
+        seconds = time.perf_counter() - self._start
+        print(f"{counted(self._num_jobs, 'job')} in {seconds:.0f} s; report:")
+        say_page(page, open_it=self._open)
+        return 0
+
+
+def episodes_table(rows: Iterable[Mapping[str, Any]]) -> Table:
+    """Return a row per episode: its keys and figures, those within others by ``outer_inner``.
+
+    Lists, and the tapes that episodes are played again from, are left out.
+    """
+    flat = [dict(_flat(row)) for row in rows]
+    heads = list(dict.fromkeys(name for row in flat for name in row))
+    return Table(heads, [[row.get(name) for name in heads] for row in flat])
+
+
+def _flat(row: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
+    for name, value in row.items():
+        if isinstance(value, Mapping) and name not in _TAPE:
+            yield from _flat(value, f"{before}{name}_")
+        elif not isinstance(value, (list, tuple)) and name not in _TAPE:
+            yield before + name, float(value) if isinstance(value, bool) else value
+
+
+def _weights_from(given: Sequence[str]) -> dict[str, str]:
+    """Return weight files by network, which ``--weights`` names."""
+    found: dict[str, str] = {}
+    for text in given:
+        network, _, file = text.partition("=")
+        if network not in NETWORKS or network in found or not file:
+            raise ConfigError(
+                f"--weights is {text!r}, expected NETWORK=FILE, once for each of: "
+                + ", ".join(NETWORKS)
+            )
+        if not Path(file).is_file():
+            raise DatasetNotFoundError(f"no weights for {network}: {file}")
+        found[network] = str(Path(file).resolve())
+    return found

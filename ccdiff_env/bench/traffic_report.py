@@ -1,0 +1,490 @@
+"""Report of the traffic benchmark: figures by method, K and T; differences; the paper beside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, RESAMPLES, column, interval
+from ccdiff_env.bench.methods import METHODS, label_of
+from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, generational_distance, scores
+from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
+
+__all__ = [
+    "FIGURES",
+    "PAPER",
+    "Condition",
+    "Figures",
+    "choose_examples",
+    "comparison",
+    "conditions",
+    "difference",
+    "examples_tables",
+    "figures_table",
+    "paper_pairs",
+    "summarise",
+    "tables",
+    "verdict",
+    "with_scores",
+]
+
+Row = Mapping[str, Any]
+Rows = Sequence[Row]
+F64 = npt.NDArray[np.float64]
+#: Means over scenes by name: fields of an episode, factor.
+_MEANS: dict[str, tuple[str, float]] = {
+    "scr": ("collision.all", 1.0),
+    "scr_new": ("collision.new", 1.0),
+    "scr_controlled": ("collision.controlled_new", 1.0),
+    "collision_rate": ("collision_rate.new", 1.0),
+    "orr": ("off_road", 100.0),
+    "orr_box": ("off_road_box", 100.0),
+    "orr_reference_impl": ("off_road_reference_impl", 100.0),
+    "fde": ("fde_m", 1.0),
+    "fde_controlled": ("fde_controlled_m", 1.0),
+    "sor": ("over_speed", 1.0),
+    "sor_log": ("over_speed_log", 1.0),
+    "excess": ("excess_mps", 1.0),
+    **{
+        name: (name, 1.0)
+        for name in (
+            "realism_cost",
+            "shift_sigmas",
+            "conflict_share",
+            "gradient_cosine",
+            "graph_sparsity",
+        )
+    },
+}
+#: Comfort distances, of histograms that are summed over scenes, x 100.
+_COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
+#: Figures of a condition; docs/evaluation.md defines them.
+FIGURES = (*_MEANS, *_COMFORT)
+#: Figures that scenes without a road do not have.
+NEED_ROAD = ("orr", "orr_box", "orr_reference_impl")
+UNGUIDED = "_unguided"
+
+
+@dataclass(frozen=True, order=True)
+class Condition:
+    """What was played: method, K (``None``: all), steps between plans."""
+
+    method: str
+    num_controlled: int | None
+    replan_steps: int
+
+    @property
+    def k(self) -> str:
+        """K as tables write it."""
+        return "Full" if self.num_controlled is None else str(self.num_controlled)
+
+    @property
+    def cells(self) -> list[Any]:
+        """Label, K and seconds between plans."""
+        return [label_of(self.method), self.k, f"{self.replan_steps / 10:g}"]
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of a condition by name: value, and the 95 % interval of a bootstrap over scenes.
+
+    ``draws`` are the values in the resamples, ``[R]`` each: conditions of the same scenes and seed
+    are resampled alike, so that differences of their draws are paired. Of few scenes intervals and
+    draws are NaN.
+    """
+
+    num_scenes: int
+    value: Mapping[str, float]
+    draws: Mapping[str, F64] = field(repr=False, compare=False)
+
+    def figure(self, name: str) -> Figure:
+        """Return a value with its interval."""
+        return (self.value[name], *interval(self.draws[name]))
+
+
+def conditions(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
+    """Return episodes by condition: by method as they come, then by K, then by T."""
+    found: dict[Condition, list[Row]] = {}
+    for row in rows:
+        c = Condition(row["method"], row["k"], row["replan_steps"])
+        found.setdefault(c, []).append(row)
+    methods = list(dict.fromkeys(c.method for c in found))
+    by = sorted(found, key=lambda c: (methods.index(c.method), _order(c), c.replan_steps))
+    return {c: found[c] for c in by}
+
+
+def _order(condition: Condition) -> float:
+    k = condition.num_controlled
+    return np.inf if k is None else k
+
+
+def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
+    """Return the figures of one condition.
+
+    Parameters
+    ----------
+    rows
+        One dictionary per scene, see :func:`ccdiff_env.bench.episode.measure`.
+    log
+        Those of the log's replay in the same scenes: reference of the comfort distance.
+    seed
+        Of the bootstrap.
+    """
+
+    def of(path: str, factor: float) -> F64:
+        name, _, inner = path.partition(".")
+        return factor * column([row[name] for row in rows] if inner else rows, inner or name)
+
+    table = np.stack([of(*entry) for entry in _MEANS.values()], axis=1)
+    histograms = {
+        name: (np.array([r[key] for r in rows]), np.array([r[key] for r in log]).mean(axis=0))
+        for name, key in _COMFORT.items()
+    }
+
+    def figures(chosen: npt.NDArray[np.int64]) -> list[float]:
+        part = table[chosen]
+        counts = np.isfinite(part).sum(axis=0)
+        means = np.where(counts > 0, np.nansum(part, axis=0) / np.maximum(counts, 1), np.nan)
+        comfort = [
+            100 * comfort_distance(stacked[chosen].mean(axis=0), reference).cfd
+            for stacked, reference in histograms.values()
+        ]
+        return [*means.tolist(), *comfort]
+
+    value, count = figures(np.arange(len(rows))), len(rows)
+    rng = np.random.default_rng(seed)
+    drawn = np.array([figures(rng.integers(count, size=count)) for _ in range(RESAMPLES)]).T
+    if count < LEAST_SCENES:
+        drawn = np.full_like(drawn, np.nan)
+    both = (dict(zip(FIGURES, of_all, strict=True)) for of_all in (value, drawn))
+    return Figures(count, next(both), next(both))  # type: ignore[arg-type]
+
+
+Summary = Mapping[Condition, Figures]
+
+
+def with_scores(table: Summary, paper_scale: bool = False) -> dict[Condition, tuple[float, float]]:
+    """CS and RS of every condition but the floor, over the bounds of them all or the paper's."""
+    chosen = [c for c in table if c.num_controlled != 0]
+    if not chosen:
+        return {}
+    named = {name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")}
+    cs, rs = scores(**named, bounds=PAPER_BOUNDS if paper_scale else None)
+    return {c: (float(a), float(b)) for c, a, b in zip(chosen, cs, rs, strict=True)}
+
+
+def _few(table: Summary) -> bool:
+    return any(figures.num_scenes < LEAST_SCENES for figures in table.values())
+
+
+def verdict(table: Summary) -> str:
+    """Say which method controls most and which is most realistic, over its conditions."""
+    pairs = with_scores(table)
+    if not pairs:
+        return "Only the log was measured."
+    if _few(table):
+        return FEW
+    of: dict[str, list[tuple[float, float]]] = {}
+    for c, pair in pairs.items():
+        of.setdefault(label_of(c.method), []).append(pair)
+    mean = {method: np.mean(found, axis=0).tolist() for method, found in of.items()}
+    most = max(m[0] for m in mean.values())
+    control = [method for method, m in mean.items() if m[0] >= most - 0.005]
+    number = Column("").text
+    at = ", ".join(f"RS {number(mean[method][1])}" for method in control)
+    s = "" if len(control) > 1 else "s"
+    first = f"{' and '.join(control)} make{s} most collisions (CS {most:.2f}, mean over K; {at})"
+    rated = [method for method, m in mean.items() if np.isfinite(m[1])]
+    if not rated:
+        return f"{first}; realism is n/a without a road."
+    real = max(rated, key=lambda m: mean[m][1])
+    cs, rs = mean[real]
+    return f"{first}; {real} is the most realistic (RS {rs:.2f}, CS {cs:.2f})."
+
+
+def figures_table(table: Summary) -> Table:
+    """Return all figures of every condition."""
+    relative, paper = with_scores(table), with_scores(table, paper_scale=True)
+    names = ("method", "K", "replan_s", "scenes", *FIGURES, "cs", "rs", "cs_paper", "rs_paper")
+    rows: TableRows = []
+    for c, f in table.items():
+        both = (*relative.get(c, (None, None)), *paper.get(c, (None, None)))
+        figures = [f.figure(name) for name in FIGURES]
+        rows.append([c.method, c.k, c.replan_steps / 10, f.num_scenes, *figures, *both])
+    return Table(names, rows)
+
+
+#: Figures that a reader sees.
+_SHOWN = (
+    Column("scr", "SCR"),
+    Column("scr_controlled", "SCR new, controlled"),
+    Column("orr", "ORR", "%"),
+    Column("fde", "FDE", "m"),
+    Column("cfd", "CFD"),
+    Column("sor", "SOR"),
+    Column("realism_cost", "C(tau)"),
+    Column("shift_sigmas", "shift sigmas"),
+    Column("conflict_share", "gradients in conflict"),
+)
+
+
+def tables(table: Summary) -> list[Block]:
+    """Return the verdict, the floor, and a row for each condition."""
+    relative = with_scores(table)
+    blocks: list[Block] = [verdict(table)]
+    rows: TableRows = []
+    for c, f in table.items():
+        pair = relative.get(c, (None, None))
+        label = "Floor: log replay" if c.num_controlled == 0 else c.cells[0]
+        figures = [f.figure(column.name) for column in _SHOWN]
+        known = [x if np.isfinite(x[0]) or column.name in NEED_ROAD else None
+                 for x, column in zip(figures, _SHOWN, strict=True)]  # fmt: skip
+        rows.append([label, *c.cells[1:], *pair, *known])
+    note = FEW if _few(table) else "Brackets: 95 % bootstrap intervals over scenes."
+    heads = ["method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN]
+    return [*blocks, Table(heads, rows), f"{note} CS, RS: bounds over this table."]
+
+
+# methods against one another
+
+#: Figures that are compared.
+COMPARED = {
+    column.name: column
+    for column in (
+        Column("scr", "SCR", sign="+"),
+        Column("scr_controlled", "SCR new, controlled", sign="+"),
+        Column("orr", "ORR", "%", sign="+"),
+        Column("fde", "FDE", "m", sign="+"),
+        Column("cfd", "CFD", sign="+"),
+        Column("realism_cost", "C(tau)", sign="+"),
+    )
+}
+
+#: K and steps between plans of the columns of the paper's tables 1 and 2; ``None``: all.
+PAPER_COLUMNS: tuple[tuple[int | None, int], ...] = (
+    *((k, 5) for k in (2, 3, 4, 5, 10, None)),
+    *((5, steps) for steps in (10, 20, 30, 40, 50)),
+)
+
+
+def _rows(text: str) -> dict[str, dict[str, tuple[float, ...]]]:
+    found: dict[str, dict[str, tuple[float, ...]]] = {}
+    for line in text.strip().splitlines():
+        method, figure, *values = line.split()
+        found.setdefault(method, {})[figure] = tuple(float(v) for v in values)
+    return found
+
+
+#: The paper's figures by method and name, in the order of :data:`PAPER_COLUMNS`.
+PAPER: Mapping[str, Mapping[str, tuple[float, ...]]] = _rows("""
+simnet     scr   .31   .32   .33   .36   .42   .47   .35   .37   .37   .37   .40
+simnet     orr  1.76  2.19  2.62  2.67  2.90  3.17  2.09  3.87  6.16  8.36  9.93
+simnet     fde  3.76  4.34  4.98  5.26  6.63  8.03  4.11  3.78  4.90  4.83  3.83
+simnet     cfd  2.56  2.95  2.86  3.16  5.00  7.00  4.02  5.03  5.51  5.57  8.04
+trafficsim scr   .38   .36   .44   .41   .41   .47   .53   .53   .58   .55   .53
+trafficsim orr  2.09  2.25  2.45  2.48  2.66  2.73  3.56  6.36  8.98 10.96 12.21
+trafficsim fde  4.25  5.06  5.77  6.23  6.79  7.13  8.32  6.48  8.61  8.66  7.32
+trafficsim cfd  7.76  9.53 10.64 10.99 10.96 11.57  5.00 10.06  7.89 10.38  9.90
+strive     scr   .49   .49   .53   .53   .56   .54   .49   .41   .41   .39   .38
+strive     orr  5.70  6.45  7.13  7.50  8.04  8.53  5.75  4.98  6.64  8.40 10.02
+strive     fde  9.01 10.79 12.13 13.00 13.76 14.52 11.48 11.20 14.56 15.00 12.41
+strive     cfd  7.72  8.93  9.91 10.67 10.72 11.21  5.60 10.21 11.59 11.32  9.11
+bits       scr   .38   .38   .37   .39   .37   .41   .37   .34   .44   .39   .41
+bits       orr   .53   .51   .56   .63   .56   .60  1.44  3.68  5.63  7.56  9.39
+bits       fde  3.20  3.95  4.42  4.67  5.05  5.35  4.68  4.69  6.10  6.36  5.44
+bits       cfd  7.43  8.32  9.15  9.42  9.46 10.23  8.79 10.35 10.75 11.30 11.65
+ctg        scr   .43   .42   .46   .42   .44   .46   .41   .44   .49   .52   .49
+ctg        orr  1.00  1.04  1.10  1.09  1.12  1.23  1.91  4.58  7.13  9.04 10.71
+ctg        fde  5.32  6.18  6.83  7.40  8.10  9.19  7.58  7.91 10.26 10.30  8.27
+ctg        cfd  2.37  2.31  2.68  2.59  2.57  3.13  2.68  4.06  2.43  2.80  3.00
+ccdiff     scr   .40   .44   .43   .46   .49   .51   .40   .44   .49   .55   .52
+ccdiff     orr   .61   .72   .99  1.02  1.80  2.05  2.92  4.52  7.10  9.35 10.51
+ccdiff     fde  4.17  5.22  5.99  6.59  7.84  8.26  7.06  5.54  6.86  7.00  5.71
+ccdiff     cfd  1.88  1.92  1.93  2.25  2.83  3.47  2.37  4.08  4.25  4.97  6.33
+""")
+
+
+def difference(one: Figures, other: Figures, name: str) -> Figure:
+    """Return one less the other in a figure, and the paired bootstrap interval over scenes."""
+    return (one.value[name] - other.value[name], *interval(one.draws[name] - other.draws[name]))
+
+
+def comparison(table: Summary) -> list[Block]:
+    """Return paired differences to CCDiff, distances to the Pareto front, and the paper beside.
+
+    CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
+    """
+    equal = any(c.method == "ccdiff_equal" for c in table)
+    base = "ccdiff_equal" if equal else "ccdiff"
+    blocks = _against(table, base)
+    if not _few(table):
+        blocks += [*_distances(table), *_beside(table, base)]
+    return blocks or ["One method alone."]
+
+
+def _against(table: Summary, base: str) -> list[Block]:
+    """Paired differences of all methods to one; those without guidance to it without guidance."""
+    rows: TableRows = []
+    for c, figures in table.items():
+        other = base + UNGUIDED if c.method.endswith(UNGUIDED) else base
+        reference = table.get(Condition(other, c.num_controlled, c.replan_steps))
+        if reference is None or c.method == other or c.method not in METHODS:
+            continue
+        found = {name: difference(figures, reference, name) for name in COMPARED}
+        cells = [f if n in NEED_ROAD or np.isfinite(f[0]) else None for n, f in found.items()]
+        rows.append([*c.cells, *cells])
+    if not rows:
+        return []
+    note = FEW if _few(table) else "95 % intervals of the paired bootstrap."
+    return [
+        Table(["method", "K", "T s", *COMPARED.values()], rows, f"Less {METHODS[base].label}"),
+        f"Means over scenes, same scenes and vehicles; {note} "
+        "Methods without guidance: less the same without guidance.",
+    ]
+
+
+def _distances(table: Summary) -> list[Block]:
+    """GD and IGD to the Pareto front of control and realism, of methods that have every K."""
+    relative = with_scores(table)
+    if not relative:
+        return []
+    steps = min(c.replan_steps for c in relative)
+    of: dict[str, list[tuple[float, float]]] = {}
+    for c, pair in relative.items():
+        if c.replan_steps == steps:
+            of.setdefault(c.method, []).append(pair)
+    most = max(len(points) for points in of.values())
+    whole = {method: points for method, points in of.items() if len(points) == most}
+    points = np.array(list(whole.values()))
+    if len(whole) < 2 or not np.isfinite(points).all():  # no road, no realism
+        return []
+    gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
+    means = zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
+    rows: TableRows = [[METHODS[method].label, *map(float, figures)] for method, *figures in means]
+    heads = ["method", *map(Column, ("CS", "RS", "GD", "IGD"))]
+    return [
+        Table(heads, rows, "Distance to the Pareto front of control and realism"),
+        f"Over {most} numbers of vehicles; less is better for GD and IGD.",
+    ]
+
+
+def paper_pairs(
+    table: Summary, column: tuple[int | None, int], name: str, base: str
+) -> tuple[int, int, int, int]:
+    """Compare the order of the paper's methods in a figure with the paper's.
+
+    Returns
+    -------
+    tuple
+        Pairs of methods that the paper does not give equal, of them in its order here; pairs
+        whose paired interval leaves out zero, of them in its order.
+    """
+    at = PAPER_COLUMNS.index(column)
+    pairs = same = clear = clear_same = 0
+    for first, second in combinations(_played(table, column, base).items(), 2):
+        (one, figures), (two, others) = first, second
+        theirs = PAPER[one][name][at] - PAPER[two][name][at]
+        value, low, high = difference(figures, others, name)
+        if theirs == 0.0 or not np.isfinite(value):
+            continue
+        agrees = value * theirs > 0.0
+        is_clear = low > 0.0 or high < 0.0
+        pairs, same = pairs + 1, same + agrees
+        clear, clear_same = clear + is_clear, clear_same + (is_clear and agrees)
+    return pairs, same, clear, clear_same
+
+
+def _played(table: Summary, column: tuple[int | None, int], base: str) -> dict[str, Figures]:
+    """The paper's methods that were played in a column; CCDiff by the name of ours."""
+    found = {
+        name: table.get(Condition(base if name == "ccdiff" else name, *column)) for name in PAPER
+    }
+    return {name: figures for name, figures in found.items() if figures is not None}
+
+
+def _beside(table: Summary, base: str) -> list[Block]:
+    """Our figures beside the paper's, and whether their order is the same."""
+    tables: list[Block] = []
+    names = ("scr", "orr", "fde", "cfd")
+    for at, place in enumerate(PAPER_COLUMNS):
+        played = _played(table, place, base)
+        if len(played) < 2:
+            continue
+        rows = [
+            [
+                label_of(base if method == "ccdiff" else method),
+                *(f"{Column('').text(f.value[n])}, {PAPER[method][n][at]:.2f}" for n in names),
+            ]
+            for method, f in played.items()
+        ]
+        counts = [paper_pairs(table, place, name, base) for name in names]
+        for what, i in (("pairs in the paper's order", 1), ("of those with a clear difference", 3)):
+            rows.append([what, *(f"{c[i]} of {c[i - 1]}" for c in counts)])
+        title = f"Beside the paper, K = {place[0] or 'all'}, T = {place[1] / 10:g} s"
+        tables.append(Table(["method", *(COMPARED[name].title for name in names)], rows, title))
+    note = (
+        "Here, paper. Compare orders, not values: scenes, floor and budget differ. A difference is "
+        "clear where its interval leaves out 0."
+    )
+    return [*tables, note] if tables else []
+
+
+# examples to look at
+
+
+def choose_examples(
+    by_condition: Mapping[Condition, Rows], count: int
+) -> list[tuple[Condition, Row]]:
+    """Return scenes of every guided method, at one K and replan period each.
+
+    The condition is the one with K nearest to 5 and the shortest period. Scenes with a new
+    collision of a controlled vehicle come first, then those of the least realism cost.
+    """
+    by_method: dict[str, list[Condition]] = {}
+    for condition in by_condition:
+        known = METHODS.get(condition.method)
+        if known is not None and known.ccdiff.get("criticality", 0.0) > 0.0:
+            by_method.setdefault(condition.method, []).append(condition)
+
+    def order(row: Row) -> tuple[bool, float, str]:
+        cost = row["shift_sigmas"]
+        hit = row["collision"]["controlled_new"]
+        return not hit, np.inf if cost is None else float(cost), str(row["scene"])
+
+    found = []
+    for several in by_method.values():
+        condition = min(several, key=lambda c: (abs(_order(c) - 5), c.replan_steps))
+        found += [(condition, row) for row in sorted(by_condition[condition], key=order)[:count]]
+    return found
+
+
+def examples_tables(
+    chosen: Sequence[tuple[Condition, Row]], pages: Mapping[tuple[Condition, str], str]
+) -> list[Block]:
+    """Return the examples, with links to their replays."""
+    columns = [
+        Column("realism_cost", "C(tau)"),
+        Column("shift_sigmas"),
+        Column("fde_m", "FDE m", digits=1),
+        Column("off_road", "off the road", "%", digits=1, factor=100.0),
+    ]
+    found: list[Block] = []
+    for condition in dict.fromkeys(c for c, _ in chosen):
+        rows = [
+            [
+                f"[{row['scene']}]({pages[c, row['scene']]})",
+                "yes" if row["collision"]["controlled_new"] else "no",
+                *(np.nan if row[column.name] is None else row[column.name] for column in columns),
+            ]
+            for c, row in chosen
+            if c == condition
+        ]
+        label, k, period = condition.cells
+        title = f"{label}, K = {k}, a plan every {period} s"
+        found.append(Table(["scene", "new collision", *columns], rows, title))
+    return found
