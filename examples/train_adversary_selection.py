@@ -28,7 +28,7 @@ from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.table import document
 
-#: Cost per standard deviation of shift, one stage of the training after the other.
+#: Cost per standard deviation of shift, by stage.
 SHIFT_COSTS = (0.03, 0.05)
 #: Seeds of two trainings share no world.
 SEED_STRIDE = 1_000_003
@@ -102,8 +102,8 @@ def train(args: argparse.Namespace, scenes, weights: np.ndarray, seed: int) -> l
         callback = Curve()
         model.learn(args.steps, callback=callback)
         curve += [[step + stage * args.steps, *rest] for step, *rest in callback.rows]
-    notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
     model.save(args.out / f"policy-{seed}.zip")
+    notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
     save_policy(model, args.out / f"policy-{seed}.safetensors", env.strengths, notes)
     return curve
 
@@ -124,9 +124,8 @@ def main() -> None:
             curve = train(args, scenes, weights, seed)
             (args.out / f"curve-{seed}.json").write_text(json.dumps(curve))
             spent = f"{time.process_time() - begun:.0f} s of a processor"
-            print(
-                f"policy {seed}: the ego collides in {curve[0][2]:.0%}, then {curve[-1][2]:.0%}; {spent}"
-            )
+            hits = f"{curve[0][2]:.0%}, then {curve[-1][2]:.0%}"
+            print(f"policy {seed}: the ego collides in {hits}; {spent}")
     choices += [
         selection.learned("learned", args.out / f"policy-{seed}.safetensors")
         for seed in range(args.seeds)
