@@ -16,8 +16,8 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import cli
-from ccdiff_env.bench.intervals import FEW
-from ccdiff_env.bench.planner_report import comparison, over_seeds
+from ccdiff_env.bench.intervals import FEW, are_few, scene_means
+from ccdiff_env.bench.planner_report import comparison
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import package_digest, sha256_of
@@ -27,6 +27,7 @@ from ccdiff_env.bench.verify import verify
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.models import weight_files
 from ccdiff_env.policies import SHIPPED
+from ccdiff_env.system.table import document
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 PLANNER = """
@@ -457,7 +458,7 @@ def rows_of(**scores):
 def test_differences_are_paired_and_p_is_that_of_all_signs():
     rng = np.random.default_rng(0)
     idm, mine = rng.uniform(size=(2, 12))
-    text = comparison(rows_of(idm=idm, mine=mine), ["idm", "mine"], ["replay"])
+    text = document(*comparison(rows_of(idm=idm, mine=mine), ["idm", "mine"], ["replay"]))
     pairs = mine - idm
     signs = np.array(np.meshgrid(*[[-1, 1]] * 12)).reshape(12, -1)
     exact = np.mean(np.abs(pairs @ signs) >= abs(pairs.sum()) - 1e-12)
@@ -466,28 +467,21 @@ def test_differences_are_paired_and_p_is_that_of_all_signs():
     assert cells[1] == "IDM, log's path and speed"
     assert cells[2].startswith(f"{pairs.mean():+.3f} [")
     assert float(cells[3]) == pytest.approx(exact, abs=0.02)
-    assert (cells[4] == "cannot be told apart") == (exact >= 0.05)
+    assert (cells[4] == "not significant") == (exact >= 0.05)
     sure = comparison(rows_of(idm=idm, mine=idm + 0.1), ["idm", "mine"], ["replay"])
-    assert "cannot be told apart" not in sure
+    assert "not significant" not in document(*sure)
 
 
 def test_below_ten_scenes_nothing_is_compared():
-    text = comparison(rows_of(idm=[0] * 9, mine=[1] * 9), ["idm", "mine"], ["replay"])
-    assert text == f"{FEW}\n"
+    assert comparison(rows_of(idm=[0] * 9, mine=[1] * 9), ["idm", "mine"], ["replay"]) == [FEW]
 
 
 def test_scenes_are_what_is_resampled_not_seeds():
-    parts = dict.fromkeys(
-        ("no_at_fault_collision", "collision", "on_road", "makes_progress", "right_way", "progress",
-         "ttc", "comfort", "speed_limit", "success"), 1.0,
-    )  # fmt: skip
     rows = [
-        {**parts, "scene": scene, "seed": seed, "score": value}
+        {"scene": scene, "seed": seed, "score": value}
         for seed in (0, 1)
         for scene, value in (("b", 0.2 + seed * 0.2), ("a", 1.0))
     ]
-    (found,) = over_seeds({("idm", "replay"): rows}).values()
-    assert [(row["scene"], row["score"]) for row in found] == [
-        ("a", 1.0),
-        ("b", pytest.approx(0.3)),
-    ]
+    found = scene_means(rows, "score")
+    assert list(found.items()) == [("a", 1.0), ("b", pytest.approx(0.3))]
+    assert are_few(rows)

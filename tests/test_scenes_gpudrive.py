@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import math
 import os
 import pickle
@@ -143,6 +145,26 @@ def test_files_open_everywhere(tmp_path, verb):
     if verb == "bench":
         table = (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
         assert "n/a" not in table, "the road bounds planners"
+        raw = next((tmp_path / "out" / "raw").glob("*.json")).read_text(encoding="utf-8")
+        assert json.loads(raw)["arguments"]["window"] == {"history_steps": 10, "horizon_steps": 80}
+
+
+def test_a_run_drives_as_long_as_it_was_asked_to_or_refuses_the_scene(tmp_path, capsys):
+    save(tmp_path / "waymo_1.json")
+    words = ["bench", "planners", "--planners", "noop", "--traffic", "replay", "--seeds", "0"]
+    words += ["--quiet", "--scenes", f"gpudrive:{tmp_path}/waymo_?.json"]
+    for given, driven in (([], 80), (["--history-steps", "30", "--horizon", "60"], 60)):
+        out = tmp_path / f"run-{driven}"
+        assert main([*words, *given, "--out", str(out)]) == 0
+        assert f"{driven} steps after {90 - driven}" in capsys.readouterr().out
+        assert main(["bench", "verify", str(out)]) == 0
+        assert "1 of 1 episodes come out the same" in capsys.readouterr().out
+        (row,) = json.loads(next((out / "raw").glob("*.json")).read_text())["result"]
+        assert len(base64.b64decode(row["actions"])) == driven * 2 * 4
+    for given in (["--horizon", "81"], ["--history-steps", "30"], ["--horizon", "0"]):
+        assert main([*words, *given, "--out", str(tmp_path / "no")]) == 2
+    assert "waymo_1" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
 
 
 def test_networks_and_images_see_the_road(loaded):

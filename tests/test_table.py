@@ -28,6 +28,24 @@ def test_readers_see_units_digits_and_intervals():
     ]
 
 
+def test_latex_has_the_same_cells_with_its_letters_escaped():
+    cells = [["a_b & c", 0.25], ["[d](page.html)", 0.5]]
+    text = Table(["name", Column("hit", unit="%", best=True)], cells, "Two_").latex()
+    assert text.splitlines() == [
+        r"\begin{table}",
+        r"\caption{Two\_}",
+        r"\begin{tabular}{lc}",
+        r"\toprule",
+        r"name & hit \% \\",
+        r"\midrule",
+        r"a\_b \& c & 0.25 \\",
+        r"d & \textbf{0.50} \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
 def test_files_have_the_values_themselves(tmp_path):
     table().write_csv(tmp_path / "t.csv")
     rows = list(csv.reader((tmp_path / "t.csv").open()))

@@ -1,10 +1,10 @@
-"""Tables of results: ``python -m tools.results [NAME ...] --scenes SOURCE`` makes them anew.
+"""Tables of results: ``python -m tools.results [NAME ...] --scenes SOURCE`` runs their benchmarks.
 
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
 weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
 pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
 the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows of X and Y. ``grid``
-has a row per method, and a figure in a column per K and T.
+has a row per method, and a figure in a column per K and T. A run that was interrupted is resumed.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
@@ -35,22 +34,24 @@ DATA = ROOT / "docs" / "results"
 
 @dataclass(frozen=True)
 class Made:
-    """A command of ``ccdiff-env``, the file that it writes, and which figures stand in the docs.
+    """A command of ``ccdiff-env``, a file that it writes, and which of its figures the docs show.
 
-    ``keys`` name a row. A file with a row per scene is averaged.
+    ``keys`` name a row, of rows that have the values ``where``; those of the same keys are
+    averaged. With ``pivot`` each value of that field is a column, whose figure is the score.
     """
 
     command: str
-    file: str
     keys: tuple[str, ...]
     columns: dict[str, Column]
+    where: Mapping[str, str] = field(default_factory=dict)
+    pivot: str | None = None
+    file: str = "figures.csv"
 
 
 _PLANNERS = Made(
     "bench planners --protocol planner-1.2 --level smoke --planners "
-    "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,ccdiff,diffusion,ego_replay,"
+    "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
     "pdm_ccdiff,arbiter,pdm_open",
-    "headlines.csv",
     ("planner",),
     {
         "mean": Column("mean"),
@@ -64,6 +65,7 @@ _PLANNERS = Made(
         "CCDiff 2": Column("ccdiff-2", interval=False),
         "tokens": Column("tokens", interval=False),
     },
+    pivot="traffic",
 )
 _SCR, _ORR = Column("scr"), Column("orr", interval=False)
 _FDE, _CFD = Column("fde", digits=1, interval=False), Column("cfd", digits=1, interval=False)
@@ -82,7 +84,6 @@ TABLES: dict[str, Made] = {
         "tokens_careful,tokens_routes_one_sample,tokens_routes_careful,simnet_unguided,"
         "trafficsim_one_sample,strive_one_sample,bits_one_sample,ctg_one_sample,ctgpp_one_sample,"
         "ccdiff_equal_one_sample",
-        "likelihoods.csv",
         ("method",),
         {
             "realism": Column("realism", digits=3),
@@ -99,7 +100,6 @@ TABLES: dict[str, Made] = {
     "egos": Made(
         "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
         "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2",
-        "scores.csv",
         ("planner", "traffic"),
         {
             "score": Column("score", digits=3),
@@ -112,7 +112,6 @@ TABLES: dict[str, Made] = {
         "bench planners --planners idm --seeds 0,1,2 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
         "ccdiff-1-routes,ccdiff-1-routes-one-step,tokens,tokens-1,ccdiff-2,ccdiff-2-one-step,"
         "ccdiff-2-routes,ccdiff-2-routes-one-step,tokens-2",
-        "scores.csv",
         ("traffic",),
         {
             "IDM collides %": Column("collision", digits=1, factor=100.0),
@@ -123,33 +122,43 @@ TABLES: dict[str, Made] = {
         "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
         "pdm_ccdiff,diffusion,ccdiff,ego,imitation --planners "
         "idm,lane_idm,constant_velocity,pdm,pdm_ccdiff,diffusion,ego,imitation",
-        "cross.csv",
         ("planner",),
         {
             "collides": Column("collision", interval=False),
             "at fault": Column("at_fault", interval=False),
             "score": Column("score", interval=False),
         },
+        where={"scenarios": "avoidable"},
+    ),
+    "nuplan": Made(
+        "bench planners --planners nuplan:pdm_closed_planner,pdm "
+        "--traffic replay,idm,ccdiff-1 --seeds 0 --nuplan-score",
+        ("traffic", "figure"),
+        {
+            "original": Column("value", digits=3),
+            "pdm": Column("other", digits=3),
+            "difference": Column("difference", digits=3, sign="+"),
+            "p": Column("p", digits=3),
+        },
+        where={"planner": "nuplan:pdm_closed_planner", "against": "pdm"},
+        file="pairs.csv",
     ),
     "criticality": Made(
         "bench traffic --k Full --methods "
         "ccdiff_unguided,ccdiff-0.25,ccdiff-0.5,ccdiff-0.75,ccdiff,ccdiff-1.5,ccdiff-2",
-        "figures.csv",
         ("method",),
         _GUIDED,
     ),
-    "rivals": Made("bench traffic --k 5 --methods all", "figures.csv", ("method",), _GUIDED),
+    "rivals": Made("bench traffic --k 5 --methods all", ("method",), _GUIDED),
     "grid": Made(
         "bench traffic --k 1,2,3,4,5,10,Full --t 0.5,1,2,5 --t-at 5 --methods "
         "simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
-        "figures.csv",
         ("method", "K", "replan_s"),
         _GUIDED,
     ),
     "steps": Made(
         "bench traffic --k 5 --methods ccdiff_one_sample,ccdiff_one_step_one_sample,"
         "ccdiff,ccdiff_one_step",
-        "figures.csv",
         ("method",),
         _GUIDED,
     ),
@@ -168,8 +177,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
     about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     with (folder / table.file).open(encoding="utf-8") as file:
-        # of scenarios those that could have been avoided
-        rows = [row for row in csv.DictReader(file) if row.get("scenarios") != "all"]
+        rows = list(csv.DictReader(file))
     made = about["made_with"]
     head = {
         "command": f"ccdiff-env {table.command}",
@@ -184,30 +192,38 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     (DATA / f"{name}.json").write_text(text, encoding="utf-8")
 
 
+#: Means over the traffic, which stand beside that of each.
+_ENDS = ("mean", "worst")
+
+
 def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:
-    """Keys and figures of a table's rows, each with its interval over the means of scenes."""
-    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    """Keys and figures of a table's rows, each a value with the ends of its interval."""
+    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
     for row in rows:
-        groups.setdefault(tuple(row[key] for key in table.keys), []).append(row)
+        if table.pivot is None and table.file == "figures.csv" and row.get("traffic") in _ENDS:
+            continue
+        if all(row[name] == value for name, value in table.where.items()):
+            groups.setdefault(tuple(row[key] for key in table.keys), []).append(row)
     kept = []
     for keys, group in groups.items():
         found: dict[str, Any] = dict(zip(table.keys, keys, strict=True))
-        for column in table.columns.values():
-            if f"{column.name}_low" in group[0]:
-                # rows of several sets are averaged, without an interval
-                ends = ("", "_low", "_high") if len(group) == 1 else ("",)
-                values = [[float(r[column.name + e] or "nan") for r in group] for e in ends]
-                figure = [float(np.mean(v)) for v in values] + [np.nan] * (3 - len(ends))
-            else:
-                scenes: dict[str, list[float]] = {}
-                for row in group:
-                    value = float(row[column.name] or "nan")
-                    scenes.setdefault(row["scene"], []).append(value)
-                means = [{"scene": scene, column.name: np.mean(v)} for scene, v in scenes.items()]
-                figure = list(mean_interval(means, column.name))
-            found[column.name] = [round(v, 6) if np.isfinite(v) else None for v in figure]
+        if table.pivot is not None:
+            found |= {row[table.pivot]: _figure([row], "score") for row in group}
+        else:
+            found |= {c.name: _figure(group, c.name) for c in table.columns.values()}
         kept.append(found)
     return kept
+
+
+def _figure(rows: list[dict[str, str]], name: str) -> list[float | None]:
+    """A figure with its interval; the mean of several rows has none."""
+    values = [
+        [float(row.get(name + end) or "nan") for end in ("", "_low", "_high")] for row in rows
+    ]
+    means = np.mean(values, axis=0)
+    if len(rows) > 1:
+        means[1:] = np.nan
+    return [round(v, 6) if np.isfinite(v) else None for v in means.tolist()]
 
 
 def render(name: str, chosen: str | None = None, only: str | None = None) -> str:
@@ -225,7 +241,8 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {
         "planner": _planner,
-        "traffic": lambda name: TRAFFIC[name].label,
+        "traffic": lambda name: "mean" if name in _ENDS else TRAFFIC[name].label,
+        "figure": lambda name: name.replace("_", " "),
     }
     named = only and [name.strip() for name in only.split(",")]
     for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
@@ -270,7 +287,7 @@ def _planner(name: str) -> str:
 
 
 def rendered(page: str) -> str:
-    """Return a page with its tables written anew."""
+    """Return a page with its tables."""
 
     def table(found: re.Match[str]) -> str:
         return f"{found[1]}\n{render(*found.group(2, 3, 4))}\n<!-- end -->"

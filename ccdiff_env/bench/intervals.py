@@ -8,6 +8,7 @@ are what is resampled.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -106,10 +107,15 @@ def interval(draws: F64) -> tuple[float, float]:
 
 def permutation_p(pairs: F64) -> float:
     """Return the two-sided p of a mean difference [S] by the permutation test of signs."""
-    rng = np.random.default_rng(0)
-    signs = rng.choice([-1.0, 1.0], size=(PERMUTATIONS, len(pairs)))
+    signs = _signs(len(pairs))
     drawn = np.abs(signs @ pairs)
     return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
+
+
+@lru_cache(maxsize=2)
+def _signs(count: int) -> F64:
+    """Signs of a permutation test [permutations, count]."""
+    return np.random.default_rng(0).choice([-1.0, 1.0], size=(PERMUTATIONS, count))
 
 
 def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:

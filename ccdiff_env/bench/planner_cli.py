@@ -36,7 +36,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     add_run_arguments(parser, several_seeds=True)
     parser.add_argument(
         "--planners",
-        default="constant_velocity,lane_idm,idm,pdm,replay",
+        default="noop,constant_velocity,lane_idm,idm,pdm,replay",
         help=PLANNERS,
     )
     parser.add_argument(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ _REASONS = {
     "ttc": "close call",
 }
 #: What built-in planners are, where the name alone does not say it.
-_TITLES = {"idm": "IDM, log's path and speed", "zero": "zero action"}
+_TITLES = {"idm": "IDM, log's path and speed", "noop": "no action"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
 #: Scenes with a lower score are listed; others where they have a replay.
@@ -208,16 +209,21 @@ def _pairs(
 
 
 def pairs_table(found: Results) -> Table:
-    """Return the differences of :func:`comparison` in each traffic and over all, with p."""
+    """Return the scores of each two planners, their difference and its p, by traffic and over all.
+
+    ``value`` is that of the planner, ``other`` that of the one that it is compared with.
+    """
     planners, traffic = _names(found)
-    names = [name for name in ("score", NUPLAN) if name in _parts(found)]
-    rows: TableRows = [
-        [planner, other, label, name, *difference(pairs)]
-        for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]
-        for name in names
-        for planner, other, pairs in _pairs(found, planners, some, BASES, name)
-    ]
-    return Table(["planner", "against", "traffic", "figure", "difference", "p"], rows)
+    rows: TableRows = []
+    for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]:
+        for name in (name for name in ("score", NUPLAN) if name in _parts(found)):
+            scores = {p: _scores(found, p, some, name).mean(axis=0) for p in planners}
+            means = {p: _mean_of(values) for p, values in scores.items()}
+            for one, other in permutations(planners, 2):
+                less = difference(scores[one] - scores[other])
+                rows.append([one, other, label, name, means[one], means[other], *less])
+    columns = ["planner", "against", "traffic", "figure", "value", "other", "difference", "p"]
+    return Table(columns, rows)
 
 
 def parts_tables(found: Results) -> list[Block]:

@@ -273,7 +273,7 @@ def _declared(code: object, training_data: object) -> tuple[str | None, str | No
 def _entry(fields: Mapping[str, Any], where: str) -> Entry:
     """Return a raw result, checked: it may be anybody's."""
     try:
-        if fields["function"] != FUNCTION:
+        if fields["function"] != FUNCTION or "options" in fields["arguments"]:
             raise ValueError("no result of `bench planners`")
         given, made_from = dict(fields["arguments"]), dict(fields["made_from"])
         source_title(given["source"])

@@ -162,7 +162,7 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
     if count < LEAST_SCENES:
         drawn = np.full_like(drawn, np.nan)
     both = (dict(zip(FIGURES, of_all, strict=True)) for of_all in (value, drawn))
-    return Figures(count, next(both), next(both))  # type: ignore[arg-type]
+    return Figures(count, next(both), next(both))
 
 
 Summary = Mapping[Condition, Figures]
@@ -246,7 +246,7 @@ def tables(table: Summary) -> list[Block]:
                  for x, column in zip(figures, _SHOWN, strict=True)]  # fmt: skip
         rows.append([label, *c.cells[1:], *pair, *known])
     note = FEW if _few(table) else "Brackets: 95 % bootstrap intervals over scenes."
-    heads = ["method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN]
+    heads = ("method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN)
     return [*blocks, Table(heads, rows), f"{note} CS, RS: bounds over this table."]
 
 
@@ -366,7 +366,7 @@ def _distances(table: Summary) -> list[Block]:
     gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
     means = zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
     rows: TableRows = [[METHODS[method].label, *map(float, figures)] for method, *figures in means]
-    heads = ["method", *map(Column, ("CS", "RS", "GD", "IGD"))]
+    heads = ("method", *map(Column, ("CS", "RS", "GD", "IGD")))
     return [
         Table(heads, rows, "Distance to the Pareto front of control and realism"),
         f"Over {most} numbers of vehicles; less is better for GD and IGD.",

@@ -32,7 +32,7 @@ from ccdiff_env.policies import SHIPPED, find_policy
 from ccdiff_env.policies.arbitration import Arbiter
 from ccdiff_env.policies.holding import Held
 from ccdiff_env.policies.planning import FRAMES, Tracker
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.policies.rules import RULES, NoOp
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
@@ -55,7 +55,7 @@ __all__ = [
 
 F32 = npt.NDArray[np.float32]
 #: Planners of the package by name, without weights of their own.
-BUILT_IN: dict[str, type] = {**RULES, "arbiter": Arbiter}
+BUILT_IN: dict[str, type] = {**RULES, "noop": NoOp, "arbiter": Arbiter}
 #: From observations of N worlds to actions [N, W], or indices [N].
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.

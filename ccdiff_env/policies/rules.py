@@ -14,11 +14,12 @@ import numpy.typing as npt
 
 from ccdiff_env._native import Planner
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.traffic import CcdiffConfig, Policy
 from ccdiff_env.worlds import Worlds, network_policies
 from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["RULES", "RulePlanner"]
+__all__ = ["RULES", "NoOp", "RulePlanner"]
 
 
 class RulePlanner:
@@ -81,6 +82,31 @@ class _Diffusion(RulePlanner):
 
     kind = "plan"
     network = ("ccdiff", {"follow_route": True, "careful": True, "parked_rule": "nobody"})
+
+
+class NoOp:
+    """Takes the zero action at every step: the unicycle keeps its speed and heading.
+
+    Parameters
+    ----------
+    worlds
+        Worlds with one slot, driven from outside by numbers.
+
+    Raises
+    ------
+    ConfigError
+        If actions are indices of a grid, which need not hold zero.
+    """
+
+    def __init__(self, worlds: Worlds) -> None:
+        native = worlds.native
+        if native.num_actions is not None:
+            raise ConfigError("planner 'noop' needs continuous actions, these are discrete")
+        self._nothing = np.zeros((native.num_worlds, native.action_width), np.float32)
+
+    def __call__(self, obs: object) -> npt.NDArray[np.float32]:
+        """Return zeros [E, W]."""
+        return self._nothing
 
 
 #: Planners by name.
