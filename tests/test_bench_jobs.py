@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ccdiff_env.bench.jobs import Job, _line, results, run_jobs
+from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.planners import planner_jobs
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.bench.traffic import traffic_jobs
@@ -62,7 +62,7 @@ def test_workers_end_with_the_run_that_was_ended(tmp_path, sent):
     pids.mkdir()
     code = f"""
 from pathlib import Path
-from ccdiff_env.bench.jobs import Job, _line, run_jobs
+from ccdiff_env.bench.jobs import Job, run_jobs
 if __name__ == "__main__":
     jobs = [Job(str(x), "test_bench_jobs:sleepy", {{"folder": {str(pids)!r}}}) for x in range(6)]
     run_jobs(jobs, Path({str(tmp_path / "raw")!r}), workers=2, progress=False)
@@ -138,14 +138,6 @@ def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
         assert results(jobs, tmp_path / "ray") == results(jobs, tmp_path / "local")
     finally:
         ray.shutdown()
-
-
-def test_bars_say_what_was_done_and_the_mean_so_far():
-    figures = {}
-    assert _line("IDM in log replay", [{"score": 1.0}], figures).endswith("score 1.00")
-    second = _line("IDM in log replay", [{"score": 0.0}, {"score": 0.5}], figures)
-    assert second == "IDM in log replay, score 0.50"
-    assert _line("train", {"path": "x"}, {}) == "train"
 
 
 def test_damaged_results_and_doubled_names_are_refused(tmp_path):

@@ -42,7 +42,6 @@ __all__ = [
     "evaluate_in_set",
     "generation_jobs",
     "set_folders",
-    "traffic_named",
     "write_sets",
 ]
 
@@ -54,33 +53,16 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Realism:
-    """Realism of the vehicles that CCDiff drives in a set, and what a scene of it costs.
+    """Realism of the vehicles that CCDiff drives in a set, means over scenarios, and its cost."""
 
-    Parameters
-    ----------
-    realism_cost
-        Mean total variation of guided plans in [0, 1], mean over scenarios.
-    shift_sigmas
-        The same in standard deviations, which does not saturate.
-    fde_m
-        Final displacement from the log, mean over vehicles, then scenarios.
-    cfd
-        Comfort distance from the log of the same vehicles, x 100.
-    seconds
-        Seconds of a processor that a scene took: playing it, and the search for plans that avoid
-        its collision.
-    """
-
+    #: Mean total variation of guided plans, 0 to 1, and the same in standard deviations.
     realism_cost: float
     shift_sigmas: float
+    #: Final displacement from the log, m; comfort distance from it, x 100.
     fde_m: float
     cfd: float
+    #: Processor seconds of a scene: playing it, and the search for plans that avoid its collision.
     seconds: float
-
-
-def _stem(planner: str) -> str:
-    """Name of a planner for a folder: of a file, its name without the suffix."""
-    return Path(planner).stem if planner.endswith(".zip") else planner
 
 
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
@@ -91,23 +73,11 @@ def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
     ConfigError
         If two generators would share one.
     """
-    names = [re.sub(r"[^\w.-]+", "-", _stem(generator)) for generator in generators]
+    stems = [Path(g).stem if g.endswith(".zip") else g for g in generators]
+    names = [re.sub(r"[^\w.-]+", "-", stem) for stem in stems]
     if len(set(names)) != len(names):
         raise ConfigError(f"generators {', '.join(generators)}: two of the same name")
     return {g: (folder / n).resolve() for g, n in zip(generators, names, strict=True)}
-
-
-def traffic_named(name: str) -> Traffic:
-    """Return traffic of the table.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of this name.
-    """
-    if name not in TRAFFIC:
-        raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
-    return TRAFFIC[name]
 
 
 def generation_jobs(
@@ -129,7 +99,8 @@ def generation_jobs(
     traffic, seed, num_plans
         As in :func:`ccdiff_env.bench.scenario_sets.generate`.
     """
-    traffic_named(traffic)
+    if traffic not in TRAFFIC:
+        raise UnknownNameError(f"no traffic {traffic!r}, there are {', '.join(TRAFFIC)}")
     if window_of(source) is not None:
         raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
     parts = chunks(scene_names(source), CHUNK)
@@ -176,9 +147,9 @@ def write_sets(
         if generator in sets:
             continue
         settings = {
-            "ccdiff": dict(traffic_named(made["traffic"]).ccdiff),
+            "ccdiff": dict(TRAFFIC[made["traffic"]].ccdiff),
             "num_plans": made["num_plans"],
-            "draws": traffic_named(made["traffic"]).draws,
+            "draws": TRAFFIC[made["traffic"]].draws,
             **OPTIONS,
         }
         path = write_manifest(
@@ -242,38 +213,12 @@ def cross_jobs(
     return recorded + planner_jobs(first.source, planners, [first.traffic], seed=seed)
 
 
-def evaluate_in_set(
-    *,
-    folder: str,
-    files: Mapping[str, str],
-    generator: str,
-    planner: str,
-    seed: int,
-    device: str = "cpu",
-) -> Rows:
+def evaluate_in_set(**arguments: Any) -> Rows:
     """Drive scenarios of a set with a planner: one dictionary per scene.
 
-    Parameters
-    ----------
-    folder
-        Folder of the set.
-    files
-        SHA-256 of the episodes by scene.
-    generator
-        The ego that the set was made against.
-    planner, seed
-        As in :func:`ccdiff_env.bench.planners.play`.
-    device
-        Of no use: no network drives.
-
-    Raises
-    ------
-    ConfigError
-        If the set is another one by now.
+    The arguments, and what is raised, are those of :func:`evaluate_in_set_recorded` but ``record``.
     """
-    return evaluate_in_set_recorded(
-        folder=folder, files=files, generator=generator, planner=planner, seed=seed, record=()
-    )[0]
+    return evaluate_in_set_recorded(**arguments)[0]
 
 
 def evaluate_in_set_recorded(
@@ -283,10 +228,25 @@ def evaluate_in_set_recorded(
     generator: str,
     planner: str,
     seed: int,
-    record: Collection[str],
     device: str = "cpu",
+    record: Collection[str] = (),
 ) -> tuple[Rows, dict[str, Rollout]]:
-    """Do the same as :func:`evaluate_in_set`, and record some scenes."""
+    """Do the same as :func:`evaluate_in_set`, and record some scenes.
+
+    Parameters
+    ----------
+    folder, files, generator
+        Folder of the set, SHA-256 of its episodes by scene, the ego that it was made against.
+    planner, seed, record
+        As in :func:`ccdiff_env.bench.planners.drive`.
+    device
+        Not used, as no network drives; benchmarks pass it to all jobs.
+
+    Raises
+    ------
+    ConfigError
+        If the set has changed.
+    """
     found = load_scenario_set(folder)
     if found.generator != generator or any(found.find(s).sha256 != h for s, h in files.items()):
         raise ConfigError(f"the set is not the one that was asked for: {folder}")

@@ -16,6 +16,7 @@ from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
+from ccdiff_env.system.progress import shown
 
 __all__ = ["Job", "processor_seconds", "results", "run_jobs"]
 
@@ -48,15 +49,12 @@ class Job:
     made_from
         What else the result follows from, as hashes by name: a result that was made from something
         else is done again.
-    title
-        What a progress bar calls it; its name by default.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any]
     made_from: Mapping[str, Any] = field(default_factory=dict)
-    title: str = ""
 
     def description(self) -> dict[str, Any]:
         """Return all that decides the result, as JSON has it."""
@@ -122,8 +120,9 @@ def run_jobs(
     open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}
     found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
-    titles = {job.name: job.title or job.name.rpartition("-")[0].replace("-", " ") for job in jobs}
-    for name, result, seconds in _shown(found, titles, len(jobs) - len(open_jobs), progress):
+    if progress:
+        found = shown(found, what="jobs", total=len(jobs), done=len(done))
+    for name, result, seconds in found:
         entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
         write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
 
@@ -134,43 +133,6 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
             yield _run(job)
         return
     yield from results_of_processes(_run, jobs, workers)
-
-
-#: Figures of rows whose mean is shown while jobs are done, the first that there is.
-_SHOWN = ("score", "success", "collision", "return")
-
-
-def _shown(
-    found: Iterator[tuple[str, Any, float]], titles: Mapping[str, str], done: int, progress: bool
-) -> Iterator[tuple[str, Any, float]]:
-    total = len(titles)
-    if not progress or done == total or not sys.stderr.isatty():
-        yield from found
-        return
-    try:
-        from tqdm import tqdm
-    except ImportError:  # no bar without it
-        yield from found
-        return
-    figures: dict[str, list[float]] = {}
-    options = {"unit": "job", "dynamic_ncols": True, "smoothing": 0.0}
-    with tqdm(total=total, initial=done, **options) as bar:
-        for entry in found:
-            bar.set_postfix_str(_line(titles[entry[0]], entry[1], figures), refresh=False)
-            bar.update()
-            yield entry
-
-
-def _line(title: str, result: Any, figures: dict[str, list[float]]) -> str:
-    """What a bar says after a job: what it was, and the mean of a figure so far."""
-    for row in result if isinstance(result, list) else ():
-        for figure in _SHOWN:
-            value = row.get(figure) if isinstance(row, Mapping) else None
-            if isinstance(value, (bool, int, float)):
-                figures.setdefault(figure, []).append(float(value))
-                break
-    means = [f"{figure} {sum(v) / len(v):.2f}" for figure, v in figures.items()]
-    return ", ".join([title.replace("_", " "), *means])
 
 
 def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:

@@ -189,15 +189,23 @@ def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "own, since code in them runs (default: refused)",
     )
     parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
+    parser.add_argument(
+        "--base-instructions",
+        action="store_true",
+        help="compute without vector extensions (AVX), as the oldest processor would",
+    )
     parser.set_defaults(run=_verify)
 
 
 def _verify(args: argparse.Namespace) -> int:
+    from ccdiff_env import _native
     from ccdiff_env.bench.leaderboard import leaderboard
     from ccdiff_env.bench.provenance import processor
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
 
+    if args.base_instructions:
+        _native.hold_to_base()
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
         say(f"{heading}\n\n{text}")

@@ -31,7 +31,6 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
-from ccdiff_env.view.captions import planner_title
 from ccdiff_env.worlds.policy_file import LEARNED
 
 __all__ = [
@@ -243,7 +242,6 @@ def planner_jobs(
                 "scenes": scene_hashes(source, names),
                 "privileged": privileged[planner],
             },
-            f"{planner_title(planner)} in {TRAFFIC[name].label}",
         )
         for planner in planners
         for name in traffic
@@ -262,40 +260,12 @@ def _sources(planner: str, traffic: str) -> dict[str, str | None]:
     return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
 
 
-def evaluate(
-    *,
-    source: str,
-    names: Sequence[str],
-    planner: str,
-    traffic: str,
-    seed: int,
-    sources: Mapping[str, str | None] | None = None,
-    window: Mapping[str, int] | None = None,
-    by_nuplan: bool = False,
-    device: str = "cpu",
-) -> list[dict[str, Any]]:
+def evaluate(**arguments: Any) -> list[dict[str, Any]]:
     """Drive scenes with a planner: one dictionary of metrics and the score per scene.
 
-    Raises
-    ------
-    ConfigError
-        If the planner, or the model of traffic, is no more what ``sources`` are digests of.
-    MissingFeatureError
-        With ``by_nuplan``, if there is no nuplan-devkit.
+    The arguments, and what is raised, are those of :func:`evaluate_recorded` but ``record``.
     """
-    rows, _ = evaluate_recorded(
-        source=source,
-        names=names,
-        planner=planner,
-        traffic=traffic,
-        seed=seed,
-        record=(),
-        sources=sources,
-        window=window,
-        by_nuplan=by_nuplan,
-        device=device,
-    )
-    return rows
+    return evaluate_recorded(**arguments)[0]
 
 
 def with_log(
@@ -324,14 +294,23 @@ def evaluate_recorded(
     planner: str,
     traffic: str,
     seed: int,
-    record: Collection[str],
     sources: Mapping[str, str | None] | None = None,
     window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
     device: str = "cpu",
+    record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate`, and record some scenes; raises as it does."""
-    _check_sources(planner, traffic, sources)
+    """Do the same as :func:`evaluate`, and record some scenes.
+
+    Raises
+    ------
+    ConfigError
+        If the planner, or the model of traffic, is no longer what ``sources`` are digests of.
+    MissingFeatureError
+        With ``by_nuplan``, if there is no nuplan-devkit.
+    """
+    if sources is not None and dict(sources) != _sources(planner, traffic):
+        raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
     scenes = scenes_of(source, names)
     rows, rollouts = drive(
         scenes,
@@ -347,11 +326,6 @@ def evaluate_recorded(
             row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
     chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
     return with_log(rows, source, names, window), chosen
-
-
-def _check_sources(planner: str, traffic: str, sources: Mapping[str, str | None] | None) -> None:
-    if sources is not None and dict(sources) != _sources(planner, traffic):
-        raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
 
 
 def play(

@@ -93,8 +93,7 @@ def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
         "prefix": job.name,
     }
     name = f"replay-{job.name}-{digest}"
-    title = f"replays, {job.title}" if job.title else ""
-    return Job(name, f"{__name__}:play_again", arguments, job.made_from, title)
+    return Job(name, f"{__name__}:play_again", arguments, job.made_from)
 
 
 def play_again(

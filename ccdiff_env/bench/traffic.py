@@ -126,7 +126,6 @@ def traffic_jobs(
                     else {}
                 ),
             },
-            title=f"{METHODS[method].label}, K = {'Full' if k is None else k}",
         )
         for method, k, n in conditions
         for i, part in enumerate(chunks(names, CHUNK))

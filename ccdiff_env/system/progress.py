@@ -11,14 +11,19 @@ __all__ = ["shown"]
 T = TypeVar("T")
 
 
-def shown(steps: Iterable[T], *, what: str) -> Iterator[T]:
-    """Go over steps with a bar, where this is a terminal and tqdm is installed."""
+def shown(steps: Iterable[T], *, what: str, total: int | None = None, done: int = 0) -> Iterator[T]:
+    """Go over steps with a bar, where this is a terminal and tqdm is installed.
+
+    ``total`` is their number, with those ``done`` before; by default they are counted first.
+    """
     if sys.stderr.isatty():
         try:
             from tqdm import tqdm
         except ImportError:
             yield from steps
             return
-        yield from tqdm(list(steps), desc=what, leave=False, dynamic_ncols=True)
+        counted = steps if total else list(steps)
+        bar = {"desc": what, "leave": False, "dynamic_ncols": True}
+        yield from tqdm(counted, total=total, initial=done, **bar)
     else:
         yield from steps
