@@ -18,7 +18,7 @@ from ccdiff_env import metrics
 from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.metrics import Motion
 
-PAPER = json.loads((Path(__file__).parent / "golden/paper_tables.json").read_text())
+PAPER = json.loads((Path(metrics.__file__).parents[1] / "data/paper_tables.json").read_text())
 RAW = {name: np.array(PAPER[name]) for name in ("scr", "orr", "fde", "cfd")}
 
 

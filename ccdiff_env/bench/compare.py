@@ -38,11 +38,6 @@ def compare(first: Record, second: Record) -> str:
 
     A planner is compared with itself; where each run has one alone, with the other's.
 
-    Parameters
-    ----------
-    first, second
-        The runs.
-
     Raises
     ------
     ConfigError

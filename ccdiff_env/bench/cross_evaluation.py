@@ -90,14 +90,7 @@ def generation_jobs(
 ) -> list[Job]:
     """Return the jobs that make scenario sets: generators x chunks of the scenes.
 
-    Parameters
-    ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
-    folders
-        Folder of each generator's set, on a disc that all workers see.
-    traffic, seed, num_plans
-        As in :func:`ccdiff_env.bench.scenario_sets.generate`.
+    ``folders`` are those of the generators' sets, on a disc that all workers see.
     """
     if traffic not in TRAFFIC:
         raise UnknownNameError(f"no traffic {traffic!r}, there are {', '.join(TRAFFIC)}")
@@ -128,14 +121,8 @@ def write_sets(
 ) -> tuple[dict[str, ScenarioSet], dict[str, Realism]]:
     """Write the manifests of finished :func:`generation_jobs`; return sets and their realism.
 
-    Parameters
-    ----------
-    jobs
-        The jobs.
-    by_name, seconds
-        Their results, and the time that each took.
-    weights
-        SHA-256 of the weights that drove.
+    ``by_name`` and ``seconds`` are results and times of the jobs, ``weights`` the SHA-256 of those
+    that drove.
     """
     rows: dict[str, Rows] = {}
     for job in jobs:

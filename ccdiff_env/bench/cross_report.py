@@ -39,14 +39,10 @@ _REALISM = (
 
 
 def cross_rows(sets: Sets, episodes: Iterable[Row]) -> list[dict[str, Any]]:
-    """Return episodes with what reports ask: ``at_fault``, and whether a collision is avoidable.
+    """Return episodes with what reports ask: ``at_fault``, and whether a collision is
+    ``avoidable``.
 
-    Parameters
-    ----------
-    sets
-        The sets by generator.
-    episodes
-        Rows with ``planner`` and ``generator``, ``None`` where the traffic reacted.
+    Rows have ``planner`` and ``generator``, which is ``None`` where the traffic reacted.
     """
     avoidable = {(g, s.scene): s.avoidable for g, made in sets.items() for s in made.scenarios}
     return [
@@ -168,14 +164,7 @@ def _matrix(part: Sequence[Row], name: str, title: str) -> Table:
 def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
     """Return the collisions of the egos that the sets were made against.
 
-    Parameters
-    ----------
-    sets
-        The sets by generator.
-    folder
-        Run folder.
-    replays
-        Collisions of each set that get a replay page.
+    The first ``replays`` of each set get a replay page in the run ``folder``.
     """
     heads = ("scene", "hit", "time s", "at fault", "avoidable")
     found: list[Block] = []

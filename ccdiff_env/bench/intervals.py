@@ -127,17 +127,7 @@ def grouped(rows: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]
 
 
 def figures(rows: Iterable[Row], keys: Sequence[str], names: Sequence[str]) -> Table:
-    """Return a row per group of episodes: its keys, its number of scenes, means with intervals.
-
-    Parameters
-    ----------
-    rows
-        One per episode.
-    keys
-        What names a group.
-    names
-        The figures.
-    """
+    """Return a row per group of episodes: its keys, its number of scenes, means with intervals."""
     found: TableRows = []
     for key, of in grouped(rows, *keys).items():
         scenes = len({_scene(row, i) for i, row in enumerate(of)})

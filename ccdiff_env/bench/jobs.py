@@ -37,18 +37,9 @@ def use_one_thread() -> None:
 class Job:
     """A function of this package and what it is called with.
 
-    Parameters
-    ----------
-    name
-        File name of its result, without ``.json``.
-    function
-        ``"module:function"``; takes the arguments, returns what JSON can hold, and depends on
-        nothing else.
-    arguments
-        What JSON can hold.
-    made_from
-        What else the result follows from, as hashes by name: a result that was made from something
-        else is done again.
+    ``function`` is ``"module:function"``; it takes ``arguments``, returns what JSON can hold, and
+    depends on nothing else. ``name`` is the file of its result, without ``.json``. ``made_from``
+    are hashes of what else the result follows from: where one differs, the job is done again.
     """
 
     name: str
@@ -88,23 +79,15 @@ def run_jobs(
 ) -> None:
     """Do the jobs whose results are not in the folder yet, or were made from something else.
 
-    Each result is written when it is there, so that a run that was killed goes on where it stopped.
-    The results do not depend on the backend or the number of workers. One line on stderr says what
-    has changed since results were made.
+    Each result is written to ``<name>.json`` once it is there, so that a killed run resumes.
+    Results do not depend on the backend or the number of workers. One line on stderr says what has
+    changed since results were made.
 
     Parameters
     ----------
-    jobs
-        The work, names without repeats.
-    folder
-        Where ``<name>.json`` go.
     backend
-        ``"local"``: processes of this machine; ``"ray"``: tasks of the Ray cluster that this
-        process belongs to (``ray.init`` decides which), a lost worker's jobs are run again.
-    workers
-        Processes of the local backend; 1 works in this one.
-    progress
-        Whether to show a progress bar.
+        ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of the Ray
+        cluster that this process belongs to, where jobs of a lost worker run again.
     """
     if workers < 1:
         raise ConfigError(f"workers is {workers}, expected at least 1")

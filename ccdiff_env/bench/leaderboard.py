@@ -31,20 +31,11 @@ def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
 
 
 def leaderboard(records: Sequence[Record]) -> dict[str, str]:
-    """Compare the planners of runs of ``bench planners``.
+    """Compare the planners of runs of ``bench planners``: heading and Markdown of each table.
 
-    Parameters
-    ----------
-    records
-        Runs and submissions. Planners share a table where protocol, scenes (by their hashes),
-        traffic, seeds, weights and version are the same. Without a protocol the package must be the
-        same, too. One that is in several runs is named with its run. Planners that are no part of
-        the package are marked where no code is given.
-
-    Returns
-    -------
-    dict
-        Heading and Markdown of each table.
+    Planners share a table where protocol, scenes (by their hashes), traffic, seeds, weights and
+    version are the same; without a protocol also the package. A planner that is in several runs is
+    named with its run. Planners that are no part of the package are marked where no code is given.
 
     Raises
     ------

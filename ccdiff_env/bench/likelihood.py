@@ -25,6 +25,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import Motion, causal
+from ccdiff_env.policies.planning import overlap
 from ccdiff_env.scenes.map_queries import road_distance
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS
@@ -164,21 +165,10 @@ def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.N
     beside = np.abs((offset * left[None, :, None]).sum(-1)) - half[None, :, None, 1]
     outside = np.hypot(np.maximum(along, 0.0), np.maximum(beside, 0.0)).min(axis=-1)
     gaps = np.minimum(outside, outside.T)
-    gaps[_overlap(corners, ahead, left)] = 0.0
+    boxes = np.concatenate([position, heading[:, None], sizes], axis=1)
+    gaps[overlap(boxes[:, None], boxes[None])] = 0.0
     np.fill_diagonal(gaps, np.inf)
     return np.asarray(gaps, np.float64)
-
-
-def _overlap(corners: F64, ahead: F64, left: F64) -> npt.NDArray[np.bool_]:
-    """Whether boxes overlap [A, A]: no axis of either one separates them."""
-    touching = np.ones((len(corners),) * 2, np.bool_)
-    for axis in (ahead, left):
-        spans = (corners[:, None] * axis[None, :, None]).sum(-1)  # box i on the axis of j
-        low, high = spans.min(axis=-1), spans.max(axis=-1)
-        own_low, own_high = np.diagonal(low)[None], np.diagonal(high)[None]
-        meet = (low <= own_high) & (high >= own_low)
-        touching &= meet & meet.T
-    return touching
 
 
 def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict[str, F64]:
@@ -225,16 +215,10 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
 
 
 def ranks(samples: Sequence[F64], log: F64) -> F64:
-    """Return where logged values lie among the samples: how many in each part [RANK_BINS].
+    """Return where logged values [N] lie among the samples [N]: how many in each part [RANK_BINS].
 
-    A calibrated model has equal masses. Equal values share the places that they take.
-
-    Parameters
-    ----------
-    samples
-        Of each sample [N]; a value of the log counts where all of them are finite.
-    log
-        [N].
+    A calibrated model has equal masses. Equal values share the places that they take. A value
+    counts where all samples are finite.
     """
     drawn = np.stack(samples)
     known = np.isfinite(log) & np.isfinite(drawn).all(axis=0)
@@ -271,21 +255,8 @@ def _score(
 def likelihood(feature: Feature, samples: Sequence[F64], log: F64, weight: float = 1.0) -> float:
     """Return the geometric mean of what histograms of the samples give the logged values.
 
-    Parameters
-    ----------
-    feature
-        The bins.
-    samples
-        Of each sample [A, T]: values that are not finite do not count.
-    log
-        [A, T].
-    weight
-        How often each sample counts.
-
-    Returns
-    -------
-    float
-        NaN where nothing can be compared.
+    Samples and log are [A, T]; values that are not finite do not count. Each sample counts
+    ``weight`` times. NaN where nothing can be compared.
     """
     stacked = np.concatenate(samples, axis=1)
     logs: list[F64] = []
@@ -356,18 +327,7 @@ def likelihood_jobs(
 ) -> list[Job]:
     """Return the jobs: methods x chunks of the scenes, all vehicles driven by the method.
 
-    Parameters
-    ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
-    methods
-        Names of :data:`~ccdiff_env.bench.traffic.METHODS`.
-    num_samples
-        Episodes per scene, seeds one after the other.
-    weights
-        Weight files by driver, in place of the shipped ones.
-    seed
-        The first of them.
+    Seeds of the ``num_samples`` episodes per scene follow one another from ``seed`` on.
     """
     if num_samples < 1:
         raise ConfigError(f"samples is {num_samples}, expected at least 1")

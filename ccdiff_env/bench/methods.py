@@ -99,12 +99,7 @@ OWN_RANKINGS = ("greedy", "gradient")
 class NamedDrivers(dict[str, _T]):
     """Entries by name; a model of one's own by its path, ``module:Class?option=value``.
 
-    Parameters
-    ----------
-    kind
-        Makes the entry of such a path from its label and the path.
-    entries
-        The entries that have a name.
+    ``kind`` makes the entry of such a path from its label and the path.
     """
 
     def __init__(self, kind: Callable[[str, str], _T], entries: Mapping[str, _T]) -> None:
@@ -120,6 +115,40 @@ class NamedDrivers(dict[str, _T]):
         return self._kind(name.partition(":")[2], name)
 
 
+_ROUTES, _ONE_STEP = {"follow_route": True}, {"denoising_steps": 1}
+#: CCDiff's methods: what is added to its name and title, and options.
+_CCDIFF: dict[str, tuple[str, dict[str, Any]]] = {
+    "": ("", _GUIDED),
+    "_unguided": (", no guidance", {"num_samples": 5}),
+    "_one_sample": (", no guidance, N=1", {}),
+    "_careful": (", careful, N=1", {"careful": True}),
+    "_routes": (" with routes", {**_GUIDED, **_ROUTES}),
+    "_routes_unguided": (" with routes, no guidance", {"num_samples": 5, **_ROUTES}),
+    "_routes_one_sample": (" with routes, no guidance, N=1", _ROUTES),
+    "_routes_careful": (" with routes, careful, N=1", {**_ROUTES, "careful": True}),
+    # likely speeds of the log: less sure than the network, and vehicles that stay what they are
+    "_routes_calibrated": (
+        " with routes, careful, calibrated, N=1",
+        {**_ROUTES, "careful": True, "keep_noise": True, "temperature": 1.2},
+    ),
+    "_one_step": (", one denoising step", {**_GUIDED, **_ONE_STEP}),
+    "_one_step_unguided": (", one denoising step, no guidance", {"num_samples": 5, **_ONE_STEP}),
+    "_one_step_one_sample": (", one denoising step, no guidance, N=1", _ONE_STEP),
+    "_routes_one_step_one_sample": (
+        " with routes, one denoising step, no guidance, N=1",
+        {**_ONE_STEP, **_ROUTES},
+    ),
+}
+#: Rankings of the guided one: name, title, ranking.
+_RANKINGS = (
+    ("distance", "ranking by distance", "distance_cliques"),
+    ("first", "scene's order", "first"),
+    ("random", "random ranking", "random"),
+    ("greedy", "greedy cliques on G", "greedy"),
+    ("gradient", "aligned gradients", "gradient"),
+    ("listed", "listed by a person", "listed"),
+)
+
 #: The methods by name. More may be added: a driver is all that one needs.
 METHODS: dict[str, Method] = NamedDrivers(
     Method,
@@ -127,61 +156,14 @@ METHODS: dict[str, Method] = NamedDrivers(
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
         "idm": Method(KINDS["idm"].title, "idm"),
-        "ccdiff": Method(KINDS["ccdiff"].title, "ccdiff", ccdiff=_GUIDED),
-        "ccdiff_unguided": Method("CCDiff, no guidance", "ccdiff", ccdiff={"num_samples": 5}),
-        "ccdiff_one_sample": Method("CCDiff, no guidance, N=1", "ccdiff"),
-        "ccdiff_careful": Method("CCDiff, careful, N=1", "ccdiff", ccdiff={"careful": True}),
-        "ccdiff_routes": Method(
-            "CCDiff with routes", "ccdiff", ccdiff={**_GUIDED, "follow_route": True}
-        ),
-        "ccdiff_routes_unguided": Method(
-            "CCDiff with routes, no guidance",
-            "ccdiff",
-            ccdiff={"num_samples": 5, "follow_route": True},
-        ),
-        "ccdiff_routes_one_sample": Method(
-            "CCDiff with routes, no guidance, N=1", "ccdiff", ccdiff={"follow_route": True}
-        ),
-        "ccdiff_routes_careful": Method(
-            "CCDiff with routes, careful, N=1",
-            "ccdiff",
-            ccdiff={"follow_route": True, "careful": True},
-        ),
-        # likely speeds of the log: less sure than the network, and vehicles that stay what they are
-        "ccdiff_routes_calibrated": Method(
-            "CCDiff with routes, careful, calibrated, N=1",
-            "ccdiff",
-            ccdiff={
-                "follow_route": True,
-                "careful": True,
-                "keep_noise": True,
-                "temperature": 1.2,
-            },
-        ),
-        "ccdiff_one_step": Method(
-            "CCDiff, one denoising step", "ccdiff", ccdiff={**_GUIDED, "denoising_steps": 1}
-        ),
-        "ccdiff_one_step_unguided": Method(
-            "CCDiff, one denoising step, no guidance",
-            "ccdiff",
-            ccdiff={"num_samples": 5, "denoising_steps": 1},
-        ),
-        "ccdiff_one_step_one_sample": Method(
-            "CCDiff, one denoising step, no guidance, N=1", "ccdiff", ccdiff={"denoising_steps": 1}
-        ),
-        "ccdiff_routes_one_step_one_sample": Method(
-            "CCDiff with routes, one denoising step, no guidance, N=1",
-            "ccdiff",
-            ccdiff={"denoising_steps": 1, "follow_route": True},
-        ),
-        "ccdiff_distance": Method(
-            "CCDiff, ranking by distance", "ccdiff", "distance_cliques", _GUIDED
-        ),
-        "ccdiff_first": Method("CCDiff, scene's order", "ccdiff", "first", _GUIDED),
-        "ccdiff_random": Method("CCDiff, random ranking", "ccdiff", "random", _GUIDED),
-        "ccdiff_greedy": Method("CCDiff, greedy cliques on G", "ccdiff", "greedy", _GUIDED),
-        "ccdiff_gradient": Method("CCDiff, aligned gradients", "ccdiff", "gradient", _GUIDED),
-        "ccdiff_listed": Method("CCDiff, listed by a person", "ccdiff", "listed", _GUIDED),
+        **{
+            f"ccdiff{name}": Method(f"{KINDS['ccdiff'].title}{title}", "ccdiff", ccdiff=options)
+            for name, (title, options) in _CCDIFF.items()
+        },
+        **{
+            f"ccdiff_{name}": Method(f"CCDiff, {title}", "ccdiff", ranking, _GUIDED)
+            for name, title, ranking in _RANKINGS
+        },
         "ccdiff_no_enc": Method(
             "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
         ),

@@ -36,13 +36,7 @@ _WEIGHTS = {"progress": 5.0, "ttc": 5.0, "speed_limit": 4.0, "comfort": 2.0}
 def nuplan_score(rollout: Rollout, expert_steps: int) -> dict[str, float]:
     """Return nuPlan's score of an episode, ``score``, and its parts by names of :data:`PARTS`.
 
-    Parameters
-    ----------
-    rollout
-        The episode.
-    expert_steps
-        Steps of the log, from the episode's beginning, that its progress is compared with: the
-        horizon.
+    Progress is compared with ``expert_steps`` of the log, from the episode's beginning.
 
     Raises
     ------

@@ -46,21 +46,9 @@ def write_report_page(
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    title, line
-        Heading, and what stands below it.
-    plots
-        Images (PNG) to show, or the SVG beside them; those that do not exist are left out.
-    parts
-        Sections: heading and Markdown, see :func:`markdown_html`; empty ones are left out. The
-        first one comes before the plots; it should say what was found.
-    images
-        Replays to show: title, address, and file of an image (PNG).
-    command
-        What made it, to stand at the foot.
+    ``parts`` are Markdown by heading (see :func:`markdown_html`), empty ones are left out; the
+    first comes before the ``plots`` (SVG) and says what was found. ``images`` are replays to show:
+    title, address, and file of an image (PNG). ``command`` made the page.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)

@@ -102,20 +102,10 @@ def _mean_of(values: npt.NDArray[np.float64]) -> Figure:
 
 
 def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str, Figure]:
-    """Return scores of a planner over traffic, with 95 % intervals.
+    """Return scores of a planner over traffic, with 95 % intervals; the scenes are the same in all.
 
-    Parameters
-    ----------
-    found
-        Episodes, of the same scenes in all traffic.
-    planner, traffic
-        Which.
-
-    Returns
-    -------
-    dict
-        ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the
-        logged driver scores 0, where there are such.
+    ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the logged
+    driver scores 0, where there are such.
     """
     table = _scores(found, planner, traffic)
     fails = _log_fails(found[planner, traffic[0]])
@@ -157,16 +147,8 @@ def figures_table(found: Results) -> Table:
 def comparison(
     found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = BASES
 ) -> list[Block]:
-    """Return paired differences of planners: from both IDM, and from the best other one.
-
-    Parameters
-    ----------
-    found
-        Episodes, of the same scenes in all traffic.
-    planners, traffic
-        Which.
-    bases
-        Both IDM, by their names among the planners.
+    """Return paired differences of planners: from ``bases``, both IDM, and from the best other
+    one.
     """
     if len(planners) < 2:
         return ["One planner alone."]
@@ -272,18 +254,9 @@ def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Ro
 def worst_table(
     found: Results, count: int, pages: Mapping[tuple[str, str, str], str], traffic: str = "traffic"
 ) -> list[Block]:
-    """Return the worst scenes of every planner.
+    """Return the worst scenes of every planner, some per planner.
 
-    Parameters
-    ----------
-    found
-        Episodes of every planner in every traffic.
-    count
-        Scenes per planner.
-    pages
-        Addresses of replays by planner, traffic and scene.
-    traffic
-        Heading of the traffic's column.
+    ``pages`` are addresses of replays by planner, traffic and scene; ``traffic`` heads that column.
     """
     blocks: list[Block] = []
     for planner in dict.fromkeys(p for p, _ in found):
@@ -350,16 +323,9 @@ def summary(
     traffic: Sequence[str],
     privileged: Collection[str] = (),
 ) -> list[Block]:
-    """Return a matrix of planners and traffic, the best of each emphasised, and its notes.
+    """Return a matrix of planners and traffic, the best of each bold, and its notes.
 
-    Parameters
-    ----------
-    found
-        Episodes, of the same scenes in all traffic.
-    planners, traffic
-        Which.
-    privileged
-        Planners that use what a vehicle cannot know; they are marked.
+    Planners that use what a vehicle cannot know are marked.
     """
     heads = {planner: headlines(found, planner, traffic) for planner in planners}
     ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}

@@ -154,13 +154,8 @@ def progress_share(along_m: float, way_m: float) -> float:
 def right_way(lanes: Sequence[tuple[int, float] | None], dt_s: float) -> float:
     """Return 1, a half or 0 by the distance driven against lanes within a second.
 
-    Parameters
-    ----------
-    lanes
-        The lane that holds the ego and the position along it, metres, at each step; ``None`` in
-        none. Ways count within one lane: the first two steps in another one do not.
-    dt_s
-        Seconds of a step.
+    ``lanes`` are the lane that holds the ego and the position along it, metres, at each step;
+    ``None`` in none. Ways count within one lane: the first two steps in another one do not.
     """
     ways, lane_before, along_before = [], None, None
     if lanes and lanes[0] is not None:

@@ -147,25 +147,13 @@ def window_of(
 ) -> dict[str, int] | None:
     """Return the steps of the log before an episode and the most that it lasts.
 
-    By default they are those of the protocol (3 s and 10 s); where a scene is too short for these,
-    but has the 9.1 s of Waymo's, all scenes have 1 s and 8 s.
-
-    Parameters
-    ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
-    history_steps, horizon_steps
-        What is asked for, in steps of the scenes.
-
-    Returns
-    -------
-    dict or None
-        ``history_steps`` and ``horizon_steps``; ``None`` for those of the protocol.
+    By default they are those of the protocol (3 s and 10 s), for which ``None`` is returned; where
+    a scene is too short for these, but has the 9.1 s of Waymo's, all scenes have 1 s and 8 s.
 
     Raises
     ------
     ConfigError
-        If a scene is shorter; names it.
+        If a scene is shorter than that, or than what is asked for; names it.
     """
     usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
@@ -197,19 +185,11 @@ def planner_jobs(
 
     Parameters
     ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
     planners
-        ``constant_velocity``, ``idm``, ``replay``, ``ccdiff``, a name of
-        :data:`~ccdiff_env.policies.planners.BUILT_IN`, a policy of
-        :mod:`ccdiff_env.policies` by name, the path of one (``.safetensors``) or of a policy saved
-        by stable-baselines3 (``.zip``), or ``module:name`` of a function or class, see
-        :func:`play`, or ``nuplan:package.module.Class`` of a planner of nuPlan.
+        Names as in docs/planners.md.
     traffic
         Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``adversary:FILE`` of a
         choice of adversaries, see examples/train_adversary_selection.py.
-    seed
-        Seed of the episodes.
     window
         As :func:`window_of` returns it.
     by_nuplan
@@ -351,23 +331,9 @@ def drive(
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Drive every scene once, all in one batch, and record some of the episodes.
 
-    Recording changes nothing: an episode is the same with it and without.
-
-    Parameters
-    ----------
-    scenes
-        The scenes.
-    planner
-        As in :func:`planner_jobs`; see :class:`~ccdiff_env.policies.planners.Planner`. A policy
-        that was trained with other dynamics, observations or decision steps is driven with those.
-    traffic
-        Who drives the others.
-    seed
-        Seed of every episode.
-    options
-        Further fields of :class:`~ccdiff_env.config.WorldConfig`.
-    record
-        Names of the scenes to record.
+    Recording changes nothing. A policy that was trained with other dynamics, observations or
+    decision steps is driven with those. ``options`` are further fields of
+    :class:`~ccdiff_env.config.WorldConfig`.
 
     Returns
     -------

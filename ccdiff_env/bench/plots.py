@@ -93,16 +93,8 @@ def plot_robustness(
 ) -> Path | None:
     """Draw scores of planners against the criticality of CCDiff traffic, where there are two.
 
-    Parameters
-    ----------
-    found
-        Episodes of every planner in every traffic.
-    level
-        Criticality by traffic, of CCDiff alone.
-    label
-        Title of a planner.
-    path
-        Where to.
+    ``found`` are episodes of every planner in every traffic, ``level`` criticality by traffic of
+    CCDiff, ``label`` the title of a planner.
     """
     planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
     if len(names) < 2:
@@ -174,14 +166,7 @@ def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> P
     """Draw controllability against realism, every condition a point, with the Pareto front.
 
     Numbers of vehicles K at the shortest time between plans are joined by a line, longer times at
-    one K by a dotted one. The ends of lines have names.
-
-    Parameters
-    ----------
-    pairs
-        CS and RS by condition.
-    path
-        Where to.
+    one K by a dotted one. The ends of lines have names. ``pairs`` are CS and RS by condition.
     """
     at = {c: (rs, cs) for c, (cs, rs) in pairs.items() if np.isfinite(rs)}
     if not at:  # no road, no realism

@@ -27,15 +27,10 @@ _FIXED = ("traffic", "seeds", "scenes", "split", "limit")
 
 @dataclass(frozen=True)
 class Protocol:
-    """What the file of a protocol says.
+    """What the file of a protocol says, and the file's hash.
 
-    Parameters
-    ----------
-    fields
-        Levels (scenes and seeds), size of a batch of scenes, panel of traffic, hashes of weights,
-        options of the world, score, statistics.
-    sha256
-        Hash of the file.
+    Levels (scenes and seeds), size of a batch of scenes, panel of traffic, hashes of weights,
+    options of the world, score, statistics.
     """
 
     fields: Mapping[str, Any]
@@ -65,14 +60,7 @@ class Protocol:
     def world(self, seat: Seat | None, who: str, dt_s: float) -> WorldConfig:
         """Return the world of an episode: what is fixed, and what a planner chooses.
 
-        Parameters
-        ----------
-        seat
-            The planner; ``None`` for a driver of the world.
-        who
-            What errors call it.
-        dt_s
-            Seconds of a step of the scenes.
+        ``seat`` is the planner, ``None`` for a driver of the world; ``who`` is what errors call it.
 
         Raises
         ------
@@ -84,11 +72,6 @@ class Protocol:
 
     def fix(self, args: argparse.Namespace) -> dict[str, Any]:
         """Fill in the arguments that a level fixes, where ``--protocol`` is given.
-
-        Parameters
-        ----------
-        args
-            Arguments of ``bench planners``.
 
         Returns
         -------
@@ -128,14 +111,7 @@ class Protocol:
         return {"protocol": self.name, "level": args.level}
 
     def check(self, level: str, hashes: Mapping[str, str]) -> None:
-        """Refuse scenes or weights that are not those of a level.
-
-        Parameters
-        ----------
-        level
-            Its name.
-        hashes
-            Content hashes of the scenes by name.
+        """Refuse scenes, by their content hashes, or weights that are not those of a level.
 
         Raises
         ------

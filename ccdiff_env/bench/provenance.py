@@ -122,21 +122,12 @@ def scene_hashes(source: str, names: Sequence[str] | None = None) -> dict[str, s
 
 
 def source_digest(name: str) -> str | None:
-    """Return the SHA-256 of what a planner, or a model of traffic, is made of.
+    """Return the SHA-256 of what a planner, or a model of traffic, is made of; ``None`` of the
+    package's.
 
     Of a file that is its bytes. Of ``module:name``, and of a planner of nuPlan, it is the source of
     the module, of all that it imports from outside of installed packages, and the bytes of the
     files that its optional attribute ``files``, or an option, names.
-
-    Parameters
-    ----------
-    name
-        As ``--planners`` and ``--traffic`` take them.
-
-    Returns
-    -------
-    str or None
-        ``None`` for what is part of the package.
 
     Raises
     ------

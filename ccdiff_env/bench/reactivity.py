@@ -42,19 +42,9 @@ Path3 = tuple[F64, F64, F64]
 
 
 def altered(scene: Scene, way: str) -> Scene | None:
-    """Return a scene in which the log of the ego goes another way from the start of the episode on.
+    """Return a scene in which the log of the ego takes another of :data:`WAYS` from the start on.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    way
-        One of :data:`WAYS`.
-
-    Returns
-    -------
-    Scene or None
-        ``None`` where there is no ego that moves, or no room.
+    ``None`` where there is no ego that moves, or no room.
     """
     if way not in WAYS:
         raise UnknownNameError(f"no way {way!r}, there are {', '.join(WAYS)}")

@@ -35,15 +35,7 @@ COLUMNS = (*_SHARED, *FEATURES, *(column.name for column in _PLAIN))
 def tables(
     found: Mapping[str, Sequence[Mapping[str, Any]]], num_samples: int
 ) -> dict[str, list[Block]]:
-    """Return the parts of the report.
-
-    Parameters
-    ----------
-    found
-        Rows per scene of every method, see :func:`ccdiff_env.bench.likelihood.evaluate`.
-    num_samples
-        Episodes per scene and method, which the likelihoods depend on.
-    """
+    """Return the parts of the report from rows per scene of every method."""
     figures = {
         method: {name: mean_interval(rows, name) for name in COLUMNS}
         for method, rows in found.items()

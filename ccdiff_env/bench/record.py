@@ -68,16 +68,8 @@ class Entry:
 class Result:
     """All that a record has of one planner, made from the same things throughout.
 
-    Parameters
-    ----------
-    key
-        What must be the same for figures to be compared.
-    heading
-        The same in words.
-    planner, planner_source, privileged
-        Name, digest of its source, and whether it uses what a vehicle cannot know.
-    rows
-        Rows per scene and seed, by traffic.
+    ``key`` is what must be the same for figures to be compared, ``heading`` the same in words. Rows
+    are per scene and seed, by traffic.
     """
 
     key: str
@@ -90,18 +82,8 @@ class Result:
 
 @dataclass(frozen=True)
 class Record:
-    """Raw results of a run.
-
-    Parameters
-    ----------
-    path
-        Run folder, or file of a submission.
-    entries
-        The raw results.
-    code, training_data
-        What was declared with a submission: an address of the web, and words.
-    processor
-        What it was made on, in words.
+    """Raw results of a run folder or a submission, with what was declared and the processor in
+    words.
     """
 
     path: Path
@@ -331,16 +313,8 @@ def submit(
 ) -> None:
     """Write a submission: the raw results of a run in one file, which anybody can check.
 
-    Parameters
-    ----------
-    folder
-        Run folder of ``bench planners``.
-    out
-        File to write.
-    code
-        Address of the planner's code, of the web (``https://``).
-    training_data
-        What the planner was trained on, in words.
+    ``code`` is an ``https://`` address of the planner's code, ``training_data`` says what it was
+    trained on.
 
     Raises
     ------

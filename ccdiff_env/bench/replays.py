@@ -35,19 +35,10 @@ def make_replays(
     The function of a job is ``<name>``; ``<name>_recorded`` beside it takes the names of the scenes
     to ``record`` too, and returns rows and rollouts by scene.
 
-    Parameters
-    ----------
-    wanted
-        Job and scene under any key.
-    folder
-        Run folder: results are in ``raw``, pages go to ``replays``.
-    **run
-        As for :func:`~ccdiff_env.bench.jobs.run_jobs`.
-
     Returns
     -------
     dict
-        Addresses of the pages from the run folder.
+        Addresses of the pages from the run folder, by key of ``wanted`` (job and scene).
     list
         Keys of the episodes that are not what the job had reported: networks round differently on
         other machines.
@@ -106,13 +97,8 @@ def play_again(
 ) -> dict[str, Any]:
     """Do a job's work once more and write pages of some of its scenes.
 
-    The whole batch is played, so that the episodes are those of the job bit for bit.
-
-    Returns
-    -------
-    dict
-        ``rows``: those of the scenes this time; ``pages``: addresses by scene, from the folder
-        above that of the pages.
+    The whole batch is played, so that the episodes are those of the job bit for bit. Returns the
+    ``rows`` of the scenes and the addresses of their ``pages``, from the folder above these.
     """
     module, name = function.split(":")
     work: Callable[..., Any] = getattr(importlib.import_module(module), name)

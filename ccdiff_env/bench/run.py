@@ -204,21 +204,9 @@ class Run:
     ) -> int:
         """Write the report, say its first part, and return the exit status.
 
-        ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables, and
-        ``episodes.csv`` a row per episode.
-
-        Parameters
-        ----------
-        title
-            Heading.
-        parts
-            Paragraphs and tables by heading; the first part is what was found.
-        episodes
-            One row per episode.
-        files
-            Further tables by the name of their file (``.csv``).
-        *plots
-            Images in the run folder.
+        ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables,
+        ``episodes.csv`` a row per episode; ``files`` are further tables by file name. The first
+        part is what was found.
         """
         if not self._begun:
             self._begin()

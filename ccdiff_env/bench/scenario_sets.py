@@ -142,27 +142,15 @@ class ScenarioSet:
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
     def find(self, scene: str) -> Scenario:
-        """Return the scenario of a scene.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is none.
-        """
+        """Return the scenario of a scene; raises :class:`UnknownNameError` if there is none."""
         for scenario in self.scenarios:
             if scenario.scene == scene:
                 return scenario
         raise UnknownNameError(f"no scenario of scene {scene!r} in {self.folder}")
 
     def rollout(self, scene: str) -> Rollout:
-        """Return the recorded episode of a scene.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is none.
-        DatasetError
-            If its file is missing, damaged, or not that of the manifest.
+        """Return the recorded episode of a scene; raises if there is none, or its file is not
+        that of the manifest.
         """
         scenario = self.find(scene)
         _check(self.folder, scenario)
@@ -193,24 +181,7 @@ def generate(
     """Make scenarios against an ego and save them: one dictionary per scene.
 
     Where the traffic has several draws, a scene is played with one seed after the other until the
-    ego collides; the last episode is kept.
-
-    Parameters
-    ----------
-    source, names
-        The scenes, a text of :func:`ccdiff_env.load`.
-    generator
-        The ego, as :func:`ccdiff_env.bench.planners.planner_jobs` names planners.
-    traffic
-        Name of :data:`~ccdiff_env.bench.planners.TRAFFIC`.
-    seed
-        Seed of the first draw.
-    folder
-        Where the episodes go, one file per scene.
-    num_plans
-        Ego plans that are tried to avoid a collision.
-    device
-        Where the network of the traffic runs.
+    ego collides; the last episode is kept. ``num_plans`` ego plans are tried to avoid a collision.
 
     Returns
     -------

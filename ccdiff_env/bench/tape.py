@@ -78,15 +78,8 @@ class Tape:
 class Recorded:
     """A planner that does again what tapes of a batch hold.
 
-    Parameters
-    ----------
-    rows
-        Rows of the scenes of the batch in order, with :meth:`Tape.entries`.
-
-    Raises
-    ------
-    DatasetError
-        If one is damaged.
+    ``rows`` are of the scenes of the batch in order, with :meth:`Tape.entries`; raises
+    :class:`DatasetError` if one is damaged.
     """
 
     def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -114,14 +107,8 @@ class Recorded:
 
 
 class Witnessed(Recorded):
-    """Does again what tapes hold, while a planner of the package says what it would do.
-
-    Parameters
-    ----------
-    rows
-        As of :class:`Recorded`.
-    seat
-        The planner, which has not begun.
+    """Does again what tapes hold, while a planner of the package, ``seat``, says what it would
+    do.
     """
 
     #: It reads the worlds as the planner does, who may be privileged.

@@ -63,14 +63,8 @@ def traffic_jobs(
 
     Parameters
     ----------
-    source
-        The scenes, a text of :func:`ccdiff_env.load`.
-    methods
-        Names of :data:`METHODS`.
     num_controlled
         Numbers of controlled vehicles K; ``None`` is all.
-    replan_steps
-        Steps between plans; only networks have any use for them.
     replan_controlled
         Those K at which all periods are played, the first one alone at the others; all K for
         ``None``.
@@ -78,8 +72,6 @@ def traffic_jobs(
         Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
     weights
         Weight files by driver, in place of the shipped ones.
-    seed
-        Seed of the episodes.
 
     Raises
     ------
@@ -212,26 +204,10 @@ def episodes(
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
-    Parameters
-    ----------
-    scenes
-        The scenes.
-    method
-        Who drives the control set.
-    num_controlled
-        K; all for ``None``, 0 replays the log.
-    replan_steps
-        Steps between plans of a network.
-    seed
-        Seed of every episode.
-    options
-        Further fields of :class:`~ccdiff_env.config.WorldConfig`.
-    record
-        Names of the scenes to record; it changes nothing.
-    explain
-        Whether guided plans say how their gradients agree; it changes nothing else.
-    lists
-        Ids of vehicles by scene name, for the ranking ``listed``.
+    K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
+    ``replan_steps``. Neither ``record`` (names of scenes) nor ``explain`` (whether guided plans say
+    how their gradients agree) changes the episodes. ``lists`` are ids of vehicles by scene name,
+    for the ranking ``listed``.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {

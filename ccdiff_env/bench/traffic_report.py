@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, RESAMPLES, column, interval
 from ccdiff_env.bench.methods import METHODS, label_of
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, generational_distance, scores
+from ccdiff_env.system.files import read_text
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
 __all__ = [
@@ -124,16 +127,9 @@ def _order(condition: Condition) -> float:
 
 
 def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
-    """Return the figures of one condition.
+    """Return the figures of one condition from its episodes.
 
-    Parameters
-    ----------
-    rows
-        One dictionary per scene, see :func:`ccdiff_env.bench.episode.measure`.
-    log
-        Those of the log's replay in the same scenes: reference of the comfort distance.
-    seed
-        Of the bootstrap.
+    The ``log`` replayed in the same scenes is the reference of the comfort distance.
     """
 
     def of(path: str, factor: float) -> F64:
@@ -272,41 +268,12 @@ PAPER_COLUMNS: tuple[tuple[int | None, int], ...] = (
 )
 
 
-def _rows(text: str) -> dict[str, dict[str, tuple[float, ...]]]:
-    found: dict[str, dict[str, tuple[float, ...]]] = {}
-    for line in text.strip().splitlines():
-        method, figure, *values = line.split()
-        found.setdefault(method, {})[figure] = tuple(float(v) for v in values)
-    return found
-
-
+_TABLES = json.loads(read_text(Path(__file__).resolve().parents[1] / "data/paper_tables.json"))
 #: The paper's figures by method and name, in the order of :data:`PAPER_COLUMNS`.
-PAPER: Mapping[str, Mapping[str, tuple[float, ...]]] = _rows("""
-simnet     scr   .31   .32   .33   .36   .42   .47   .35   .37   .37   .37   .40
-simnet     orr  1.76  2.19  2.62  2.67  2.90  3.17  2.09  3.87  6.16  8.36  9.93
-simnet     fde  3.76  4.34  4.98  5.26  6.63  8.03  4.11  3.78  4.90  4.83  3.83
-simnet     cfd  2.56  2.95  2.86  3.16  5.00  7.00  4.02  5.03  5.51  5.57  8.04
-trafficsim scr   .38   .36   .44   .41   .41   .47   .53   .53   .58   .55   .53
-trafficsim orr  2.09  2.25  2.45  2.48  2.66  2.73  3.56  6.36  8.98 10.96 12.21
-trafficsim fde  4.25  5.06  5.77  6.23  6.79  7.13  8.32  6.48  8.61  8.66  7.32
-trafficsim cfd  7.76  9.53 10.64 10.99 10.96 11.57  5.00 10.06  7.89 10.38  9.90
-strive     scr   .49   .49   .53   .53   .56   .54   .49   .41   .41   .39   .38
-strive     orr  5.70  6.45  7.13  7.50  8.04  8.53  5.75  4.98  6.64  8.40 10.02
-strive     fde  9.01 10.79 12.13 13.00 13.76 14.52 11.48 11.20 14.56 15.00 12.41
-strive     cfd  7.72  8.93  9.91 10.67 10.72 11.21  5.60 10.21 11.59 11.32  9.11
-bits       scr   .38   .38   .37   .39   .37   .41   .37   .34   .44   .39   .41
-bits       orr   .53   .51   .56   .63   .56   .60  1.44  3.68  5.63  7.56  9.39
-bits       fde  3.20  3.95  4.42  4.67  5.05  5.35  4.68  4.69  6.10  6.36  5.44
-bits       cfd  7.43  8.32  9.15  9.42  9.46 10.23  8.79 10.35 10.75 11.30 11.65
-ctg        scr   .43   .42   .46   .42   .44   .46   .41   .44   .49   .52   .49
-ctg        orr  1.00  1.04  1.10  1.09  1.12  1.23  1.91  4.58  7.13  9.04 10.71
-ctg        fde  5.32  6.18  6.83  7.40  8.10  9.19  7.58  7.91 10.26 10.30  8.27
-ctg        cfd  2.37  2.31  2.68  2.59  2.57  3.13  2.68  4.06  2.43  2.80  3.00
-ccdiff     scr   .40   .44   .43   .46   .49   .51   .40   .44   .49   .55   .52
-ccdiff     orr   .61   .72   .99  1.02  1.80  2.05  2.92  4.52  7.10  9.35 10.51
-ccdiff     fde  4.17  5.22  5.99  6.59  7.84  8.26  7.06  5.54  6.86  7.00  5.71
-ccdiff     cfd  1.88  1.92  1.93  2.25  2.83  3.47  2.37  4.08  4.25  4.97  6.33
-""")
+PAPER: Mapping[str, Mapping[str, tuple[float, ...]]] = {
+    method.lower(): {name: tuple(_TABLES[name][i]) for name in ("scr", "orr", "fde", "cfd")}
+    for i, method in enumerate(_TABLES["methods"])
+}
 
 
 def difference(one: Figures, other: Figures, name: str) -> Figure:

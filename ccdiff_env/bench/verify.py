@@ -30,16 +30,8 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Verified:
-    """What came of a check.
-
-    Parameters
-    ----------
-    played, there
-        Episodes that were played, of all that the record holds.
-    seed
-        What they were drawn by.
-    differing
-        Those that came out differently, and in what.
+    """What came of a check: episodes played, all that there are, the seed of the draw,
+    differences.
     """
 
     played: int
@@ -58,15 +50,13 @@ def verify(
 ) -> Verified:
     """Play episodes again with the recorded actions and compare every bit.
 
-    No code of others runs: drivers of the world and planners of the package are played by name,
-    and their recorded actions must be those that they choose; of all other planners the recorded
+    No code of others runs: drivers of the world and planners of the package are played by name, and
+    their recorded actions must be those that they choose; of all other planners the recorded
     actions are played. Batches are played as a whole, as they were: networks round differently in
     others.
 
     Parameters
     ----------
-    record
-        The run or submission.
     episodes
         At least so many, by chance; all by default.
     seed
