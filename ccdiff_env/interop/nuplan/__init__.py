@@ -20,17 +20,8 @@ PREFIX = "nuplan:"
 def nuplan_planner(name: str) -> Any:
     """Return what drives the first slots of worlds by a planner of nuPlan.
 
-    Parameters
-    ----------
-    name
-        ``nuplan:package.module.Class``, or ``nuplan:`` and the name of a planner's settings, as
-        nuPlan's ``planner=`` takes it (``nuplan:idm_planner``), or their file (``.yaml``); with
-        ``?option=value&option=value`` after it, see :class:`Settings`.
-
-    Returns
-    -------
-    NuPlanPlanner
-        A :class:`~ccdiff_env.policies.planners.Planner` of worlds with delta-pose actions.
+    ``nuplan:package.module.Class``, ``nuplan:`` and the name of a planner's settings, as nuPlan's
+    ``planner=`` takes it, or their file (``.yaml``); ``?option=value&option=value`` may follow.
 
     Raises
     ------

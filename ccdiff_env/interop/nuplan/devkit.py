@@ -1,20 +1,20 @@
-"""Where nuplan-devkit is, and what stands in for the packages of clouds and databases it imports.
+"""Where nuplan-devkit is, and what replaces the packages of clouds and databases that it imports.
 
 The devkit's modules of maps, planners and metrics import packages that read its database and its
-maps from disks and clouds, which scenes of this package do without. Those of :data:`STANDS_IN`
-that are not installed are replaced by modules that can be imported and nothing else: whoever calls
-a function or makes an object of one gets a :class:`~ccdiff_env.errors.MissingFeatureError`.
+maps from discs and clouds, which scenes of this package do not need. Those of :data:`STANDS_IN`
+that are not installed become modules that can be imported and nothing else: a call into one raises
+:class:`~ccdiff_env.errors.MissingFeatureError`.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.abc
-import importlib.machinery
 import importlib.util
 import os
 import sys
 import types
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +36,6 @@ class _Absent(type):
     """A name of a package that is not installed: can be passed on, not used."""
 
     def __getattr__(cls, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
         return _absent(f"{cls.__module__}.{cls.__name__}", name)
 
     def __call__(cls, *_: Any, **__: Any) -> Any:
@@ -48,15 +46,15 @@ class _Absent(type):
 
 
 def _absent(module: str, name: str) -> Any:
+    if name.startswith("__"):
+        raise AttributeError(name)
+    if module == "retry":  # decorates functions while modules are imported
+        return lambda *_, **__: lambda function: function
     return _Absent(name, (), {"__module__": module})
 
 
 class _AbsentModule(types.ModuleType):
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        if self.__name__ == "retry":  # decorates functions while modules are imported
-            return lambda *_, **__: lambda function: function
         return _absent(self.__name__, name)
 
 
@@ -66,12 +64,11 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self, packages: frozenset[str]) -> None:
         self._packages = packages
 
-    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name.partition(".")[0] not in self._packages:
-            return None
-        return importlib.machinery.ModuleSpec(name, self, is_package=True)
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        known = name.partition(".")[0] in self._packages
+        return ModuleSpec(name, self, is_package=True) if known else None
 
-    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
+    def create_module(self, spec: ModuleSpec) -> types.ModuleType:
         return _AbsentModule(spec.name)
 
     def exec_module(self, module: types.ModuleType) -> None:
@@ -79,13 +76,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def checkouts() -> list[Path]:
-    """Return the folders that :data:`VARIABLE` names.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        If one of them is no folder.
-    """
+    """Return the folders that :data:`VARIABLE` names; raises if one of them is no folder."""
     found = [Path(part) for part in os.environ.get(VARIABLE, "").split(os.pathsep) if part]
     for folder in found:
         if not folder.is_dir():

@@ -53,15 +53,7 @@ _FOLLOWED_M = 0.02
 
 
 class Drive:
-    """One episode of one world: what a planner is given, and what follows from its trajectory.
-
-    Parameters
-    ----------
-    worlds, world_idx
-        Which world; an episode has begun there.
-    scene_map
-        The map of its scene.
-    """
+    """One episode of one world: what a planner is given, and what follows from its trajectory."""
 
     def __init__(self, worlds: Worlds, world_idx: int, scene_map: SceneMap) -> None:
         self._native, self._world = worlds.native, world_idx
@@ -140,11 +132,6 @@ class NuPlanPlanner:
 
     Its trajectories are followed by nuPlan's own controller, LQR and a kinematic bicycle with the
     settings of its simulation, whose poses the worlds take as delta-pose actions.
-
-    Parameters
-    ----------
-    settings
-        Of the planner.
     """
 
     env_options: ClassVar[dict[str, Any]] = {"dynamics": "delta_pose"}
@@ -183,28 +170,27 @@ class NuPlanPlanner:
         for i in range(native.num_worlds):
             if native.slot_agents(i)[0] is None or not native.slot_alive(i)[0]:
                 continue
+            status = native.status(i)
+            scene = self._worlds.scenes[status.scene_idx]
             try:
-                steps[i] = self._step(i)
+                steps[i] = self._step(i, status.scene_idx, scene)
             except CcdiffError:
                 raise
             except Exception as error:
-                status = native.status(i)
                 raise PolicyError(
-                    f"{self._settings.name}: {type(error).__name__}: {error} (in "
-                    f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps})"
+                    f"{self._settings.name}: {type(error).__name__}: {error} (in {scene.name} at "
+                    f"step {status.elapsed_steps})"
                 ) from error
         # zero means zero, and each side has its own bound
         most = np.where(steps > 0, self._bounds[:, 1], -self._bounds[:, 0])
         actions: npt.NDArray[np.float32] = np.clip(steps / most, -1.0, 1.0)
         return actions
 
-    def _step(self, world_idx: int) -> npt.NDArray[np.float64]:
+    def _step(self, world_idx: int, scene_idx: int, scene: Any) -> npt.NDArray[np.float64]:
         """Ask the planner of a world."""
         assert self._worlds is not None
         if world_idx not in self._drives:
-            scene_idx = self._worlds.native.status(world_idx).scene_idx
             if scene_idx not in self._maps:
-                scene = self._worlds.scenes[scene_idx]
                 self._maps[scene_idx] = SceneMap(scene.map_layers(), scene.location or "scene")
             drive = Drive(self._worlds, world_idx, self._maps[scene_idx])
             planner = self._settings.make()

@@ -57,13 +57,8 @@ class Polyline(PolylineMapObject):
         super().__init__(name)
         self._line = line if isinstance(line, Centreline) else Centreline(line)
 
-    @property
-    def linestring(self) -> LineString:
-        return self._line.shape
-
-    @property
-    def length(self) -> float:
-        return self._line.length_m
+    linestring: LineString = property(lambda self: self._line.shape)
+    length: float = property(lambda self: self._line.length_m)
 
     @cached_property
     def discrete_path(self) -> list[StateSE2]:
@@ -92,50 +87,32 @@ class _Edge(LaneGraphEdgeMapObject):
         self._road: Road = network.graph.roads[number]
         self._baseline = Polyline(f"{name}-baseline", self._road.line)
 
-    @property
-    def polygon(self) -> Polygon:
-        return self._road.surface
+    def _edges(self, numbers: list[int]) -> list[_Edge]:
+        return [self._network.edges[i] for i in numbers]
 
-    @property
-    def baseline_path(self) -> Polyline:
-        return self._baseline
-
-    @property
-    def incoming_edges(self) -> list[_Edge]:
-        return [self._network.edges[i] for i in self._road.before]
-
-    @property
-    def outgoing_edges(self) -> list[_Edge]:
-        return [self._network.edges[i] for i in self._road.after]
-
-    @property
-    def parallel_edges(self) -> list[_Edge]:
-        return self.parent.interior_edges
-
-    @property
-    def speed_limit_mps(self) -> float | None:
-        return self._road.speed_limit_mps
-
-    def get_roadblock_id(self) -> str:
-        return str(self.parent.id)
+    polygon: Polygon = property(lambda self: self._road.surface)
+    baseline_path: Polyline = property(lambda self: self._baseline)
+    incoming_edges: list[_Edge] = property(lambda self: self._edges(self._road.before))
+    outgoing_edges: list[_Edge] = property(lambda self: self._edges(self._road.after))
+    parallel_edges: list[_Edge] = property(lambda self: self.parent.interior_edges)
+    speed_limit_mps: float | None = property(lambda self: self._road.speed_limit_mps)
+    stop_lines: list[StopLine] = property(lambda self: [])
 
     @property
     def parent(self) -> Block:
         return self._network.blocks[self._network.graph.block_of[self._number]]
 
+    def get_roadblock_id(self) -> str:
+        return str(self.parent.id)
+
     def has_traffic_lights(self) -> bool:
         return False
 
     @property
-    def stop_lines(self) -> list[StopLine]:
-        return []
-
-    @property
     def _place(self) -> int:
         """Place in the road block, from the left."""
-        return self._network.graph.blocks[self._network.graph.block_of[self._number]].index(
-            self._number
-        )
+        graph = self._network.graph
+        return graph.blocks[graph.block_of[self._number]].index(self._number)
 
     def is_left_of(self, other: _Edge) -> bool:
         assert self.is_same_roadblock(other), "lanes of one road block"
@@ -175,9 +152,7 @@ class _Edge(LaneGraphEdgeMapObject):
 class MapLane(_Edge, Lane):
     """A lane."""
 
-    @property
-    def index(self) -> int:
-        return self._place + 1
+    index: int = property(lambda self: self._place + 1)
 
 
 class MapConnector(_Edge, LaneConnector):
@@ -210,27 +185,14 @@ class Block(RoadBlockGraphEdgeMapObject):
     def polygon(self) -> Polygon:
         return self._network.graph.block_surface(self._number)
 
-    @property
-    def incoming_edges(self) -> list[Block]:
-        return self._neighbours(after=False)
+    def _neighbours(self, after: bool) -> list[Block]:
+        numbers = self._network.graph.neighbours(self._number, after=after)
+        return [self._network.blocks[i] for i in numbers]
 
-    @property
-    def outgoing_edges(self) -> list[Block]:
-        return self._neighbours(after=True)
-
-    def _neighbours(self, *, after: bool) -> list[Block]:
-        return [
-            self._network.blocks[i]
-            for i in self._network.graph.neighbours(self._number, after=after)
-        ]
-
-    @property
-    def parallel_edges(self) -> list[Block]:
-        return [self]
-
-    @property
-    def children_stop_lines(self) -> list[StopLine]:
-        return []
+    incoming_edges: list[Block] = property(lambda self: self._neighbours(False))
+    outgoing_edges: list[Block] = property(lambda self: self._neighbours(True))
+    parallel_edges: list[Block] = property(lambda self: [self])
+    children_stop_lines: list[StopLine] = property(lambda self: [])
 
     def contains_point(self, point: Point2D) -> bool:
         return any(edge.contains_point(point) for edge in self.interior_edges)
@@ -251,9 +213,7 @@ class Area(PolygonMapObject):
         super().__init__(name)
         self._polygon = polygon
 
-    @property
-    def polygon(self) -> Polygon:
-        return self._polygon
+    polygon: Polygon = property(lambda self: self._polygon)
 
 
 class Crossing(Intersection):

@@ -141,12 +141,7 @@ class Road:
 
 
 class RoadGraph:
-    """Roads of a scene with the road blocks that they make.
-
-    Parameters
-    ----------
-    lanes
-        ``Scene.map_layers()["lanes"]``.
+    """Roads of a scene, ``Scene.map_layers()["lanes"]``, with the road blocks that they make.
 
     Differs from nuPlan: blocks are found by geometry, for the lanes of scenes do not name them.
     """
@@ -164,7 +159,8 @@ class RoadGraph:
     def _add_blocks(self, groups: Iterable[Sequence[int]]) -> None:
         for group in groups:
             first = self.roads[group[0]].line
-            left = {i: first.offset(*_middle(self.roads[i].line))[1] for i in group[1:]}
+            middles = {i: self.roads[i].line for i in group[1:]}
+            left = {i: first.offset(*_middle(line))[1] for i, line in middles.items()}
             self.blocks.append(sorted(group, key=lambda i: -left.get(i, 0.0)))
             for i in group:
                 self.block_of[i] = len(self.blocks) - 1
@@ -188,10 +184,9 @@ class RoadGraph:
         """Whether the middle of one of two lanes lies beside the other one."""
         lines = self.roads[one].line, self.roads[other].line
         for line, beside in (lines, lines[::-1]):
-            ahead, left = beside.offset(*_middle(line))
-            turn = beside.heading_at(beside.project(*_middle(line))) - line.heading_at(
-                0.5 * line.length_m
-            )
+            x, y, heading = line.pose(0.5 * line.length_m)
+            ahead, left = beside.offset(x, y)
+            turn = beside.heading_at(beside.project(x, y)) - heading
             fits = abs(ahead) < BEYOND_M and BESIDE_M[0] < abs(left) < BESIDE_M[1]
             if fits and np.cos(turn) > AGREE_COS:
                 return True
@@ -255,12 +250,10 @@ class RoadGraph:
             if not blocks or block != blocks[-1]:
                 blocks.append(block)
         end = roads[-1]
-        while ahead_m > 0 and self.roads[end].after:
+        while ahead_m > 0 and (after := self.roads[end].after):
             heading = self.roads[end].line.headings[-1]
-            turns = [
-                abs(wrap(self.roads[k].line.headings[-1] - heading)) for k in self.roads[end].after
-            ]
-            end = self.roads[end].after[int(np.argmin(turns))]
+            turns = [abs(wrap(self.roads[k].line.headings[-1] - heading)) for k in after]
+            end = after[int(np.argmin(turns))]
             ahead_m -= self.roads[end].line.length_m
             if self.block_of[end] not in blocks:
                 blocks.append(self.block_of[end])

@@ -39,21 +39,12 @@ _AREAS = {
 
 
 class SceneMap(AbstractMap):
-    """The map of a scene.
-
-    Identifiers are numbers in texts, each of one object, as in nuPlan's maps.
+    """The map of a scene from ``Scene.map_layers()``. Identifiers are numbers, as in nuPlan's.
 
     Differs from nuPlan: road blocks and intersections are found by geometry, see
-    :class:`~ccdiff_env.interop.nuplan.roads.RoadGraph`; the drivable area is a car park, too, for
-    planners take lanes, connectors and car parks for the road, and lanes of nuScenes leave out what
-    lies beside them; there are no traffic lights and no rasters.
-
-    Parameters
-    ----------
-    layers
-        As ``Scene.map_layers()``.
-    name
-        What the map is called.
+    :class:`~ccdiff_env.interop.nuplan.roads.RoadGraph`; the drivable area is also a car park,
+    since planners treat lanes, connectors and car parks as the road, and lanes of nuScenes leave
+    out what lies beside them; there are no traffic lights and no rasters.
     """
 
     def __init__(self, layers: Mapping[str, Any], name: str) -> None:
@@ -87,16 +78,15 @@ class SceneMap(AbstractMap):
     def along(self, route: npt.ArrayLike) -> tuple[SceneMap, list[str]]:
         """Return a map in which lanes lead along a route [P, 2], and its road blocks' identifiers.
 
-        It is this map, unless lanes leave out a part of the route: then the route itself becomes
-        lanes of 3.5 m, for nuPlan's planners drive along lanes and nowhere else.
+        Where lanes leave out a part of the route, the route itself becomes lanes of 3.5 m:
+        nuPlan's planners drive along lanes and nowhere else.
         """
         found, blocks = self, self._network.graph.route_blocks(route)
         if blocks is None or len(blocks) < 2:  # the devkit's IDM asserts two
             lanes = list(self._given.get("lanes", []))
             more = lanes_of_route(route, len(lanes))
             found = SceneMap({**self._given, "lanes": [*lanes, *more]}, self._name)
-            pieces = found._network.graph.block_of[len(lanes) :]
-            blocks = list(dict.fromkeys(pieces))
+            blocks = list(dict.fromkeys(found._network.graph.block_of[len(lanes) :]))
         return found, [str(found._network.blocks[i].id) for i in blocks]
 
     @property
@@ -109,16 +99,10 @@ class SceneMap(AbstractMap):
     def get_available_raster_layers(self) -> list[SemanticMapLayer]:
         return []
 
-    def get_raster_map_layer(self, layer: SemanticMapLayer) -> Any:
-        raise MissingFeatureError(f"scenes have no raster map, {layer.name} was asked for")
+    def get_raster_map(self, *asked: Any) -> Any:
+        raise MissingFeatureError(f"scenes have no raster map, {asked} was asked for")
 
-    def get_raster_map(self, layers: list[SemanticMapLayer]) -> Any:
-        raise MissingFeatureError(f"scenes have no raster map, {layers} were asked for")
-
-    def get_distance_to_nearest_raster_layer(
-        self, point: Point2D, layer: SemanticMapLayer
-    ) -> float:
-        raise MissingFeatureError(f"scenes have no raster map, {layer.name} was asked for")
+    get_raster_map_layer = get_distance_to_nearest_raster_layer = get_raster_map
 
     def initialize_all_layers(self) -> None:
         """Do nothing: all layers are there."""
@@ -131,9 +115,9 @@ class SceneMap(AbstractMap):
         return self._trees[layer]
 
     def _near(self, point: Point2D, layer: SemanticMapLayer, radius_m: float) -> list[Any]:
-        at = Point(point.x, point.y)
-        found = self._tree(layer).query(at, predicate="dwithin", distance=radius_m)
-        return [self._layers[layer][i] for i in sorted(found.tolist())]
+        at, tree = Point(point.x, point.y), self._tree(layer)
+        found = tree.query(at, predicate="dwithin", distance=radius_m).tolist()
+        return [self._layers[layer][i] for i in sorted(found)]
 
     def get_all_map_objects(self, point: Point2D, layer: SemanticMapLayer) -> list[Any]:
         return self._near(point, layer, 0.0)

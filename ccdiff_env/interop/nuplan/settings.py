@@ -21,35 +21,24 @@ __all__ = ["Settings", "made_of", "read_settings"]
 
 @dataclass(frozen=True)
 class Settings:
-    """What a planner is made with.
+    """What a planner is made with: its name, arguments with ``_target_``, and their file, if any.
 
     Planners of nuPlan come with files of settings in ``config/simulation/planner``, which name a
     class as ``_target_``, and its arguments. Of a class, the file that names it is taken, from the
     checkouts and from beside the class; a class without one is made with the options alone.
-
     Options change single values, those of parts by ``part.name=value``. Interpolations of Hydra
     (``${...}``) are not followed: such values must be given.
     """
 
-    #: What the planner was called, with ``nuplan:`` and options.
     name: str
-    #: Arguments by name, with ``_target_``, as the file has them.
     values: Mapping[str, Any]
-    #: The file, if there is one.
     file: Path | None = None
 
     @classmethod
     def of(cls, name: str) -> Settings:
         """Return the settings of a name, as :func:`~ccdiff_env.interop.nuplan.nuplan_planner` says.
 
-        Raises
-        ------
-        ConfigError
-            If there are no such settings, or no such option.
-        DatasetError
-            If the file is damaged.
-        MissingFeatureError
-            If PyYAML is not installed.
+        Raises as that, and :class:`DatasetError` if the file is damaged.
         """
         path, _, text = name.partition(":")[2].partition("?")
         options = option_values(text, "planner", name) if text else {}
@@ -57,11 +46,9 @@ class Settings:
             return cls(name, _changed(read_settings(Path(path)), options, name), Path(path))
         files = list(_files(path.partition(".")[0]))
         for file in files:
-            if "." not in path and file.stem == path:
-                return cls(name, _changed(read_settings(file), options, name), file)
-            if "." in path and path in read_text(file):
+            if file.stem == path or ("." in path and path in read_text(file)):
                 values = read_settings(file)
-                if values.get("_target_") == path:
+                if path in (file.stem, values["_target_"]):
                     return cls(name, _changed(values, options, name), file)
         if "." not in path:
             known = ", ".join(sorted({file.stem for file in files})) or "none"
@@ -77,14 +64,7 @@ class Settings:
         return str(self.values["_target_"]).rpartition(".")[0]
 
     def make(self) -> Any:
-        """Make a planner.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such class, it is no planner of nuPlan, it needs what scenes do not
-            have, or an argument is missing or unknown; the message names those there are.
-        """
+        """Make a planner; a :class:`ConfigError` says why it is none, or what it lacks."""
         from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
         from nuplan.planning.simulation.planner.abstract_planner import AbstractPlanner
 
@@ -118,15 +98,7 @@ def _files(package: str) -> Iterator[Path]:
 
 
 def read_settings(file: Path) -> dict[str, Any]:
-    """Return the values of a file of Hydra: those of its only entry, or its own.
-
-    Raises
-    ------
-    DatasetError
-        If it is damaged, or names no ``_target_``.
-    MissingFeatureError
-        If PyYAML is not installed.
-    """
+    """Return the values of a file of Hydra, those of its only entry, or its own, with a target."""
     try:
         import yaml
     except ImportError as error:
@@ -156,14 +128,10 @@ def _changed(values: Mapping[str, Any], options: Mapping[str, Any], name: str) -
 
 
 def made_of(value: Any, name: str, path: str = "") -> Any:
-    """Return what a value of settings stands for: dictionaries with a target are made objects.
+    """Return what a value of settings means: dictionaries with a target become objects.
 
-    ``name`` is whose, for messages, and ``path`` where it stands in the settings.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such target, or its arguments are others.
+    ``name`` is whose, for messages, and ``path`` its place in the settings. Raises
+    :class:`ConfigError` if there is no such target, or its arguments are others.
     """
     if isinstance(value, list):
         return [made_of(item, name, f"{path}[{i}]") for i, item in enumerate(value)]

@@ -68,14 +68,7 @@ def vehicle_of(size_m: npt.ArrayLike) -> VehicleParameters:
 class SceneStates:
     """Makes states of a scene's agents into those of nuPlan, in the frame of the scene.
 
-    Agents are called by their numbers: their names in the data would say which scene it is.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    ego
-        Number of the agent that is the ego.
+    Agents are called by their numbers (the ego's is ``ego``): names would tell the scene.
     """
 
     def __init__(self, scene: Any, ego: int) -> None:
@@ -93,18 +86,10 @@ class SceneStates:
         yaw_rate_radps: float,
         now_us: int,
     ) -> EgoState:
-        """Return the ego's state.
+        """Return the ego's state; its acceleration is that along its heading.
 
-        Parameters
-        ----------
-        states
-            ``position`` [A, 2] m, ``heading`` [A] rad and ``velocity`` [A, 2] m/s of all agents.
-        acceleration_mps2
-            Along its heading.
-        yaw_rate_radps
-            Of its heading.
-        now_us
-            Time, microseconds.
+        ``states`` are ``position`` [A, 2] m, ``heading`` [A] rad and ``velocity`` [A, 2] m/s of all
+        agents.
         """
         heading = float(states["heading"][self.ego])
         x, y = (float(v) for v in states["position"][self.ego])
@@ -132,16 +117,9 @@ class SceneStates:
     ) -> list[tuple[int, EgoState]]:
         """Return the ego's states where it is there, by column.
 
-        Parameters
-        ----------
-        states
-            Those of :meth:`ego_state` over T steps, with ``valid`` [A, T].
-        dt_s
-            Seconds between steps.
-        first_step
-            Step of the first column: time zero is that of step 0.
-        acceleration_mps2
-            Along the heading [T]; from the change of speed by default.
+        ``states`` are those of :meth:`ego_state` over T steps, with ``valid`` [A, T]; the first
+        column is that of ``first_step``. Accelerations along the heading [T] are by default those
+        of the change of speed.
         """
         speed = np.hypot(*np.moveaxis(states["velocity"][self.ego].astype(np.float64), -1, 0))
         faster = np.diff(speed, prepend=speed[:1]) / dt_s
@@ -161,10 +139,10 @@ class SceneStates:
     def tracks(
         self, states: Mapping[str, Any], active: npt.NDArray[np.bool_], now_us: int
     ) -> DetectionsTracks:
-        """Return the tracks of the agents that are there [A], without the ego.
+        """Return the tracks of the active agents [A], without the ego.
 
-        ``states`` and ``now_us`` are those of :meth:`ego_state`. With ``elevation_m`` [A] among the
-        states, those of other levels are left out: nuPlan's world is flat.
+        With ``elevation_m`` [A] among the states, agents on other levels are left out: nuPlan's
+        world is flat.
         """
         found: list[Any] = []
         if "elevation_m" in states:
