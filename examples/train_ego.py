@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from ccdiff_env import cli
-from ccdiff_env.bench.intervals import LEAST_SCENES
+from ccdiff_env.bench.intervals import LEAST_SCENES, permutation_p
 from ccdiff_env.bench.jobs import results, run_jobs
-from ccdiff_env.bench.planner_report import permutation_p
 from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 from ccdiff_env.record.bank import record_bank
 from ccdiff_env.scenes.arguments import (

@@ -24,9 +24,10 @@ from array_scenes import agent, array_scene
 import ccdiff_env
 from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, policies
 from ccdiff_env.bench import scenario_sets
-from ccdiff_env.bench.arguments import Run, add_run_arguments
+from ccdiff_env.bench.arguments import add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.leaderboard import write_leaderboard
+from ccdiff_env.bench.run import Run
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.policies.planners import load_sb3

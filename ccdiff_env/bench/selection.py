@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import mean_interval
-from ccdiff_env.bench.planner_report import permutation_p
+from ccdiff_env.bench.intervals import mean_interval, permutation_p
 from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv, fork_actions, rule_actions
 from ccdiff_env.scenes import SceneSet
