@@ -68,7 +68,7 @@ _REASONS = {
     "ttc": "close call",
 }
 #: What built-in planners are, where the name alone does not say it.
-_TITLES = {"idm": "IDM, log's path and speed", "noop": "no action"}
+_TITLES = {"idm": "IDM, log's path and speed"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
 #: Scenes with a lower score are listed; others where they have a replay.

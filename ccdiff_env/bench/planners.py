@@ -156,13 +156,12 @@ def window_of(
         If a scene is shorter than that, or than what is asked for; names it.
     """
     usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
+    shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
+    window = dict(usual if shortest.num_steps > sum(usual.values()) else SHORT_WINDOW)
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
-    window = {name: usual[name] if steps is None else steps for name, steps in asked.items()}
+    window |= {name: steps for name, steps in asked.items() if steps is not None}
     if min(window.values()) < 1:
         raise ConfigError(f"{window} asked for, expected at least one step of each")
-    shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
-    if window == usual and shortest.num_steps <= sum(usual.values()):
-        window = {**SHORT_WINDOW, **{name: n for name, n in asked.items() if n is not None}}
     if shortest.num_steps <= sum(window.values()):
         raise ConfigError(
             f"scene {shortest.name!r} has {shortest.num_steps} steps, expected at least "

@@ -23,6 +23,7 @@ PLANNER_TITLES = {
     "ego_replay": "ego trained in log replay",
     "imitation": "imitation of the log",
     "lane_idm": "IDM on lanes",
+    "noop": "no action",
     "pdm": "PDM-Closed",
     "pdm_ccdiff": "PDM with CCDiff's forecast",
     "pdm_open": "PDM-Open",
