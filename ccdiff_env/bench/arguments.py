@@ -59,9 +59,12 @@ def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = 
     parser.add_argument("--open", action="store_true", help="open the report in the browser")
 
 
-def add_traffic(parser: argparse.ArgumentParser, default: str | None, what: str) -> None:
+def add_traffic(
+    parser: argparse.ArgumentParser, default: str | None, what: str, more: str = ""
+) -> None:
     """Add who drives the others, kinds of traffic by name."""
-    parser.add_argument("--traffic", default=default, help=f"{what}, of: {', '.join(TRAFFIC)}")
+    names = ", ".join(TRAFFIC)
+    parser.add_argument("--traffic", default=default, help=f"{what}, of: {names}{more}")
 
 
 def add_methods(parser: argparse.ArgumentParser, default: str, more: str = "") -> None:

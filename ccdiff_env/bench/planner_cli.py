@@ -50,7 +50,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="a column of nuPlan's own score, by the metrics of nuplan-devkit",
     )
     # without a default, so that the protocol can tell whether it was given
-    add_traffic(parser, None, f"the others (default: {_USUAL_TRAFFIC}), comma-separated")
+    add_traffic(parser, None, "the others, comma-separated", f" (default: {_USUAL_TRAFFIC})")
     for name, what, usual in (
         ("history", "of the log before an episode", "30, or 10 in scenes of 9.1 s"),
         ("horizon", "that an episode lasts at most", "100, or 80 in scenes of 9.1 s"),
