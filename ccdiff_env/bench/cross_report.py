@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.cross_evaluation import Realism
-from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, are_few, figures, mean_interval
+from ccdiff_env.bench.intervals import LEAST_SCENES, figures, mean_interval
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.plots import plot_matrix
 from ccdiff_env.bench.replays import write_replay
@@ -68,10 +68,8 @@ def figures_table(rows: Sequence[Row]) -> Table:
 
 
 def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> list[Block]:
-    """Return the verdict, the sets, and a matrix of sets and planners for each figure."""
+    """Return the sets, and a matrix of sets and planners for each figure."""
     first, parts = next(iter(sets.values())), _subsets(rows)
-    few = are_few(parts["avoidable"]) or any(map(are_few, _cells(parts["all"]).values()))
-    blocks: list[Block] = [FEW if few else _verdict(parts["avoidable"])]
     counted = sets_table(sets, realism)[1]
     shown: TableRows = [
         [short_name(str(row[0])), row[1], *(_share(n, of) for n, of in counts), *row[5:9]]
@@ -80,7 +78,7 @@ def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> l
     titles = ("with a collision", "of them at fault", "of them avoidable")
     columns = ["made against", "scenarios", *titles, *_REALISM, Column("cfd", "CFD", digits=1)]
     what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
-    blocks += [Table(columns, shown, "Scenario sets"), what]
+    blocks: list[Block] = [Table(columns, shown), what]
     for name, part in parts.items():
         scope = "all scenarios" if name == "all" else "avoidable scenarios only"
         blocks += [_matrix(part, f, f"{title}: {scope}") for f, title in _FIGURES.items()]
@@ -97,27 +95,6 @@ def _cells(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
     for row in rows:
         found.setdefault((row["generator"], row["planner"]), []).append(row)
     return found
-
-
-def _verdict(avoidable: Sequence[Row]) -> str:
-    """Say who collides least where collisions can be avoided, and whose traffic is hardest."""
-    share = {k: float(np.mean([r["collision"] for r in v])) for k, v in _cells(avoidable).items()}
-    if not share:
-        return "No collision in these sets could have been avoided."
-
-    def means(place: int) -> dict[str, float]:
-        names = dict.fromkeys(key[place] for key in share)
-        return {n: float(np.mean([v for k, v in share.items() if k[place] == n])) for n in names}
-
-    by_planner, by_set = means(1), means(0)
-    best, worst = (of(by_planner, key=by_planner.__getitem__) for of in (min, max))
-    text = f"{short_name(best)} collides least ({by_planner[best]:.2f} of the avoidable scenarios)"
-    if best != worst:
-        text += f", {short_name(worst)} most ({by_planner[worst]:.2f})"
-    if len(by_set) > 1:
-        hard = max(by_set, key=by_set.__getitem__)
-        text += f". The set made against {short_name(hard)} is the hardest ({by_set[hard]:.2f})"
-    return text + "."
 
 
 def sets_table(

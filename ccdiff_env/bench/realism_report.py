@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import FEW, are_few, brackets, mean_interval
+from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
@@ -66,9 +66,7 @@ def tables(
         "Own: a sample in the place of the log, the ceiling of a calibrated model. Ego off its "
         "log: it brakes, swerves or turns off and does not react; new contacts with it."
     )
-    few = any(map(are_few, found.values()))
-    first = FEW if few else _verdict(figures)
-    return {"Likelihood of the log": [first, groups, note, parts], "Calibration": _ranks(found)}
+    return {"Likelihood of the log": [groups, note, parts], "Calibration": _ranks(found)}
 
 
 def _head(name: str) -> str:
@@ -99,15 +97,3 @@ def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
     head = "Rank of the logged speed among the samples': a calibrated model has 0.20 in each fifth."
     columns = [*map(Column, fifths), Column("rank-histogram error", unit="%", digits=0)]
     return [head, Table(["method", "after s", *columns], rows)] if rows else []
-
-
-def _verdict(figures: Mapping[str, Mapping[str, Figure]]) -> str:
-    """Say which method gives the log most likelihood, the log itself left out."""
-    total = {m: by_name["realism"][0] for m, by_name in figures.items() if m != "replay"}
-    if not total:
-        return "Only the log was measured."
-    best = max(total, key=lambda m: total[m])
-    known = {g: [m for m in total if np.isfinite(figures[m][g][0])] for g in GROUPS}
-    leads = {g: max((figures[m][g][0], m) for m in of) for g, of in known.items() if of}
-    parts = ", ".join(f"{g}: {label_of(m)} ({value:.3f})" for g, (value, m) in leads.items())
-    return f"{label_of(best)} is most likely over all ({total[best]:.3f}). First by group: {parts}."

@@ -32,7 +32,6 @@ __all__ = [
     "paper_pairs",
     "summarise",
     "tables",
-    "verdict",
     "with_scores",
 ]
 
@@ -178,31 +177,6 @@ def _few(table: Summary) -> bool:
     return any(figures.num_scenes < LEAST_SCENES for figures in table.values())
 
 
-def verdict(table: Summary) -> str:
-    """Say which method controls most and which is most realistic, over its conditions."""
-    pairs = with_scores(table)
-    if not pairs:
-        return "Only the log was measured."
-    if _few(table):
-        return FEW
-    of: dict[str, list[tuple[float, float]]] = {}
-    for c, pair in pairs.items():
-        of.setdefault(label_of(c.method), []).append(pair)
-    mean = {method: np.mean(found, axis=0).tolist() for method, found in of.items()}
-    most = max(m[0] for m in mean.values())
-    control = [method for method, m in mean.items() if m[0] >= most - 0.005]
-    number = Column("").text
-    at = ", ".join(f"RS {number(mean[method][1])}" for method in control)
-    s = "" if len(control) > 1 else "s"
-    first = f"{' and '.join(control)} make{s} most collisions (CS {most:.2f}, mean over K; {at})"
-    rated = [method for method, m in mean.items() if np.isfinite(m[1])]
-    if not rated:
-        return f"{first}; realism is n/a without a road."
-    real = max(rated, key=lambda m: mean[m][1])
-    cs, rs = mean[real]
-    return f"{first}; {real} is the most realistic (RS {rs:.2f}, CS {cs:.2f})."
-
-
 def figures_table(table: Summary) -> Table:
     """Return all figures of every condition."""
     relative, paper = with_scores(table), with_scores(table, paper_scale=True)
@@ -230,9 +204,8 @@ _SHOWN = (
 
 
 def tables(table: Summary) -> list[Block]:
-    """Return the verdict, the floor, and a row for each condition."""
+    """Return the floor, and a row for each condition."""
     relative = with_scores(table)
-    blocks: list[Block] = [verdict(table)]
     rows: TableRows = []
     for c, f in table.items():
         pair = relative.get(c, (None, None))
@@ -243,7 +216,7 @@ def tables(table: Summary) -> list[Block]:
         rows.append([label, *c.cells[1:], *pair, *known])
     note = FEW if _few(table) else "Brackets: 95 % bootstrap intervals over scenes."
     heads = ("method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN)
-    return [*blocks, Table(heads, rows), f"{note} CS, RS: bounds over this table."]
+    return [Table(heads, rows), f"{note} CS, RS: bounds over this table."]
 
 
 # methods against one another
