@@ -159,9 +159,7 @@ def comparison(
     for name in names:
         for planner, other, pairs in _pairs(found, planners, traffic, bases, name):
             figure, p = difference(pairs)
-            same = (
-                "no significant difference" if p >= PROTOCOL.fields["statistics"]["level"] else ""
-            )
+            same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
             of = [name.replace("_", " ")] if len(names) > 1 else []
             rows.append([*of, title_of(planner), title_of(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
