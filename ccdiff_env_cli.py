@@ -7,7 +7,6 @@ what a verb needs when that verb is called: help comes at once.
 from __future__ import annotations
 
 import argparse
-import codecs
 import difflib
 import os
 import sys
@@ -53,6 +52,9 @@ def _meant(word: str, known: Iterable[str]) -> str:
 class _Parser(argparse.ArgumentParser):
     """A parser that says what may have been meant; verbs answer for their own options."""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"formatter_class": _Help, **options})
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse; refuse what is unknown here, where the usage is that of the verb."""
         found, unknown = super().parse_known_args(args, namespace)
@@ -71,26 +73,8 @@ class _Parser(argparse.ArgumentParser):
         )
 
     def error(self, message: str) -> NoReturn:
-        """Say how the verb is used, in a line, and what is wrong."""
-        required = [a for a in self._actions if a.required or not a.option_strings]
-        usage = self.format_usage() if len(self._actions) < SHORT else self._brief(required)
-        self.exit(2, f"{usage}{self.prog}: {message}\n")
-
-    def _brief(self, required: list[argparse.Action]) -> str:
-        """Usage of a verb with many options: those that it needs alone."""
-        words = []
-        for action in required:
-            name = str(action.metavar or action.dest)
-            words.append(
-                " ".join(
-                    [*action.option_strings[-1:], name.upper() if action.option_strings else name]
-                )
-            )
-        return f"usage: {' '.join([self.prog, *words])} [options]; --help lists them\n"
-
-
-#: Parsers with fewer arguments than this show their whole usage.
-SHORT = 8
+        """Say what is wrong and where the options are; the usage of most verbs fills a screen."""
+        self.exit(2, f"{self.prog}: {message}\n{self.prog} --help lists the options\n")
 
 
 class _Version(argparse.Action):
@@ -101,25 +85,6 @@ class _Version(argparse.Action):
 
         print(f"ccdiff-env {__version__}")
         parser.exit()
-
-
-def _show_defaults(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class = _Help
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            for verb in action.choices.values():
-                _show_defaults(verb)
-
-
-#: What stands on a terminal of ASCII for letters that it has not.
-PLAIN = {"─": "-", "−": "-", "·": "-", "±": "+-", "…": "...", "²": "2", "°": " deg"}
-
-
-def _plain(error: UnicodeError) -> tuple[str, int]:
-    """Letters of ASCII for those that cannot be written."""
-    assert isinstance(error, UnicodeEncodeError)
-    letters = error.object[error.start : error.end]
-    return "".join(PLAIN.get(letter, "?") for letter in letters), error.end
 
 
 def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
@@ -133,7 +98,6 @@ def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
             found = import_module(f"ccdiff_env.{module}")
             arguments.set_defaults(run=getattr(found, "run", None))
             found.add_arguments(arguments)
-    _show_defaults(parser)
     return parser
 
 
@@ -144,9 +108,8 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
-    codecs.register_error("ccdiff_env_plain", _plain)
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="ccdiff_env_plain")
+        sys.stdout.reconfigure(errors="replace")  # on a terminal of ASCII
     args = parse(sys.argv[1:] if argv is None else argv)
     from ccdiff_env.errors import CcdiffError
 

@@ -16,21 +16,25 @@ from ccdiff_env.errors import ConfigError
 
 
 @pytest.mark.parametrize(
-    ("words", "usage", "said"),
+    ("words", "help_line", "said"),
     [
-        ("viw left-turn-00", "usage: ccdiff-env [-h]", "did you mean view?"),
-        ("bench planers", "usage: ccdiff-env bench [-h]", "did you mean planners?"),
-        ("bench planners --out x --planers idm", "ccdiff-env bench planners", "mean --planners?"),
-        ("view left-turn-00 --trafic=idm", "usage: ccdiff-env view", "did you mean --traffic?"),
-        ("live", "usage: ccdiff-env live", "required: RUN"),
+        ("viw left-turn-00", "ccdiff-env --help", "did you mean view?"),
+        ("bench planers", "ccdiff-env bench --help", "did you mean planners?"),
+        (
+            "bench planners --out x --planers idm",
+            "ccdiff-env bench planners --help",
+            "mean --planners?",
+        ),
+        ("view left-turn-00 --trafic=idm", "ccdiff-env view --help", "did you mean --traffic?"),
+        ("live", "ccdiff-env live --help", "required: RUN"),
     ],
 )
-def test_wrong_words_are_answered_by_their_verb(words, usage, said, capsys):
+def test_wrong_words_are_answered_by_their_verb(words, help_line, said, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main(words.split())
     assert ended.value.code == 2
     err = capsys.readouterr().err
-    assert usage in err
+    assert help_line in err
     assert said in err
 
 
