@@ -10,7 +10,7 @@ from episode_play import played, same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, Scene, WorldConfig, embedded_scenes
-from ccdiff_env.errors import ConfigError, SceneError, UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError
 
 HISTORY, HORIZON, LEAST_M = 30, 100, 10.0
 
@@ -48,23 +48,6 @@ def edited(scene: Scene, ego: str) -> Scene:
         location=scene.location,
         source=scene.source,
         origin=scene.origin,
-        map_layers=scene.map_layers(),
-    )
-
-
-def standing(scene: Scene, without: str = "") -> Scene:
-    """The scene in which everybody stands where the log has it after the history."""
-    tracks = dict(scene.tracks())
-    for name in ("position", "heading", "valid"):
-        tracks[name] = np.repeat(tracks[name][:, HISTORY : HISTORY + 1], scene.num_steps, axis=1)
-    kept = [i for i, name in enumerate(scene.agent_ids) if name != without]
-    tracks["velocity"] = np.zeros_like(tracks["position"])
-    return Scene.from_arrays(
-        scene.name,
-        agent_ids=[scene.agent_ids[i] for i in kept],
-        agent_types=[scene.agent_types[i] for i in kept],
-        sizes=scene.sizes[kept],
-        **{name: array[kept] for name, array in tracks.items()},
         map_layers=scene.map_layers(),
     )
 
@@ -160,15 +143,6 @@ def test_recordings_call_it_the_ego(scenes):
     assert np.array_equal(
         other.worlds.native.states(0)["position"][at], rollout.position[info["ego_idx"], 0]
     )
-
-
-def test_where_nobody_drives_the_ego_is_that_of_the_data(scenes):
-    scene = standing(scenes[0])
-    assert not moving(scene)
-    _, info = EgoEnv(scenes=[scene], ego="any").reset(seed=1)
-    assert (info["ego"], info["start_step"]) == ("ego", HISTORY)
-    with pytest.raises(SceneError, match="nobody to control"):
-        EgoEnv(scenes=[standing(scenes[0], without="ego")], ego="any")
 
 
 @pytest.mark.parametrize(

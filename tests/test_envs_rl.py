@@ -137,16 +137,6 @@ def test_episodes_are_recorded_as_video(vector, scenes, tmp_path):
     assert frames[0].std() > 1.0
 
 
-def test_frames_are_collected(scenes):
-    env = gymnasium.make(
-        ID, scenes=scenes, render_mode="rgb_array", render_options={"size": (8, 8)}
-    )
-    env = wrappers.RenderCollection(env)
-    env.reset(seed=0)
-    env.step(np.zeros(2, np.float32))
-    assert len(env.render()) == 2
-
-
 def test_workers_of_gymnasium_run_it_when_spawned(scenes):
     env = gymnasium.make_vec(
         ID,

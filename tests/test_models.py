@@ -140,14 +140,6 @@ def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
     assert whole.read_bytes() == parts.read_bytes()
 
 
-def test_training_leaves_torchs_generator_and_gradient_mode_alone(tmp_path: Path) -> None:
-    state = torch.get_rng_state()
-    with torch.no_grad():
-        train([road()], out=tmp_path, steps=1, settings=QUICK, progress=False)
-        assert not torch.is_grad_enabled()
-    assert torch.equal(state, torch.get_rng_state())
-
-
 @pytest.mark.parametrize(
     "model", ["simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp", "tokens"]
 )
@@ -196,17 +188,6 @@ def test_weights_that_are_compared_have_had_the_same_training(name: str) -> None
     same = ("batch_scenes", "learning_rate", "warmup_steps", "ema_decay", "clip_norm", "seed")
     assert [header["training"][key] for key in same] == [first["training"][key] for key in same]
     assert header["notes"]["num_scenes"] == first["notes"]["num_scenes"] == 600
-
-
-def test_parts_of_the_network_can_differ_from_the_preset(tmp_path: Path) -> None:
-    wide = train(
-        [road()], out=tmp_path, steps=1, settings=QUICK, network={"width": 32}, progress=False
-    )
-    assert TrajectoryModel(wide).header["model"]["width"] == 32
-    with pytest.raises(ConfigError, match="widht"):
-        train([road()], out=tmp_path / "a", steps=1, network={"widht": 32})
-    with pytest.raises(ConfigError, match="width"):
-        train([road()], out=tmp_path / "b", steps=1, network={"width": 30, "heads": 4})
 
 
 def test_what_cannot_be_trained_is_refused_with_the_facts(tmp_path: Path) -> None:
