@@ -12,22 +12,18 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
+from ccdiff_env.envs.agent_selection import Adversaries, Agents
 from ccdiff_env.envs.as_vector import AsVector, with_masks
-from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import FPS
 from ccdiff_env.envs.key_agents import KeyRanking
+from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
-from ccdiff_env.envs.vector import InfoLevel, check_choices
-from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
-    Worlds,
-    scene_set,
-    world_config,
 )
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
-from ccdiff_env.worlds.spaces import FORMS, Form
+from ccdiff_env.worlds.spaces import Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -56,12 +52,8 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         Number of worlds E.
     scenes, config, agents, ranking, adversaries, adversary_shaping
         As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
-    observation, info, num_threads, render_mode, render_options
+    observation, info, num_threads, render_mode, render_options, criticality
         As for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
-    criticality
-        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
-        function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
     """
@@ -91,31 +83,14 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         criticality: Criticality | None = None,
         **options: Unpack[AgentKeywords],
     ) -> None:
-        check_choices(observation, info, FORMS)
-        check_render_mode(render_mode, ("rgb_array",))
-        self._render_options = checked_render_options(render_options)
-        for name in ("controlled", "ego", "num_slots", "autoreset"):
-            if name in options:
-                raise ConfigError(f"{name} is not an option of several agents: use agents")
-        chosen = scene_set(scenes)
-        resolved = world_config(chosen, config, options, observation)
-        selection = AgentSelection.of(
-            chosen,
-            resolved,
-            agents=agents,
-            ranking=ranking,
-            adversaries=adversaries,
-        )
-        resolved = selection.config(chosen, resolved, adversary_shaping)
-        resolved = resolved.with_options(autoreset="same_step")
-        self.worlds = Worlds(
-            chosen,
-            resolved,
-            num_worlds=num_worlds,
-            num_threads=num_threads,
-            trails=render_mode is not None,
-            criticality=criticality,
-        )
+        shared = Shared(
+            scenes, config, observation, info, render_mode, render_options, criticality,
+            ("rgb_array",), num_worlds, num_threads, "same_step",
+        )  # fmt: skip
+        self.worlds, selection, self._render_options = agent_parts(
+            shared, options, agents=agents, ranking=ranking, adversaries=adversaries,
+            adversary_shaping=adversary_shaping,
+        )  # fmt: skip
         self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
         self.num_envs = num_worlds * self.num_slots
         self.render_mode = render_mode

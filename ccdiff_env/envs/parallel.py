@@ -13,23 +13,20 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection, Names
-from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
+from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
+from ccdiff_env.envs.drawing import FPS, DrawnWorld
 from ccdiff_env.envs.key_agents import KeyRanking
+from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
-from ccdiff_env.envs.vector import InfoLevel, check_choices
-from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
+from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
 from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
-    Worlds,
     normalize_seed,
-    scene_set,
-    world_config,
 )
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
-from ccdiff_env.worlds.spaces import FORMS, Form
+from ccdiff_env.worlds.spaces import Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -47,11 +44,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
     Parameters
     ----------
-    scenes
-        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
-        of a split of the embedded scenes.
-    config
-        Configuration to start from.
+    scenes, config, observation, info, render_mode, render_options, criticality
+        As for :class:`~ccdiff_env.EgoEnv`; ``info="end"``: at an agent's end.
     agents
         Who is controlled: ``"all"`` vehicles that are there at the start, a number K (the ego and
         the first K - 1 others of the ranking), or ids.
@@ -69,19 +63,6 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         names in every scene.
     max_cycles
         Steps of an episode at most; ``horizon_steps`` by another name.
-    observation
-        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
-        a raster besides) or ``"bev"`` (the raster alone).
-    info
-        ``"full"``: all columns of every step; ``"end"``: only at an agent's end; ``"none"``.
-    render_mode
-        ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
-    render_options
-        Options of images.
-    criticality
-        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
-        function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 
@@ -116,34 +97,15 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         criticality: Criticality | None = None,
         **options: Unpack[AgentKeywords],
     ) -> None:
-        check_choices(observation, info, FORMS)
-        check_render_mode(render_mode, ("human", "rgb_array"))
-        self._render_options = checked_render_options(render_options)
-        for name in ("controlled", "ego", "num_slots", "autoreset"):
-            if name in options:
-                raise ConfigError(f"{name} is not an option of several agents: use agents")
+        shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
         if max_cycles is not None:
             held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
             options = {"horizon_steps": max_cycles * held, **options}
-        chosen = scene_set(scenes)
-        resolved = world_config(chosen, config, options, observation)
-        selection = AgentSelection.of(
-            chosen,
-            resolved,
-            agents=agents,
-            ranking=ranking,
-            adversaries=adversaries,
-        )
-        resolved = selection.config(chosen, resolved, adversary_shaping)
-        resolved = resolved.with_options(autoreset="disabled")
-        self.worlds = Worlds(
-            chosen,
-            resolved,
-            num_worlds=1,
-            num_threads=1,
-            trails=render_mode is not None,
-            criticality=criticality,
-        )
+        self.worlds, selection, self._render_options = agent_parts(
+            shared, options, agents=agents, ranking=ranking, adversaries=adversaries,
+            adversary_shaping=adversary_shaping,
+        )  # fmt: skip
+        chosen, resolved = self.worlds.scenes, self.worlds.config
         self._kept: dict[str, Any] = {
             "scenes": chosen,
             "config": resolved,

@@ -11,24 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import FPS, DrawnWorld
+from ccdiff_env.envs.parts import InfoLevel, Shared, ego_parts
 from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
-from ccdiff_env.envs.vector import InfoLevel, check_choices, check_ego
 from ccdiff_env.errors import SnapshotError
-from ccdiff_env.policies.planners import seated
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.worlds import (
     Scenes,
-    Worlds,
     normalize_seed,
-    scene_set,
-    world_config,
 )
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
-from ccdiff_env.worlds.spaces import FORMS, Form
+from ccdiff_env.worlds.spaces import Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -117,24 +113,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         criticality: Criticality | None = None,
         **options: Unpack[EgoKeywords],
     ) -> None:
-        check_choices(observation, info, FORMS)
-        check_ego(options, config)
-        check_render_mode(render_mode, ("human", "rgb_array"))
-        self._render_options = checked_render_options(render_options)
-        chosen = scene_set(scenes)
+        shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
         self._driver = options.get("driver")
-        self._seat, config, given = seated(options, config, chosen[0].dt)
-        resolved = world_config(chosen, config, given, observation).with_options(
-            autoreset="disabled"
-        )
-        self.worlds = Worlds(
-            chosen,
-            resolved,
-            num_worlds=1,
-            num_threads=1,
-            trails=render_mode is not None,
-            criticality=criticality,
-        )
+        self.worlds, self._seat, self._render_options = ego_parts(shared, options)
         self._criticality = criticality
         self.render_mode = render_mode
         self._form: Form = observation

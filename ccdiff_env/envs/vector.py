@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -11,24 +11,22 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.as_vector import AsVector, with_masks
-from ccdiff_env.envs.drawing import FPS, check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import FPS
+from ccdiff_env.envs.parts import InfoLevel, Shared, ego_parts
 from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.policies.planners import seated
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
     Worlds,
-    scene_set,
-    world_config,
 )
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
-from ccdiff_env.worlds.spaces import FORMS, Form
+from ccdiff_env.worlds.spaces import Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
-InfoLevel = Literal["full", "end", "none"]
 
 #: What a copy has besides: who has begun, generators, spaces with theirs.
 _OWN = (
@@ -69,23 +66,6 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     raise ConfigError(f"autoreset_mode is {mode!r}, expected one of {names}")
 
 
-def check_choices(observation: str, info: str, forms: Sequence[str] = ("flat", "dict")) -> None:
-    """Refuse a form of observation, or a level of info, that does not exist."""
-    if observation not in forms:
-        raise unknown("observation form", str(observation), forms)
-    if info not in ("full", "end", "none"):
-        raise unknown("info level", str(info), ("full", "end", "none"))
-
-
-def check_ego(options: Mapping[str, Any], config: WorldConfig | None) -> None:
-    """Refuse options that environments with one ego per world set themselves."""
-    for name in ("controlled", "num_slots", "autoreset"):
-        if name in options:
-            raise ConfigError(f"{name} is not an option of environments with one ego per world")
-    if config is not None and (config.controlled not in ("ego", "any") or config.num_slots != 1):
-        raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'")
-
-
 class EgoVectorEnv(FollowsTraining, AsVector):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
@@ -93,20 +73,11 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     ----------
     num_envs
         Number of worlds E.
-    scenes
-        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
-        of a split of the embedded scenes.
-    config
-        Configuration to start from.
+    scenes, config, observation, info, render_options, criticality
+        As for :class:`~ccdiff_env.EgoEnv`.
     autoreset_mode
         When an ended world begins anew: ``"next_step"``, ``"same_step"`` or ``"disabled"``
         (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's ``AutoresetMode``.
-    observation
-        ``"flat"`` (Box [D]), ``"dict"`` (a Box per entry, a MultiBinary per mask, with ``bev={}``
-        a bird's-eye raster besides) or ``"bev"`` (the raster alone, Box uint8 [channels, S, S]).
-    info
-        ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
-        ``"none"``: only numbers at resets: index of the scene, seed, episode.
     copy
         Whether every call returns arrays of its own. Without, observations, rewards, flags and
         columns of the step before are overwritten.
@@ -115,13 +86,6 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         Results do not depend on it.
     render_mode
         ``None`` or ``"rgb_array"``.
-    render_options
-        Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
-        ``route``, ``labels``.
-    criticality
-        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
-        function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
     **options
         Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
         ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
@@ -169,24 +133,12 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             "render_options": render_options,
             "criticality": criticality,
         }
-        check_choices(observation, info, FORMS)
-        check_ego(options, config)
-        check_render_mode(render_mode, ("rgb_array",))
-        self._render_options = checked_render_options(render_options)
-        chosen = scene_set(scenes)
+        shared = Shared(
+            scenes, config, observation, info, render_mode, render_options, criticality,
+            ("rgb_array",), num_envs, num_threads, _AUTORESET[mode],
+        )  # fmt: skip
         self._driver = options.get("driver")
-        self._seat, config, given = seated(options, config, chosen[0].dt)
-        resolved = world_config(chosen, config, given, observation).with_options(
-            autoreset=_AUTORESET[mode]
-        )
-        self.worlds = Worlds(
-            chosen,
-            resolved,
-            num_worlds=num_envs,
-            num_threads=num_threads,
-            trails=render_mode is not None,
-            criticality=criticality,
-        )
+        self.worlds, self._seat, self._render_options = ego_parts(shared, options)
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
