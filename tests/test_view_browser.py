@@ -48,13 +48,6 @@ def test_a_page_plays_from_two_seconds_before_the_collision(visit):
     page.until("replay.time > replay.start + 1.1")
 
 
-def test_a_page_waits_where_less_motion_or_a_moment_is_asked_for(visit):
-    assert visit("one.html", hash="").state("playing") is False
-    assert visit("one.html", reduced_motion="no-preference").state("playing") is False
-    asked = visit("one.html", hash="#t=2&play=1", reduced_motion="no-preference")
-    assert asked.state("playing") is True
-
-
 def test_the_address_follows_what_is_shown_and_opens_it_again(visit):
     page = visit("one.html")
     page.click("#layer-graph")
@@ -171,21 +164,6 @@ def test_keys_do_what_the_help_says(visit):
     page.keyboard.press("s")
     page.frames()
     assert not page.is_visible("#side")
-
-
-def test_a_key_right_after_the_help_counts(visit):
-    page = visit("one.html")
-    focus = page.evaluate(
-        """() => {
-          const help = document.getElementById("help");
-          help.showModal();
-          help.close();
-          const focus = document.activeElement, key = { key: "s", bubbles: true };
-          focus.dispatchEvent(new KeyboardEvent("keydown", key));
-          return focus.textContent.trim().slice(0, 20);
-        }"""
-    )
-    assert not page.is_visible("#side"), focus
 
 
 def test_following_keeps_an_agent_in_the_middle_and_dragging_lets_go(visit):

@@ -125,20 +125,6 @@ def test_every_control_is_reached_by_the_keyboard(visit):
     assert page.state("layers.trails") is True
 
 
-def test_the_time_line_is_a_slider_that_says_where_it_is(visit):
-    page = visit("one.html")
-    page.focus("#timeline")
-    for _ in range(30):
-        page.keyboard.press("ArrowRight")
-    page.frames()
-    slider = page.locator("#timeline")
-    assert slider.get_attribute("role") == "slider"
-    assert float(slider.get_attribute("aria-valuenow")) == pytest.approx(3.0)
-    assert float(slider.get_attribute("aria-valuemax")) == pytest.approx(8.0)
-    assert "ego drove into 1" in slider.get_attribute("aria-valuetext")
-    assert "ego drove into 1" in page.inner_text("#said")
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("name", ["one.html", "two.html", "grid.html", "index.html"])
 def test_axe_finds_nothing_serious(browser, files, axe, name, theme):
@@ -188,36 +174,6 @@ def test_colours_of_agents_stand_out_from_the_road(visit):
     edge = lights.index(min(lights))
     assert edge < len(lights) - 30  # of the body, not of the road
     assert (lights[-1] + 0.05) / (lights[edge] + 0.05) >= 3.0
-
-
-@pytest.mark.parametrize("page_name", ["two.html", "grid.html"])
-def test_one_run_alone_while_paused_has_pixels_for_all_of_its_pane(visit, page_name):
-    page = visit(page_name)
-    for key in "2", "0", "1", "0":
-        page.keyboard.press(key)
-        page.frames(6)
-        sizes = page.evaluate(
-            """replay.panes.filter((p) => p.width).map(({ canvas }) =>
-              [canvas.width / canvas.clientWidth, canvas.height / canvas.clientHeight])"""
-        )
-        assert sizes
-        for size in sizes:
-            assert size == pytest.approx([1.0, 1.0], abs=0.01)
-
-
-def test_an_ego_that_has_reached_its_goal_stays_in_green(browser, tmp_path):
-    run = planned_rollout()
-    valid = run.valid.copy()
-    valid[0, 40:] = False
-    events = (RolloutEvent(40, "ego", None, "goal"),)
-    write_page(replace(run, valid=valid, events=events), tmp_path / "page.html")
-    page = Page(browser, tmp_path / "page.html", "#t=4.5")
-    assert page.evaluate("replay.runs[0].pose(0, 45) !== null")
-    assert "has reached its goal" in page.inner_text("#captions")
-    write_page(replace(run, valid=valid, events=()), tmp_path / "gone.html")
-    assert Page(browser, tmp_path / "gone.html", "#t=4.5").evaluate(
-        "replay.runs[0].pose(0, 45) === null"
-    )
 
 
 def test_two_runs_keep_step_and_share_the_view(visit):
@@ -277,25 +233,6 @@ def test_a_phone_has_room_for_everything(visit):
     assert page.is_visible("#help")
 
 
-def test_a_phone_on_its_side_shows_all_options(visit):
-    page = visit("one.html", viewport={"width": 844, "height": 390}, has_touch=True, is_mobile=True)
-    assert page.is_visible("#follow")
-    assert page.locator(".map").bounding_box()["height"] > 150
-
-
-def test_a_damaged_page_says_so_and_shows_no_controls(browser, files, tmp_path):
-    text = (files / "one.html").read_text(encoding="utf-8")
-    at = text.index('class="run"') + 5000
-    (tmp_path / "torn.html").write_text(text[:at] + "AAAA" * 9 + text[at + 36 :], encoding="utf-8")
-    page = browser.new_page()
-    page.goto((tmp_path / "torn.html").as_uri())
-    page.wait_for_selector("[data-ready=failed]")
-    assert "damaged" in page.inner_text("#failure")
-    box = page.locator("#failure").bounding_box()
-    assert box["height"] == page.viewport_size["height"]
-    page.close()
-
-
 def test_two_fingers_zoom(visit):
     page = visit("one.html", viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     session = page.context.new_cdp_session(page.page)
@@ -351,22 +288,6 @@ def test_a_grid_has_one_clock_and_a_run_can_have_it_alone(visit):
     page.keyboard.press("0")
     page.frames()
     assert boxes(page) == tiles
-
-
-def test_a_grid_fits_a_phone(visit):
-    page = visit("grid.html", viewport={"width": 390, "height": 844}, has_touch=True)
-    tiles = boxes(page)
-    assert len({x for x, *_ in tiles}) == 2
-    assert min(width for *_, width, _ in tiles) > 150
-    assert min(height for *_, height in tiles) > 200
-    maps, captions = page.locator(".map").all(), page.locator(".pane-caption").all()
-    for place, caption in zip(maps, captions, strict=True):
-        map_box, box = place.bounding_box(), caption.bounding_box()
-        assert box["y"] + box["height"] <= map_box["y"] + 0.5  # above the map, not on it
-        assert map_box["height"] > 150
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    button = page.locator(".enlarge").first.bounding_box()
-    assert min(button["width"], button["height"]) >= 44
 
 
 def test_a_map_without_lanes_says_so(browser, visit, tmp_path):
