@@ -1,11 +1,11 @@
 """Learn which vehicle to turn on an ego, when and how strongly; compare with rules.
 
     python examples/train_adversary_selection.py --dataroot <nuscenes> --split train \
-        --test-split val+train_val --seeds 3
+        --test-split val train_val --seeds 3 --test-seeds 5
 
 MaskablePPO of sb3-contrib decides once per plan of CCDiff traffic. Guidance is cheap at first, and
 dearer afterwards: where it is dear from the beginning, nobody is all that is learned. Policies,
-curve, table and picture go to ``--out``; traffic reads a policy by
+curve, table and picture go to ``--out``; what is there is not made again. Traffic reads a policy by
 ``ccdiff={"adversary_policy": "<out>/policy-0.safetensors", "replan_steps": 20}``.
 """
 
@@ -28,7 +28,7 @@ from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.table import document
 
-#: Cost per standard deviation of shift, by stage.
+#: Cost per standard deviation of shift, one stage of the training after the other.
 SHIFT_COSTS = (0.03, 0.05)
 #: Seeds of two trainings share no world.
 SEED_STRIDE = 1_000_003
@@ -56,34 +56,32 @@ def arguments() -> argparse.Namespace:
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     parser.add_argument("--ego", default="idm", help="planner of the ego")
+    parser.add_argument("--counts", default="all", help="collisions that count, see docs/tasks.md")
+    parser.add_argument("--adversaries", type=int, default=1, help="vehicles that are guided")
+    parser.add_argument("--denoising-steps", type=int, default=1, help="of the traffic, in tests")
     parser.add_argument("--steps", type=int, default=64_000, help="decisions of each stage")
     parser.add_argument("--worlds", type=int, default=128)
     parser.add_argument("--seeds", type=int, default=1, help="policies that are trained")
     parser.add_argument("--test-seeds", type=int, default=1, help="episodes of each test scene")
+    parser.add_argument("--policies", type=Path, help="folder of policies that are there already")
     parser.add_argument("--out", type=Path, default=Path("runs/adversary_selection"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
 
 
-def hit_by_all(scenes, ego: str) -> np.ndarray:
-    """How often each scene's ego collides where all vehicles are guided at strength 4, of two."""
-    everybody = selection.Choice(
-        "all", "4", lambda env: [(None, 4.0)] * env.num_envs, {"num_guided": None}
-    )
-    rows = selection.play(scenes, everybody, ego=ego, seeds=(0, 1), plan_radius_m=40.0)
-    hits = {scene.name: 0.0 for scene in scenes}
-    for row in rows:
-        hits[row["scene"]] += row["is_success"]
-    return np.array(list(hits.values()))
+def scene_weights(scenes, options: dict) -> np.ndarray:
+    """Scenes in which the ego can be hit come oftener."""
+    everybody = selection.traffics("all", "4", 4.0, num_guided=None)
+    hits = selection.play(scenes, everybody, seeds=(0, 1), **options)["is_success"]
+    return 0.5 + 2.0 * np.array(hits)
 
 
-def train(args: argparse.Namespace, scenes, weights: np.ndarray, seed: int) -> list[list[float]]:
-    """Train one policy in stages; returns its curve."""
-    env = AdversarySelectionVectorEnv(
-        args.worlds, scenes=scenes, ego=args.ego, num_threads=1, ccdiff={"plan_radius_m": 40.0}
-    )
-    env.worlds.set_scene_weights(0.5 + weights)
+def train(args: argparse.Namespace, scenes, options: dict, weights, seed: int) -> None:
+    """Train one policy in stages."""
+    env = AdversarySelectionVectorEnv(args.worlds, scenes=scenes, num_threads=1, **options)
+    env.worlds.set_scene_weights(weights)
     per_episode = max(env.worlds.config.horizon_steps // env.decision_steps, 1)
+    curve, begun = [], time.process_time()
     model = MaskablePPO(
         CandidatePolicy,
         SelectionSB3VecEnv(env),
@@ -96,53 +94,70 @@ def train(args: argparse.Namespace, scenes, weights: np.ndarray, seed: int) -> l
         seed=seed * SEED_STRIDE,
         device="cpu",
     )
-    curve = []
     for stage, cost in enumerate(SHIFT_COSTS):
         env.shift_cost = cost
         callback = Curve()
         model.learn(args.steps, callback=callback)
         curve += [[step + stage * args.steps, *rest] for step, *rest in callback.rows]
-    model.save(args.out / f"policy-{seed}.zip")
+    seconds = time.process_time() - begun
+    print(
+        f"policy {seed}: the ego collides in {curve[0][2]:.0%} of the first episodes, "
+        f"{curve[-1][2]:.0%} of the last; {seconds:.0f} s of a processor, "
+        f"{len(SHIFT_COSTS) * args.steps / seconds:.0f} decisions a second",
+        flush=True,
+    )
+    (args.policies / f"curve-{seed}.json").write_text(json.dumps(curve))
     notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
-    save_policy(model, args.out / f"policy-{seed}.safetensors", env.strengths, notes)
-    return curve
+    save_policy(model, args.policies / f"policy-{seed}.safetensors", env.strengths, notes)
+    model.save(args.policies / f"policy-{seed}.zip")
+
+
+def learned(path: Path) -> selection.Choice:
+    """What a policy chooses; traffic chooses the same by its ``adversary_policy``."""
+    model = MaskablePPO.load(path, device="cpu")
+
+    def choose(env: AdversarySelectionVectorEnv):
+        obs, masks = env.observation(), env.action_masks()
+        return env.chosen(model.predict(obs, action_masks=masks, deterministic=True)[0])
+
+    return selection.Choice("learned", path.stem, choose)
 
 
 def main() -> None:
     args = arguments()
     torch.set_num_threads(1)
     scenes, unseen = scenes_from(args), scenes_from(args, other=True)
-    choices = selection.rivals(forks=False)
+    options = {"ego": args.ego, "counts": args.counts, "num_adversaries": args.adversaries}
     if args.smoke:
-        args.steps, args.worlds, scenes, unseen = 64, 4, scenes[:2], unseen[:1]
-        choices = choices[:3]
+        args.steps, args.worlds, scenes, unseen = 16, 4, scenes[:2], unseen[:1]
     args.out.mkdir(parents=True, exist_ok=True)
-    begun = time.process_time()
-    weights = hit_by_all(scenes, args.ego)
-    for seed in range(args.seeds):
-        if not (args.out / f"policy-{seed}.safetensors").exists():
-            curve = train(args, scenes, weights, seed)
-            (args.out / f"curve-{seed}.json").write_text(json.dumps(curve))
-            spent = f"{time.process_time() - begun:.0f} s of a processor"
-            hits = f"{curve[0][2]:.0%}, then {curve[-1][2]:.0%}"
-            print(f"policy {seed}: the ego collides in {hits}; {spent}")
-    choices += [
-        selection.learned("learned", args.out / f"policy-{seed}.safetensors")
-        for seed in range(args.seeds)
-    ]
-    played = {
-        (choice.line, choice.point): selection.play(
-            unseen, choice, ego=args.ego, seeds=range(args.test_seeds)
-        )
-        for choice in choices
-    }
-    (args.out / "rows.json").write_text(
-        json.dumps([{"line": k[0], "point": k[1], "rows": rows} for k, rows in played.items()])
+    args.policies = args.policies or args.out
+    paths = [args.policies / f"policy-{seed}.zip" for seed in range(args.seeds)]
+    untrained = [seed for seed, path in enumerate(paths) if not path.exists()]
+    if untrained:
+        fast = {**options, "ccdiff": {"plan_radius_m": 40.0}}
+        weights = scene_weights(scenes, fast)
+        for seed in untrained:
+            train(args, scenes, fast, weights, seed)
+    options["ccdiff"] = {"denoising_steps": args.denoising_steps}
+    file = args.out / "played.json"
+    played = json.loads(file.read_text()) if file.exists() else {}
+    rules = [*selection.rivals(), *selection.gated(scenes, **options)]
+    if args.adversaries == 1:
+        rules.append(selection.forks())
+    for choice in [*rules[:: 8 if args.smoke else 1], *map(learned, paths)]:
+        points = played.setdefault(choice.line, {})
+        if choice.point not in points:
+            seeds = range(args.test_seeds)
+            points[choice.point] = selection.play(unseen, choice, seeds=seeds, **options)
+            file.write_text(json.dumps(played))
+    text = document(
+        f"{len(unseen)} scenes that no training saw, {args.test_seeds} episodes of each, "
+        f"ego {args.ego}.",
+        *selection.table(played),
     )
-    what = f"{len(unseen)} unseen scenes, {args.test_seeds} episodes of each, ego {args.ego}."
-    text = document(what, *selection.table(played, ["learned"]))
     (args.out / "table.md").write_text(text)
-    selection.plot(played, ["learned"], args.out / "tradeoff.png", ego=args.ego)
+    selection.plot(played, args.out / "tradeoff.png", ego=args.ego)
     print(text)
 
 

@@ -234,8 +234,6 @@ def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scene
 def test_what_cannot_be_copied_says_what_to_do(scenes):
     for env in (
         ccdiff_env.AgentVectorEnv(2, scenes=scenes, agents=2),
-        ccdiff_env.AdversarySelectionEnv(scenes=scenes),
-        ccdiff_env.AdversarySelectionVectorEnv(2, scenes=scenes),
         EgoEnv(scenes=scenes).worlds,
     ):
         for make in (copy.deepcopy, pickle.dumps):

@@ -311,8 +311,9 @@ def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
         drive(scenes, str(tmp_path / "ego.zip"), REPLAY, options={"dynamics": "unicycle"})
     chosen = {"scenes": scenes, "ego": tmp_path / "ego.zip"}
     env = ccdiff_env.AdversarySelectionEnv(**chosen, dynamics="unicycle")
+    env.reset(seed=0)
     with pytest.raises(ConfigError, match="bicycle"):
-        env.reset(seed=0)
+        env.step(0)
     fitting = ccdiff_env.AdversarySelectionEnv(**chosen)
     fitting.reset(seed=0)
     assert isinstance(fitting.worlds.config.action.dynamics, BicycleLimits)

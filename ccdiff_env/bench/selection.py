@@ -1,13 +1,14 @@
 """Who is turned on the ego: learned choices beside rules, at an equal cost of guidance.
 
-A rule pays for its collisions by the strength of the guidance, or by how often it acts. Its
-share of scenes with a collision at another's shift is read off the line through its points.
+A rule pays for its collisions by the strength of the guidance, or by how often it acts. Its share
+of scenes with a collision at a policy's shift is read off the line through its points. The test of
+a policy is the difference of the two, paired over scenes, by the permutation of signs; that of all
+policies is the same of their means. Gates of the closest approach are chosen on other scenes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,21 +16,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import mean_interval, permutation_p
+from ccdiff_env.bench.intervals import difference
 from ccdiff_env.bench.plots import new_plot, save_plot
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv, fork_actions, rule_actions
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.table import Column, Table, TableRows
 
-__all__ = ["Choice", "learned", "play", "plot", "rivals", "table"]
+__all__ = ["Choice", "gated", "play", "plot", "rivals", "table", "traffics"]
 
-F64 = npt.NDArray[np.float64]
-Rows = Sequence[Mapping[str, Any]]
-#: Steps of a fork: this decision and the next one.
-FORK_STEPS = 40
-#: Strengths at which rules are measured; gates of the closest approach, metres, the last one open.
+#: Figures by name, a number for each scene: means over seeds.
+Figures = Mapping[str, Sequence[float]]
+#: Strengths at which rules are measured; gates of the closest approach that are tried, metres.
 RULE_STRENGTHS = (1.0, 2.0, 3.0, 4.0)
-GATES_M = (5.0, 10.0, 15.0, 30.0)
+GATES_M = (3.0, 5.0, 7.0, 10.0, 15.0, 30.0)
 
 
 class Choice(NamedTuple):
@@ -37,136 +36,120 @@ class Choice(NamedTuple):
 
     line: str
     point: str
-    #: Returns agents and criticality of each world, see `AdversarySelectionVectorEnv.decide`.
+    #: Returns what :meth:`AdversarySelectionVectorEnv.decide` takes.
     choose: Callable[[AdversarySelectionVectorEnv], Any]
-    #: Options of CCDiff beside the environment's.
-    ccdiff: Mapping[str, Any] = {}
-    strengths: Sequence[float] = (1.0,)
+    #: Options of the environment.
+    options: Mapping[str, Any] = {}
 
 
-def _rule(line: str, strength: float, gate_m: float | None = None) -> Choice:
+def _rule(line: str, strength: float, gate_m: float = np.inf) -> Choice:
     def choose(env: AdversarySelectionVectorEnv) -> Any:
         seed = int(env.worlds.native.status(0).elapsed_steps)
-        return env.chosen(rule_actions(env, line, gate_m=gate_m, seed=seed))
+        rule = line.partition(",")[0]
+        return env.chosen(rule_actions(env, rule, gate_m=gate_m, seed=seed))
 
-    point = f"{strength:g}" + ("" if gate_m is None else f", within {gate_m:g} m")
-    return Choice(line, point, choose, strengths=(strength,))
-
-
-def _traffics(env: AdversarySelectionVectorEnv, criticality: float = 1.0) -> Any:
-    """Leave the choice to the traffic."""
-    return [(None, criticality)] * env.num_envs
+    point = f"{strength:g}" + (f" within {gate_m:g} m" if np.isfinite(gate_m) else "")
+    return Choice(line, point, choose, {"strengths": (strength,)})
 
 
-def rivals(*, forks: bool = True) -> list[Choice]:
-    """Return the rules: each at its strengths; ``forks`` needs an ego that worlds drive."""
-    names = ("random", "nearest", "ttc", "approach")
+def traffics(line: str, point: str, criticality: float = 1.0, **ccdiff: Any) -> Choice:
+    """Return the traffic's own choice, such as that of its ``adversary_policy``."""
+    return Choice(line, point, lambda env: [(None, criticality)] * env.num_envs, {"ccdiff": ccdiff})
+
+
+def rivals() -> list[Choice]:
+    """Return the rules, each at its strengths; ``causal`` is the ranking of the paper."""
     found = [_rule("none", 1.0)]
-    found += [_rule(name, strength) for name in names for strength in RULE_STRENGTHS]
-    gated = [_rule("approach", 4.0, gate_m) for gate_m in GATES_M]
-    found += [choice._replace(line="approach, gated") for choice in gated]
-    # the ranking of the traffic, as the paper's
-    one = {"num_guided": 1, "ranking": "cliques"}
+    for name in ("random", "nearest", "ttc", "approach"):
+        found += [_rule(name, strength) for strength in RULE_STRENGTHS]
     for c in RULE_STRENGTHS:
-        found.append(Choice("causal", f"{c:g}", partial(_traffics, criticality=c), one))
-    if forks:
-
-        def choose(env: AdversarySelectionVectorEnv) -> Any:
-            return env.chosen(fork_actions(env, FORK_STEPS))
-
-        found.append(Choice("forks", "weakest of 1, 2, 4", choose, strengths=(1.0, 2.0, 4.0)))
+        found.append(traffics("causal", f"{c:g}", c, num_guided=1, ranking="cliques"))
     return found
 
 
-def learned(line: str, path: str | Path) -> Choice:
-    """Return the choice of a policy by the file that the traffic reads."""
-    options = {"adversary_policy": str(path)}
-    return Choice(line, Path(path).stem, _traffics, options)
+def forks() -> Choice:
+    """Return who tries every choice in copies of the worlds, and takes the weakest that hits."""
+    return Choice("forks", "weakest of 1, 2, 4", lambda env: env.chosen(fork_actions(env)))
+
+
+def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
+    """Return the closest approach with those gates and strengths that no mixture of others beats.
+
+    ``scenes`` and ``options`` are those of :func:`play`; scenes that report are not among them.
+    """
+    tried = [_rule("approach, gated", c, gate_m) for gate_m in GATES_M for c in (2.0, 4.0)]
+    found = [(_means(play(scenes, choice, **options)), choice) for choice in tried]
+    hull: list[tuple[tuple[float, float], Choice]] = [((0.0, 0.0), _rule("none", 1.0))]
+    for (shift, share), choice in sorted(found, key=lambda one: one[0]):
+        while len(hull) > 1:
+            (x, y), (before_x, before_y) = hull[-1][0], hull[-2][0]
+            if (share - before_y) * (x - before_x) < (y - before_y) * (shift - before_x):
+                break
+            hull.pop()
+        if share > hull[-1][0][1]:
+            hull.append(((shift, share), choice))
+    return [choice for _, choice in hull[1:]]
 
 
 def play(
-    scenes: SceneSet,
-    choice: Choice,
-    *,
-    ego: str = "idm",
-    seeds: Iterable[int] = (0,),
-    **ccdiff: Any,
-) -> list[dict[str, Any]]:
+    scenes: SceneSet, choice: Choice, *, seeds: Sequence[int] = (0,), **options: Any
+) -> dict[str, list[float]]:
     """Let somebody choose in every scene once for each seed.
 
     Parameters
     ----------
-    scenes
-        The scenes.
-    choice
-        Who chooses.
-    ego
-        Who drives the ego.
-    seeds
-        Seeds of the episodes.
-    **ccdiff
-        Options of the traffic, such as ``denoising_steps=5``.
+    scenes, choice, seeds
+        The scenes, who chooses, and seeds of the episodes.
+    **options
+        Of the environment, such as ``ego="pdm"``.
 
     Returns
     -------
-    list of dict
-        ``scene``, ``seed`` and the metrics of the environment, a row per scene and seed.
+    dict
+        The metrics of the environment, a number for each scene: means over the seeds.
     """
-    env = AdversarySelectionVectorEnv(
-        len(scenes),
-        scenes=scenes,
-        ego=ego,
-        strengths=choice.strengths,
-        num_threads=1,
-        ccdiff={**ccdiff, **choice.ccdiff},
-    )
-    rows = []
+    both = {**options, **choice.options}
+    both["ccdiff"] = {**options.get("ccdiff", {}), **choice.options.get("ccdiff", {})}
+    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, num_threads=1, **both)
+    total: dict[str, npt.NDArray[np.float64]] = {}
     for seed in seeds:
         env.reset(seed=[seed] * len(scenes), options={"scene": list(range(len(scenes)))})
-        done = np.zeros(len(scenes), np.bool_)
-        while not done.all():
-            _, terminated, truncated = env.decide(choice.choose(env))
-            done |= terminated | truncated
-        rows += [
-            {"scene": scene.name, "seed": seed, **env.metrics(e)} for e, scene in enumerate(scenes)
-        ]
-    return rows
+        while not env.ended.all():
+            env.decide(choice.choose(env))
+        for name, values in env.metrics().items():
+            total[name] = total.get(name, 0.0) + values / len(seeds)
+    return {name: values.tolist() for name, values in total.items()}
 
 
-def _by_scene(rows: Rows, name: str) -> F64:
-    """Means over seeds of a figure, one number for each scene, in the order of the first rows."""
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    values: dict[str, list[float]] = {scene: [] for scene in scenes}
-    for row in rows:
-        values[row["scene"]].append(float(row[name]))
-    return np.array([np.mean(values[scene]) for scene in scenes])
+def _means(figures: Figures) -> tuple[float, float]:
+    """Shift and share of scenes with a collision."""
+    return float(np.mean(figures["mean_shift_sigmas"])), float(np.mean(figures["is_success"]))
 
 
-def at_shift(line: Sequence[Rows], shift: float) -> F64 | None:
+def _interval(values: Sequence[float]) -> tuple[float, float, float]:
+    return difference(np.asarray(values, np.float64))[0]
+
+
+def at_shift(line: Iterable[Figures], shift: float) -> npt.NDArray[np.float64] | None:
     """Return collisions by scene of a line at a shift, between its points; ``None`` beyond them."""
-    points = sorted(
-        (float(_by_scene(rows, "mean_shift_sigmas").mean()), i) for i, rows in enumerate(line)
-    )
-    for (low, i), (high, j) in pairwise(points):
+    for one, other in pairwise(sorted(line, key=_means)):
+        (low, _), (high, _) = _means(one), _means(other)
         if low <= shift <= high and high > low:
             share = (shift - low) / (high - low)
-            below, above = (_by_scene(line[k], "is_success") for k in (i, j))
-            return (1.0 - share) * below + share * above
+            below, above = np.array([one["is_success"], other["is_success"]])
+            return np.asarray((1.0 - share) * below + share * above)
     return None
 
 
-def table(played: Mapping[tuple[str, str], Rows], policies: Iterable[str]) -> list[Table]:
-    """Return all choices, and the learned ones less each rule at the same shift.
+def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
+    """Return all choices, and those of the line ``learned`` less each rule at the same shift.
 
     Parameters
     ----------
     played
-        Rows of :func:`play` by line and point.
-    policies
-        Lines that are learned.
+        What :func:`play` gave, by line and point.
     """
-    learned_lines = list(policies)
-    figures = [
+    heads = [
         Column("is_success", head="ego collides", unit="%", digits=1, factor=100.0),
         Column("ego_at_fault", head="at fault", unit="%", digits=1, factor=100.0, interval=False),
         Column("mean_shift_sigmas", head="shift, sigmas", interval=False),
@@ -174,68 +157,47 @@ def table(played: Mapping[tuple[str, str], Rows], policies: Iterable[str]) -> li
         Column("guided", head="guided plans", unit="%", digits=0, factor=100.0, interval=False),
     ]
     whole: TableRows = [
-        [*key, *(mean_interval(_scene_rows(rows, c.name), c.name) for c in figures)]
-        for key, rows in played.items()
+        [line, point, *(_interval(figures[head.name]) for head in heads)]
+        for line, points in played.items()
+        for point, figures in points.items()
     ]
     less: TableRows = []
-    none = next((rows for (line, _), rows in played.items() if line == "none"), [])
-    for rule in dict.fromkeys(n for n, _ in played if n not in (*learned_lines, "none")):
-        line = [found for (n, _), found in played.items() if n == rule]
-        pairs, others = [], []
-        for (name, point), rows in played.items():
-            if name not in learned_lines:
-                continue
-            shift = float(_by_scene(rows, "mean_shift_sigmas").mean())
-            other = at_shift([none, *line] if none else line, shift)
+    for rule in (line for line in played if line not in ("none", "learned")):
+        line = [*played["none"].values(), *played[rule].values()]
+        pairs, shares = [], []
+        for point, figures in played["learned"].items():
+            other = at_shift(line, _means(figures)[0])
             if other is None:
                 less.append([point, rule, None, None, "beyond its strongest"])
                 continue
-            pairs.append(_by_scene(rows, "is_success") - other)
-            others.append(float(other.mean()))
-            less.append([point, rule, others[-1], *_difference(pairs[-1])])
+            pairs.append(np.asarray(figures["is_success"]) - other)
+            shares.append(float(other.mean()))
+            figure, p = difference(pairs[-1])
+            less.append([point, rule, shares[-1], figure, f"{p:.4f}"])
         if len(pairs) > 1:
-            together = np.mean(pairs, axis=0)
-            less.append(["all", rule, float(np.mean(others)), *_difference(together)])
-    heads = [
+            figure, p = difference(np.mean(pairs, axis=0))
+            less.append(["all", rule, float(np.mean(shares)), figure, f"{p:.4f}"])
+    shown = [
         Column("share", head="collides at that shift", unit="%", digits=1, factor=100.0),
         Column("difference", head="learned less it", digits=1, sign="+", factor=100.0),
     ]
     return [
-        Table(["chooses", "at", *figures], whole),
-        Table(["policy", "rule", *heads, "p"], less),
+        Table(["chooses", "at", *heads], whole),
+        Table(["policy", "rule", *shown, "p"], less),
     ]
 
 
-def _difference(pairs: F64) -> tuple[tuple[float, float, float], str]:
-    """A mean over scenes with its interval, and its p."""
-    return mean_interval([{"x": float(d)} for d in pairs], "x"), f"{permutation_p(pairs):.4f}"
-
-
-def _scene_rows(rows: Rows, name: str) -> list[dict[str, Any]]:
-    return [{name: float(value)} for value in _by_scene(rows, name)]
-
-
-def plot(
-    played: Mapping[tuple[str, str], Rows], policies: Iterable[str], path: Path, *, ego: str
-) -> None:
+def plot(played: Mapping[str, Mapping[str, Figures]], path: Path, *, ego: str) -> None:
     """Draw collisions against shift: lines of the rules, the learned ones as points."""
-    learned_lines = set(policies)
     figure, axes = new_plot(7.0, 4.4)
-    lines: dict[str, list[tuple[float, tuple[float, float, float]]]] = {}
-    for (line, _), rows in played.items():
-        shift = float(_by_scene(rows, "mean_shift_sigmas").mean())
-        share = mean_interval(_scene_rows(rows, "is_success"), "is_success")
-        lines.setdefault(line, []).append((shift, share))
-    for line, points in lines.items():
-        points.sort(key=lambda point: point[0])
-        x = [shift for shift, _ in points]
-        y = [100.0 * share[0] for _, share in points]
-        spread = 100.0 * np.array([[s[0] - s[1], s[2] - s[0]] for _, s in points]).T
-        own = line in learned_lines
+    for line, points in played.items():
+        found = sorted((_means(one)[0], *_interval(one["is_success"])) for one in points.values())
+        x, share, low, high = np.array(found).T
         look: dict[str, Any] = {"fmt": "o-", "markersize": 4}
-        if own:
+        if line == "learned":
             look = {"fmt": "*", "markersize": 11, "color": "#000000"}
-        axes.errorbar(x, y, yerr=spread, label=line, **look)
+        spread = 100.0 * np.array([share - low, high - share])
+        axes.errorbar(x, 100.0 * share, yerr=spread, label=line, **look)
     axes.set_xlabel("shift of the guided plan, standard deviations, mean over plans")
     axes.set_ylabel(f"scenes in which the ego ({ego}) collides, %")
     axes.legend(frameon=False)

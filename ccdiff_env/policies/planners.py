@@ -36,6 +36,7 @@ from ccdiff_env.policies.rules import RULES, NoOp
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
+from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
 from ccdiff_env.worlds.spaces import Form
@@ -397,7 +398,7 @@ def seated(
         For a name of neither.
     """
     name, own = options.get("driver"), options.get("policies", config and config.policies) or ()
-    if not isinstance(name, str) or name in ("external", *KINDS, *own):
+    if name is None or isinstance(name, PythonTraffic) or name in ("external", *KINDS, *own):
         return None, config, dict(options)
     driver, seat = ego_driver(name)
     options = {**options, "driver": driver}

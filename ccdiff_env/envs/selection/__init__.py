@@ -5,7 +5,6 @@ from __future__ import annotations
 from ccdiff_env.envs.selection.rules import RULES, fork_actions, rule_actions
 from ccdiff_env.envs.selection.single import AdversarySelectionEnv
 from ccdiff_env.envs.selection.vector import FEATURES, STRENGTHS, AdversarySelectionVectorEnv
-from ccdiff_env.traffic.options import SelectionReward
 
 __all__ = [
     "FEATURES",
@@ -13,7 +12,6 @@ __all__ = [
     "STRENGTHS",
     "AdversarySelectionEnv",
     "AdversarySelectionVectorEnv",
-    "SelectionReward",
     "fork_actions",
     "rule_actions",
 ]

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
-from ccdiff_env.envs.selection.vector import STRENGTHS, AdversarySelectionVectorEnv
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.envs.selection.vector import (
+    AdversarySelectionVectorEnv,
+    Counts,
+    SelectionOptions,
+)
 from ccdiff_env.policies.planners import Ego
-from ccdiff_env.traffic.options import SelectionReward
-from ccdiff_env.worlds import Scenes
+from ccdiff_env.worlds import Worlds
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from ccdiff_env.traffic.keywords import SelectionKeywords
-
 __all__ = ["AdversarySelectionEnv"]
+
+
+class SingleOptions(SelectionOptions, total=False):
+    """Options of :class:`~ccdiff_env.AdversarySelectionVectorEnv`."""
+
+    ego: Ego
+    max_candidates: int
+    strengths: Sequence[float]
+    num_adversaries: int
+    counts: Counts
+    shift_cost: float
 
 
 class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
@@ -33,46 +43,27 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     Parameters
     ----------
-    scenes, config, ego, max_candidates, strengths, reward, render_options, **options
-        As there.
-    render_mode
-        ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
+    **options
+        As there, and ``render_mode="human"`` (needs pygame).
     """
 
     _title = "ccdiff_env/AdversarySelection"
     metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
-    def __init__(
-        self,
-        *,
-        scenes: Scenes = None,
-        config: WorldConfig | None = None,
-        ego: Ego = "idm",
-        max_candidates: int = 8,
-        strengths: Sequence[float] = STRENGTHS,
-        reward: SelectionReward | Mapping[str, Any] | None = None,
-        render_mode: str | None = None,
-        render_options: Mapping[str, Any] | None = None,
-        **options: Unpack[SelectionKeywords],
-    ) -> None:
-        check_render_mode(render_mode, ("human", "rgb_array"))
-        self._render_options = checked_render_options(render_options)
-        self.vector = AdversarySelectionVectorEnv(
-            1,
-            scenes=scenes,
-            config=config,
-            ego=ego,
-            max_candidates=max_candidates,
-            strengths=strengths,
-            reward=reward,
-            num_threads=1,
-            render_mode=None if render_mode is None else "rgb_array",
-            **options,
-        )
-        self.worlds = self.vector.worlds
-        self.render_mode = render_mode
+    def __init__(self, **options: Unpack[SingleOptions]) -> None:
+        self.render_mode = options.get("render_mode")
+        check_render_mode(self.render_mode, ("human", "rgb_array"))
+        self._render_options = checked_render_options(options.get("render_options"))
+        options["render_mode"] = None if self.render_mode is None else "rgb_array"
+        options.setdefault("num_threads", 1)
+        self.vector = AdversarySelectionVectorEnv(1, **options)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
+
+    @property
+    def worlds(self) -> Worlds:  # type: ignore[override]
+        """The native world."""
+        return self.vector.worlds
 
     @property
     def on_step(self) -> Callable[[], object] | None:
@@ -122,30 +113,21 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         ResetNeededError
             Before the first reset and after the end of an episode.
         """
-        self.vector.check_running()
-        table, terminated, truncated = self.vector.decide(self.vector.chosen([action]))
-        info: dict[str, Any] = {
-            name: float(values[0]) for name, values in table.items() if name != "adversary"
-        }
-        info |= {"adversary": table["adversary"][0], "agent_ids": self.agent_ids()}
-        if terminated[0] or truncated[0]:
-            info["metrics"] = self.vector.metrics(0)
+        rewards, table = self.vector.decide(self.vector.chosen([action]), all_running=True)
+        info = {name: values[0] for name, values in table.items()}
+        info["agent_ids"], done = self.agent_ids(), bool(self.vector.ended[0])
+        if done:
+            info["metrics"] = {name: float(of[0]) for name, of in self.vector.metrics().items()}
             info["is_success"] = info["metrics"]["is_success"]
         if self.render_mode == "human":
             self.render()
-        reward = info["reward_collision"] + info["reward_shift"]
-        return self.vector.observation()[0], reward, bool(terminated[0]), bool(truncated[0]), info
+        return self.vector.observation()[0], float(rewards[0]), done, False, info
 
     def agent_ids(self) -> tuple[str, ...]:
         """Return the ids of the vehicles in the rows that actions choose from."""
-        ids = self.scene.agent_ids
-        return tuple(ids[agent] for agent in self.vector.candidates[0])
+        return tuple(self.scene.agent_ids[agent] for agent in self.vector.candidates[0])
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return which actions are legal [R S + 1], as MaskablePPO of sb3-contrib takes them."""
         masks: npt.NDArray[np.bool_] = self.vector.action_masks()[0]
         return masks
-
-    def __reduce__(self) -> Any:
-        """Refuse copies: the ego's planner is any function."""
-        raise ConfigError("AdversarySelection environments cannot be pickled; make another one")
