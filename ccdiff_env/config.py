@@ -243,8 +243,7 @@ class WorldConfig(WorldOptions):
         policies = fields.get("policies")
         if isinstance(policies, dict) and isinstance(policies.get("ccdiff"), dict):
             fields |= policies["ccdiff"]
-            usual = {name: {name: fields.get("ccdiff")} for name in NETWORKS}
-            fields["policies"] = {k: v for k, v in policies.items() if v != usual.get(k)}
+            fields["policies"] = {k: v for k, v in policies.items() if k != "ccdiff"}
         return _made(cls, cls(), fields, "")
 
 

@@ -14,13 +14,11 @@ from ccdiff_env.config import (
     ActionGrid,
     BicycleLimits,
     DeltaPoseLimits,
-    IdmConfig,
     RewardConfig,
     UnicycleLimits,
     WorldConfig,
 )
 from ccdiff_env.errors import CcdiffError, ConfigError
-from ccdiff_env.traffic import NETWORKS
 
 
 def as_float32(value):
@@ -51,14 +49,6 @@ def test_json_holds_the_options_of_drivers_that_drive_alone():
     assert held(traffic="simnet", simnet={"criticality": 1.0}) == {"simnet"}
     assert held(traffic="ccdiff", ccdiff={"background_driver": "idm"}) == {"ccdiff", "idm"}
     assert held(idm={"headway_s": 2.0}) == {"idm"}  # vehicles may be assigned to it later
-
-
-def test_json_of_before_with_the_options_of_all_networks_is_read():
-    config = WorldConfig().with_options(traffic="ctg", ccdiff={"criticality": 0.5})
-    fields = json.loads(config.to_json())
-    fields["policies"] = {name: {name: fields["policies"]["ccdiff"]["ccdiff"]} for name in NETWORKS}
-    fields["idm"] = dataclasses.asdict(IdmConfig())
-    assert WorldConfig.from_json(json.dumps(fields)) == config
 
 
 @pytest.mark.parametrize(

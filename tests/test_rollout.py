@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import pickle
 
 import numpy as np
@@ -15,8 +14,6 @@ from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
 from ccdiff_env.scenes.scenarionet import load_scenario_dict
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
-#: Arrays of a plan in files of the first format.
-PLAN_NAMES = ("samples", "selected_sample", "follows_plan", "graph", "ttc_s", "guided")
 
 
 def record(scene=None, scenes="val", **options):
@@ -123,32 +120,6 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     (again,) = loaded.plans
     for field in dataclasses.fields(plan):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(plan, field.name))
-
-
-def test_plans_of_files_of_before_are_read(driven, tmp_path):
-    plan = plan_of(4, [1], np.ones((2, 1, 4, 2), np.float32), selected_sample=np.array([1]))
-    dataclasses.replace(driven[1], plans=(plan,)).save(tmp_path / "now.npz")
-    former = {"selected_sample": "chosen", "follows_plan": "executed"}
-    with np.load(tmp_path / "now.npz") as file:
-        arrays = dict(file)
-    head = json.loads(arrays["head"].tobytes())
-    head |= {"format": "ccdiff-env rollout 1", "plans": [[4, [driven[1].agent_ids[1]]]]}
-    for name in [n for n in arrays if n.startswith("plans/")]:
-        array, last = arrays.pop(name), name.removeprefix("plans/0/")
-        if last in (*PLAN_NAMES, "realism_cost"):
-            kept = array[..., :2] if last == "samples" else array
-            arrays[f"plans/0/{former.get(last, last)}"] = kept
-    arrays["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
-    np.savez(tmp_path / "then.npz", **arrays)
-    (again,) = Rollout.load(tmp_path / "then.npz").plans
-    assert (again.made_at, again.agents.tolist(), again.num_steps) == (4, [1], 4)
-    for name in PLAN_NAMES[1:]:
-        assert (getattr(again, name) == getattr(plan, name)).all()
-    assert (again.samples[..., :2] == 1.0).all()
-    # what such a file does not say
-    assert np.isnan(again.samples[..., 2]).all()
-    assert np.isnan(again.shift_sigmas).all()
-    assert again.attention is None
 
 
 @pytest.mark.parametrize("name", ["graph", "losses", "samples", "ranking", "selected_sample"])

@@ -40,10 +40,6 @@ EVENT_KINDS = (
     "time_limit",
 )
 FORMAT = "ccdiff-env rollout 2"
-#: What earlier releases of the package wrote, which is read, too.
-_FORMER_FORMAT = "ccdiff-env rollout 1"
-#: Names of arrays of plans in files of before.
-_FORMER = {"selected_sample": "chosen", "follows_plan": "executed"}
 
 
 @dataclass(frozen=True)
@@ -294,16 +290,14 @@ class Rollout:
     @classmethod
     def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:
         head = parsed_object(arrays["head"].tobytes())
-        if head["format"] not in (FORMAT, _FORMER_FORMAT):
+        if head["format"] != FORMAT:
             raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
         scene = Scene.from_bytes(arrays["scene"].tobytes())
         plans = tuple(
-            _plan(arrays, i, made_at, names, scene)
-            for i, (made_at, names) in enumerate(head["plans"])
+            _plan(arrays, i, made_at, names) for i, (made_at, names) in enumerate(head["plans"])
         )
         drivers = _typed(arrays, "drivers", np.int64)
-        listed = head.get("driver_table", [(name, name) for name in DRIVER_NAMES])
-        table = tuple((str(name), str(kind)) for name, kind in listed)
+        table = tuple((str(name), str(kind)) for name, kind in head["driver_table"])
         if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(table):
             raise DatasetError(f"drivers up to {drivers.max()}, expected less than {len(table)}")
         return cls(
@@ -318,12 +312,10 @@ class Rollout:
             drivers=drivers,
             driver_table=table,
             events=tuple(_event(*fields) for fields in head["events"]),
-            # "figures" is the former name of "info"
             info={
-                column: _typed(arrays, name, np.float32)
+                name.removeprefix("info/"): _typed(arrays, name, np.float32)
                 for name in arrays
-                for group, _, column in [name.partition("/")]
-                if group in ("info", "figures")
+                if name.startswith("info/")
             },
             plans=plans,
             meta=head["meta"],
@@ -334,43 +326,23 @@ class Rollout:
 
 
 def _plan(
-    arrays: Mapping[str, npt.NDArray[Any]], i: int, made_at: int, names: list[str], scene: Scene
+    arrays: Mapping[str, npt.NDArray[Any]], i: int, made_at: int, objectives: list[str]
 ) -> TrafficPlan:
-    """Return plan i of a file; ``names`` are those of its objectives, in files of before of its
-    agents.
-    """
-    fields: dict[str, Any] = {n: None for n, (_, _, optional) in PLAN_ARRAYS.items() if optional}
-    fields |= {
-        name: _typed(arrays, f"plans/{i}/{stored}", kind)
-        for name, (kind, *_) in PLAN_ARRAYS.items()
-        for stored in (name, _FORMER.get(name))
-        if f"plans/{i}/{stored}" in arrays
+    """Return plan i of a file."""
+    fields: dict[str, Any] = {
+        name: _typed(arrays, f"plans/{i}/{name}", kind)
+        if f"plans/{i}/{name}" in arrays or not optional
+        else None
+        for name, (kind, _, optional) in PLAN_ARRAYS.items()
     }
     num_samples, _, num_steps, _ = fields["samples"].shape
-    if "agents" not in fields:
-        fields |= _not_recorded(fields, [scene.agent_ids.index(name) for name in names])
-        names = []
     return TrafficPlan(
         made_at=int(made_at),
         num_samples=num_samples,
         num_steps=num_steps,
-        objectives=tuple(str(name) for name in names),
+        objectives=tuple(str(name) for name in objectives),
         **fields,
     )
-
-
-def _not_recorded(fields: Mapping[str, Any], agents: list[int]) -> dict[str, Any]:
-    """Return the fields of a plan of a file of before: its samples have no heading."""
-    n, m, t, _ = fields["samples"].shape
-    heading = np.full((n, m, t, 1), np.nan, np.float32)
-    return {
-        "shift_sigmas": np.full(m, np.nan, np.float32),
-        **fields,
-        "agents": np.array(agents, np.int64),
-        "ranking": np.zeros(0, np.int64),
-        "losses": np.zeros((0, n, m), np.float32),
-        "samples": np.concatenate([fields["samples"][..., :2], heading], axis=-1),
-    }
 
 
 def _typed(arrays: Mapping[str, npt.NDArray[Any]], name: str, dtype: Any) -> npt.NDArray[Any]:

@@ -11,10 +11,9 @@ from ccdiff_env.worlds import Worlds, normalize_seed
 
 _MAGIC = b"CCDENV"
 _VERSION = 2
-#: Magic, version, length of the actions in bytes (-1: not recorded).
-_HEAD = struct.Struct("<6sHq")
-#: From version 2 on: the criticality that the episode drew (not a number: none).
-_DRAWN = struct.Struct("<d")
+#: Magic, version, length of the actions in bytes (-1: not recorded), the criticality that the
+#: episode drew (not a number: none).
+_HEAD = struct.Struct("<6sHqd")
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class Snapshot:
         actions = self.actions or b""
         length = -1 if self.actions is None else len(actions)
         drawn = math.nan if self.criticality is None else self.criticality
-        return _HEAD.pack(_MAGIC, _VERSION, length) + _DRAWN.pack(drawn) + actions + self.world
+        return _HEAD.pack(_MAGIC, _VERSION, length, drawn) + actions + self.world
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
@@ -80,16 +79,12 @@ class Snapshot:
         data = bytes(data)
         if len(data) < _HEAD.size:
             raise SnapshotError(f"snapshot: {len(data)} bytes, too short")
-        magic, version, length = _HEAD.unpack_from(data)
+        magic, version, length, drawn = _HEAD.unpack_from(data)
         if magic != _MAGIC:
             raise SnapshotError("snapshot: not the snapshot of an environment")
-        if version not in (1, _VERSION):
+        if version != _VERSION:
             raise SnapshotError(f"snapshot: version {version}, this release reads {_VERSION}")
-        body, drawn = data[_HEAD.size :], math.nan
-        if version > 1:
-            if len(body) < _DRAWN.size:
-                raise SnapshotError(f"snapshot: {len(data)} bytes, too short")
-            (drawn,), body = _DRAWN.unpack_from(body), body[_DRAWN.size :]
+        body = data[_HEAD.size :]
         criticality = drawn if math.isfinite(drawn) else None
         if not -1 <= length <= len(body):
             raise SnapshotError(f"snapshot: {length} bytes of actions in {len(body)}")
