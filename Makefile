@@ -10,7 +10,7 @@ RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Carg
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup lock demo test test-rust test-py test-learners lint wheel docs playground bench clean
+.PHONY: help setup lock demo test test-rust test-py test-learners lint wheel docs site playground bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -67,9 +67,12 @@ wheel: $(STAMP)  ## wheels and source distribution in dist/, tried in empty envi
 	$(UV) build -q --wheel --python $(BIN)/python -o dist tools/rivals
 	$(BIN)/python tests/try_wheel.py dist/ccdiff_env-*.whl
 
-docs: $(SO)  ## the site of the documentation: docs/site
+docs: $(SO)  ## the pages of the documentation, without running their notebooks: docs/site
 	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/site
+
+site: $(SO)  ## all that is deployed: pages with notebooks that ran, gallery, playground
+	NOTEBOOKS=auto $(MAKE) docs
 	$(BIN)/python -m tools.gallery docs/site/gallery
 	$(MAKE) playground
 

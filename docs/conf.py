@@ -1,4 +1,4 @@
-"""Sphinx: `make docs` writes the site into docs/site."""
+"""Sphinx: `make docs` writes the pages into docs/site, `make site` all of the site."""
 
 import os
 import re
@@ -21,6 +21,8 @@ shutil.copytree(
     Path(__file__).parent / "notebooks",
     dirs_exist_ok=True,
 )
+# notebooks run only for the site: one of them trains for minutes
+nb_execution_mode = os.environ.get("NOTEBOOKS", "off")
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 html_theme = "furo"
