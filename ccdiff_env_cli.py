@@ -25,8 +25,7 @@ VERBS = {
     "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),
     "scenes": ("list the scenes that can be played and shown", "view.listing"),
-    "play": ("play scenes again with other settings, in the browser", "view.play"),
-    "live": ("watch a training: its curves and its newest replay", "view.live"),
+    "play": ("write a page in which one drives the ego by keys", "view.play"),
     "doctor": ("say what is installed, and whether it works here", "bench.doctor"),
 }
 

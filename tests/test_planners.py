@@ -23,7 +23,7 @@ from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.policies import SHIPPED
 from ccdiff_env.policies.planners import BUILT_IN, load_sb3
 from ccdiff_env.policies.planning import Tracker
-from ccdiff_env.view.play import Playground
+from ccdiff_env.view import page_html
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import main
 
@@ -174,9 +174,7 @@ def test_trajectories_are_followed_and_their_actions_kept(scenes):
 def test_pages_and_adversaries_take_every_planner(scenes, name):
     rollout = play_scene(scenes[0], traffic="idm", driver=name)
     assert rollout.meta["planner"] == name
-    page = Playground(scenes, scenes[0].name)
-    assert ":" in name or f'value="{name}"' in page.page({})
-    assert len(page.replay({"traffic": "idm", "driver": name})) > 50_000
+    assert len(page_html(rollout)) > 50_000
     if name != "arbiter":  # forks of worlds that others act on
         env = ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego=name)
         env.reset(seed=0)
@@ -223,7 +221,6 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
         lambda: ccdiff_env.AdversarySelectionEnv(scenes=scenes, ego="pdmm"),
         lambda: play_scene(scenes[0], driver="pdmm"),
         lambda: drive(scenes, "pdmm", REPLAY),
-        lambda: Playground(scenes, scenes[0].name).replay({"driver": "pdmm"}),
     ):
         with pytest.raises(ConfigError, match=r"'pdmm'; did you mean 'pdm'\?"):
             make()

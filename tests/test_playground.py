@@ -11,10 +11,12 @@ from browser_page import Page
 from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
-from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, world_config
+from ccdiff_env.view.captions import driver_of
+from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, top_speed_mps, world_config
 from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.play import SCENES, playground_html
 from ccdiff_env.view.sources import play_scene
-from tools.playground import SCENES, compiled, playground_html, target_is_installed
+from tools.playground import compiled, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
 NAMES = ("cut-in-04", "pedestrians-00")
@@ -85,7 +87,13 @@ def test_what_can_be_played_is_calm_at_0_and_hits_at_2(name):
         for criticality in (0.0, 2.0)
     )
     assert (outcome(calm).tone, outcome(calm).others) == ("good", 0)
-    assert bool(critical.collisions("ego")) == (name != SCENES[0])
+    assert critical.collisions("ego")
+
+
+def test_the_first_drive_meets_an_attacker():
+    config = world_config("ccdiff", 1.0)
+    run = play_scene(embedded_scenes()[SCENES[0]], traffic="ccdiff", driver="idm", config=config)
+    assert run.collisions("ego")[0].step < 60
 
 
 @pytest.mark.parametrize("traffic", TRAFFIC)
@@ -108,12 +116,37 @@ def test_a_step_on_the_page_has_the_bits_of_a_step_in_python(visit, name, traffi
         }""",
         ACTIONS.tolist(),
     )
-    seen = np.array(bits[0], np.uint32).view(np.float32).reshape(len(bits[0]), -1, 7)
+    seen = np.array(bits[0], np.uint32).view(np.float32).reshape(len(bits[0]), -1, 8)
     assert len(seen) == len(states) > 10
     assert np.array_equal(seen[..., 5] > 0, there)
     assert np.array_equal(np.where(there[..., None], seen[..., :5], 0), states)
     assert np.array_equal(np.array(bits[1], np.uint32).view(np.float32), figures)
     assert np.ptp(states[:, 1:, :2], axis=0).max() > 1.0
+
+
+def test_guided_vehicles_are_orange_and_in_the_legend_as_in_a_replay(visit):
+    page = visit("#scene=cut-in-04&traffic=ccdiff&criticality=2&drive=b3f2a4j2a30")
+    page.until("(drive.steps > 0 && !drive.going && !drive.asked) || drive.outcome", 60)
+    page.frames()
+    drivers = page.evaluate("drive.runs[0].agents.map((agent) => agent.driver)")
+    rollout = play_drive(page.evaluate("drive.link"))
+    there = [driver_of(rollout, i) for i in range(len(drivers))]
+    kinds = rollout.scene.agent_types
+    assert [d for d, k in zip(drivers, kinds, strict=True) if k == "vehicle"] == [
+        d for d, k in zip(there, kinds, strict=True) if k == "vehicle"
+    ]
+    assert "adversary" in drivers
+    assert "guided" in page.inner_text("#legend")
+
+
+def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(visit):
+    page = visit("#scene=cut-in-04&traffic=replay&drive=b150", reduced_motion="no-preference")
+    page.until("drive.outcome", 60)
+    top = top_speed_mps(embedded_scenes()["cut-in-04"])
+    fastest = page.evaluate("Math.max(...drive.runs[0].a.vx.slice(0, drive.steps).map(Math.abs))")
+    assert fastest < top + 0.5
+    page.until("drive.time < drive.ended - 1.5")
+    assert page.evaluate("drive.time >= drive.ended - 2.01")
 
 
 def test_keys_drive_and_time_waits_for_the_first_one(visit):

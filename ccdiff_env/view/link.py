@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -13,9 +14,19 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes.sources import Place
 from ccdiff_env.traffic import KINDS, NETWORKS
 
-__all__ = ["HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "world_config"]
+__all__ = [
+    "HORIZON_STEPS",
+    "Drive",
+    "is_drive",
+    "play_drive",
+    "read_drive",
+    "top_speed_mps",
+    "world_config",
+]
 
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
@@ -62,14 +73,33 @@ class Drive:
     criticality: float
     keys: tuple[int, ...]
 
-    def actions(self) -> npt.NDArray[np.float32]:
-        """Return normalised accelerations and yaw rates [T, 2], as the page computes them."""
-        steer, actions = 0.0, []
+    def actions(
+        self, velocity_mps: Callable[[], npt.NDArray[np.float32]], top_mps: int
+    ) -> Iterator[npt.NDArray[np.float32]]:
+        """Yield normalised acceleration and yaw rate [2] of each step, as the page computes them.
+
+        Parameters
+        ----------
+        velocity_mps
+            Gives the ego's velocity [2] before the step.
+        top_mps
+            From this speed on nothing accelerates.
+        """
+        steer = 0.0
         for held in self.keys:
             wanted = float(bool(held & 4)) - float(bool(held & 8))
             steer += min(max(wanted - steer, -STEER_PER_STEP), STEER_PER_STEP)
-            actions.append((-1.0 if held & 2 else float(held & 1), steer))
-        return np.array(actions, np.float32).reshape(-1, 2)
+            x, y = map(float, velocity_mps())
+            gas = float(held & 1 and x * x + y * y < top_mps**2)
+            yield np.array([-1.0 if held & 2 else gas, steer], np.float32)
+
+
+def top_speed_mps(scene: Scene) -> int:
+    """Return the speed that the ego of a page cannot pass: a fifth above its log's, at least 8."""
+    tracks = scene.tracks()
+    ego = scene.agent_ids.index("ego")
+    speed = np.linalg.norm(tracks["velocity"][ego, tracks["valid"][ego]], axis=1)
+    return max(int(np.ceil(1.2 * float(speed.max(initial=0.0)))), 8)
 
 
 def is_drive(text: str) -> bool:
@@ -78,7 +108,7 @@ def is_drive(text: str) -> bool:
 
 
 def read_drive(link: str) -> Drive:
-    """Read a link that *Copy link* has made.
+    """Read a link that *Share this drive* has made.
 
     Raises
     ------
@@ -109,8 +139,15 @@ def read_drive(link: str) -> Drive:
     return Drive(found["scene"], found["traffic"], criticality, keys)
 
 
-def play_drive(link: str) -> Rollout:
+def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     """Play a link again: the states have the bits that they had on the page.
+
+    Parameters
+    ----------
+    link
+        What *Share this drive* has made.
+    place
+        Where its scene is; the embedded ones by default.
 
     Raises
     ------
@@ -124,12 +161,14 @@ def play_drive(link: str) -> Rollout:
     from ccdiff_env.scenes.sources import DEFAULT, load
 
     drive = read_drive(link)
-    scene = load(DEFAULT, names=[drive.scene])[0]
+    scene = load(place or DEFAULT, names=[drive.scene])[0]
     env = EgoEnv(scenes=scene, config=world_config(drive.traffic, drive.criticality))
     env.reset(seed=0)
     recorder = Recorder(env, planner="you")
     recorder.start()
-    for action in drive.actions():
+    ego = scene.agent_ids.index("ego")
+    velocity = lambda: env.worlds.native.states(0)["velocity"][ego]  # noqa: E731
+    for action in drive.actions(velocity, top_speed_mps(scene)):
         _, _, terminated, truncated, _ = env.step(action)
         recorder.step()
         if terminated or truncated:

@@ -1,168 +1,180 @@
-"""``ccdiff-env play``: change criticality, seed, driver, or where an agent is, and play again."""
+"""``ccdiff-env play``: one HTML file in which one drives the ego by keys, without a server."""
 
 from __future__ import annotations
 
 import argparse
+import base64
 import html
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+import os
+import zlib
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.policies import SHIPPED
-from ccdiff_env.policies.planners import BUILT_IN
-from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.scenes import Scene, SceneSet, with_tracks
-from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
-from ccdiff_env.system.files import parsed_object
-from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
-from ccdiff_env.view.page import local_html, page_html
-from ccdiff_env.view.server import LocalServer
+from ccdiff_env import _native
+from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.models import shipped_weights
+from ccdiff_env.policies.ego import EgoPolicy, load_ego
+from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.sources import DEFAULT, load
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.terminal import say_page
+from ccdiff_env.view import page
+from ccdiff_env.view.link import TRAFFIC, top_speed_mps, world_config
+from ccdiff_env.view.outcome import AT_FAULT, COLLISIONS, STOPPED
+from ccdiff_env.view.pack import pack
+from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
-__all__ = ["Playground", "moved_scene"]
+__all__ = ["SCENES", "playground_html", "write_playground"]
 
-DRIVERS = ("ccdiff", "idm", "replay", "constant_velocity")
-#: Planners that drive the ego from outside.
-EGOS = (*BUILT_IN, *SHIPPED)
-MAX_MOVE_M = 100.0
+#: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
+#: criticality 2. In the first it is hit at criticality 1.
+SCENES = (
+    "tee-crossing-01",
+    "left-turn-02",
+    "left-turn-01",
+    "hard-brake-04",
+    "pedestrians-03",
+    "left-turn-05",
+    "tee-crossing-04",
+    "double-left-01",
+    "merge-in-01",
+)
+#: Simulator and networks as WebAssembly, which `make playground` compiles.
+MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))
+#: Scripts of the replay page that this one uses: all but its start.
+SCRIPTS = (*(name for name in page.SCRIPTS if name != "main.js"), "drive.js")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    parser.add_argument("scene", nargs="?", help="scene to begin with (default: the first)")
+    parser.add_argument(
+        "names",
+        nargs="*",
+        metavar="SCENE",
+        help="scenes to drive in (default: nine embedded ones; all that --scenes names)",
+    )
     add_scene_arguments(parser)
-    parser.add_argument("--port", type=int, default=0, help="port of 127.0.0.1; 0: a free one")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("playground.html"), help="page to write"
+    )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve the page until interrupted."""
-    scenes = scenes_from(args)
-    first = args.scene or scenes.names[0]
-    if first not in scenes:
-        raise UnknownNameError(f"no scene {first!r}: ccdiff-env scenes lists them")
-    ground = Playground(scenes, first)
-    LocalServer(ground.answers, args.port).run(open_it=args.open)
+    """Write the page; print its path."""
+    place = place_from(args)
+    own = args.names or any(
+        v is not None for v in (args.scenes, args.dataroot, args.split, args.limit)
+    )
+    write_playground(args.out, load(place, names=args.names or None) if own else None)
+    say_page(args.out, open_it=args.open)
     return 0
 
 
-@dataclass(frozen=True)
-class Playground:
-    """Plays scenes as a page asks for.
-
-    Parameters
-    ----------
-    scenes
-        What can be played.
-    first
-        Name of the scene to begin with.
-    """
-
-    scenes: SceneSet
-    first: str
-
-    @property
-    def answers(self) -> dict[str, Any]:
-        """Answers by path, for :class:`~ccdiff_env.view.server.LocalServer`."""
-        return {"/": self.page, "/replay": self.replay}
-
-    def page(self, words: Mapping[str, str]) -> str:
-        """Return the page of the controls."""
-        parts = {
-            "scenes": _options({name: name for name in self.scenes.names}, self.first),
-            "traffic": _options({name: DRIVER_TITLES[name] for name in DRIVERS}, "ccdiff"),
-            "drivers": _options({n: planner_title(n) for n in (*DRIVERS, *EGOS)}, "idm"),
-        }
-        return local_html("play", parts)
-
-    def replay(self, words: Mapping[str, str]) -> str:
-        """Play a scene and return its page.
-
-        Parameters
-        ----------
-        words
-            ``scene``, ``traffic``, ``driver``, ``criticality``, ``seed``, ``compare`` (``"log"``),
-            ``moves``: JSON, metres east and north by agent id.
-        """
-        name = words.get("scene", self.first)
-        if name not in self.scenes:
-            raise UnknownNameError(f"no scene {name!r}")
-        scene = self.scenes[name]
-        moves = _moves(words.get("moves", "{}"))
-        traffic = words.get("traffic", "ccdiff")
-        level = _number("criticality", words.get("criticality", "0"), 0.0, 2.0)
-        rollout = play_scene(
-            moved_scene(scene, moves),
-            traffic=traffic,
-            driver=words.get("driver", "idm"),
-            seed=int(_number("seed", words.get("seed", "0"), 0, 2**31 - 1)),
-            ccdiff={"criticality": level},
-        )
-        other: Rollout | None = None
-        if words.get("compare") == "log":
-            other = log_rollout(scene, like=rollout)
-        title = DRIVER_TITLES.get(traffic, traffic)
-        if level > 0.0:
-            title += f", criticality {level:g}"
-        titles = None if other is None else (title, "log")
-        return page_html(rollout, compare=other, titles=titles, edit=True)
-
-
-def moved_scene(scene: Scene, moves: Mapping[str, tuple[float, float]]) -> Scene:
-    """Return a scene in which agents are elsewhere, with their whole logs.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    moves
-        Metres east and north by agent id.
+def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
+    """Write the page of some scenes, :data:`SCENES` by default.
 
     Raises
     ------
-    UnknownNameError
-        If the scene has no such agent.
+    MissingFeatureError
+        If the module was not compiled.
     """
-    if not moves:
-        return scene
-    tracks = dict(scene.tracks())
-    position: Any = tracks["position"]
-    for name, (east_m, north_m) in moves.items():
-        if name not in scene.agent_ids:
-            raise UnknownNameError(f"no agent {name!r} in {scene.name}")
-        agent = scene.agent_ids.index(name)
-        there: Any = tracks["valid"]
-        position[agent, there[agent]] += np.array([east_m, north_m], np.float32)
-    return with_tracks(scene, tracks)
+    if not MODULE.exists():
+        raise MissingFeatureError(
+            "the playground needs the world as WebAssembly, which this installation does not have: "
+            "in a clone, `make playground` compiles it"
+        )
+    write_aside(path, playground_html(MODULE.read_bytes(), scenes))
 
 
-def _moves(text: str) -> dict[str, tuple[float, float]]:
-    try:
-        found = {name: (float(x), float(y)) for name, (x, y) in parsed_object(text).items()}
-    except (ValueError, TypeError):
-        raise ConfigError(f"moves is {text!r}, expected metres by agent id in JSON") from None
-    for name, move in found.items():
-        if not all(abs(value) <= MAX_MOVE_M for value in move):
-            raise ConfigError(f"moves[{name!r}] is {move}, expected at most {MAX_MOVE_M:g} m")
+def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str:
+    """Return the page as HTML that needs nothing else.
+
+    Parameters
+    ----------
+    module
+        WebAssembly, as ``tools.playground`` compiles it.
+    scenes
+        What can be played; :data:`SCENES` by default.
+    """
+    ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
+    places, start = {}, 0
+    for name, tensor in ego.tensors.items():
+        places[name] = (start, tensor.size)
+        start += tensor.size
+    settings = {
+        **look(),
+        # places of the drivers that every world has; the next is that of the network
+        "policies": ["replay", "constant_velocity", "idm"],
+        "columns": [column["name"] for column in json.loads(_native.columns_json())],
+        "collisions": {
+            "at fault": AT_FAULT,
+            "not at fault": {**COLLISIONS, "collision_front": STOPPED},
+        },
+        "traffic": TRAFFIC,
+        "configs": _configs(ego),
+        "ego": {
+            "size": ego.size,
+            "rows": (ego.rows.start, *ego.shape),
+            "mask": ego.mask.start,
+            "held": ego.config.decision_steps,
+            "places": places,
+        },
+    }
+    site = os.environ.get("SITE_URL", "").removesuffix("/")
+    parts = {
+        "site": html.escape(f"{site}/" if site else "", quote=True),
+        "style": part("page.css") + part("drive.css"),
+        "settings": json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c"),
+        "module": _packed(module),
+        "weights": "\n".join(
+            f'<script class="weights" type="text/plain">{_packed(file.read_bytes())}</script>'
+            for file in (shipped_weights(one_step=True), shipped_weights("tokens"))
+        ),
+        "ego": _packed(b"".join(np.ascontiguousarray(t).tobytes() for t in ego.tensors.values())),
+        "engine": part("engine.js"),
+        "scenes": "\n".join(map(_scene, load(DEFAULT, names=SCENES) if scenes is None else scenes)),
+        "script": "\n".join(map(part, SCRIPTS)),
+    }
+    return page.filled_page(part("drive.html"), parts)
+
+
+def _configs(ego: EgoPolicy) -> dict[str, Any]:
+    """Configurations by traffic, and those of the rivals, with no network but that of traffic."""
+    found = {}
+    for traffic in TRAFFIC:
+        config = world_config(traffic, 1.0)
+        fitting = ego.config.with_options(decision_steps=1)
+        trained = replace(config, observation=fitting.observation, action=fitting.action)
+        rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
+        for suffix, each in {"": config, **rivals}.items():
+            options = json.loads(each.to_json())
+            networks = {n: p for n, p in options["policies"].items() if n == traffic}
+            found[traffic + suffix] = {**options, "policies": networks}
     return found
 
 
-def _number(name: str, text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not low <= value <= high:
-        raise ConfigError(f"{name} is {text!r}, expected {low:g} to {high:g}")
-    return value
-
-
-def _options(names: Mapping[str, str], chosen: str) -> str:
-    return "".join(
-        f'<option value="{html.escape(name, quote=True)}"{" selected" * (name == chosen)}>'
-        f"{html.escape(title)}</option>"
-        for name, title in names.items()
+def _scene(scene: Scene) -> str:
+    """Elements of a scene: its recording, and its bytes."""
+    config = world_config("replay").with_options(terminate_at_goal=False, on_collision="ignore")
+    played = play_scene(scene, traffic="replay", driver="replay", config=config)
+    return "\n".join(
+        f'<script class="{kind}" data-scene="{html.escape(scene.name, quote=True)}" '
+        f'data-top="{top_speed_mps(scene)}" type="text/plain">{text}</script>'
+        for kind, text in (
+            ("run", pack(log_rollout(scene, like=played), scene.name)),
+            ("bytes", _packed(scene.to_bytes())),
+        )
     )
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode()

@@ -137,7 +137,7 @@ def find_rollout(
         If the file is damaged.
     """
     if is_drive(name):
-        return play_drive(name)
+        return play_drive(name, place)
     path = Path(name)
     if path.is_file():
         return Rollout.load(path)

@@ -11,7 +11,7 @@ use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::sync::Arc;
 
 /// Numbers of a state.
-const STATE: usize = 7;
+const STATE: usize = 8;
 
 macro_rules! arrays {
     ($($name:ident: $type:ty),+) => {
@@ -48,7 +48,7 @@ pub(crate) struct Playground {
     pub(crate) given: Vec<u8>,
     /// Why the last call failed.
     pub(crate) message: String,
-    /// Present states [A, 7].
+    /// Present states [A, 8].
     pub(crate) states: Vec<f32>,
     /// Output of the last step.
     pub(crate) out: Arrays,
@@ -131,6 +131,17 @@ impl Playground {
         let world = self.world.as_ref().ok_or("no world")?;
         let status = world.status(0).map_err(|e| e.to_string())?;
         let s = status.states;
+        let plans = self.weights.iter().filter_map(|(kind, _)| world.explain(0, Some(kind)).ok().flatten());
+        let guided: Vec<usize> = plans
+            .flat_map(|plan| {
+                plan.agents
+                    .iter()
+                    .zip(&plan.guided)
+                    .filter(|(_, on)| **on)
+                    .map(|(a, _)| *a)
+                    .collect::<Vec<_>>()
+            })
+            .collect();
         self.states.clear();
         for a in 0..s.len() {
             let driver = match status.drivers[a] {
@@ -139,7 +150,17 @@ impl Playground {
             };
             let there = if s.active[a] { 1.0 } else { 0.0 };
             let velocity = [s.velocity_x_mps[a], s.velocity_y_mps[a]];
-            self.states.extend([s.x[a], s.y[a], s.heading_rad[a], velocity[0], velocity[1], there, driver]);
+            let guided = if guided.contains(&a) { 1.0 } else { 0.0 };
+            self.states.extend([
+                s.x[a],
+                s.y[a],
+                s.heading_rad[a],
+                velocity[0],
+                velocity[1],
+                there,
+                driver,
+                guided,
+            ]);
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 // The playground: the world of the package as WebAssembly, drawn as replays are, driven by keys.
 
-const STEP_SECONDS = 0.1, STATE = 7;
+const STEP_SECONDS = 0.1, STATE = 8;
+const REPLAY_SECONDS = 2, REPLAY_RATE = 0.35; // of the end, again and slower
 const STEER_PER_SECOND = 4; // from straight on to full lock in a quarter of a second
 const DRIVE_KEYS = {
   ArrowUp: "gas", w: "gas", ArrowDown: "brake", s: "brake",
@@ -92,19 +93,18 @@ class Way extends Ground {
 
 /** State of the page. It has what a pane and the legend ask a player for. */
 class Drive {
-  constructor(engine, rivals, settings) {
-    Object.assign(this, { engine, rivals, settings });
+  constructor(engine, rivals) {
+    Object.assign(this, { engine, rivals, settings: SETTINGS });
     this.camera = new Camera();
     this.theme = "light";
     this.colourMode = "driver";
     this.layers = { trails: true, plans: false, graph: false, labels: true, lanes: true, ghost: false };
     this.headingUp = !matchMedia("(prefers-reduced-motion)").matches;
     this.focus = "ego";
-    this.hover = this.pair = this.carried = null;
+    this.hover = this.pair = null;
     this.held = new Set();
     this.panes = this.runs = [];
     this.time = this.before = 0;
-    this.colours = settings.colours;
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -115,16 +115,17 @@ class Drive {
     const of = (kind) => document.querySelector(`script.${kind}[data-scene="${CSS.escape(name)}"]`);
     const [run, log, bytes] = await Promise.all([readRun(of("run")), readRun(of("run")), inflate(of("bytes"))]);
     const scene = new Uint8Array(bytes);
+    this.top = +of("run").dataset.top;
     await Promise.all([this.engine.ask("load", scene), this.rivals.ask("load", scene)]);
     this.runs = [run];
     this.log = log;
     $("stage").querySelectorAll(".pane").forEach((pane) => pane.remove());
     run.title = name;
     run.outcome = { tone: "plain", text: "driven by keys", others: 0 };
-    this.panes = [new Pane($("stage"), run, 0, this.colours)];
+    this.panes = [new Pane($("stage"), run, 0)];
     this.panes[0].ground = new Way(run, log);
-    this.panes[0].root.append(element("p", "pane-note hint", "Press ↑ or touch ▲ to drive"));
-    this.recording = new Actors(log, this.colours);
+    this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive: orange vehicles want to hit you"));
+    this.recording = new Actors(log);
     wireMap(this.panes[0], this);
     this.camera.scale = Math.max(Math.min(this.panes[0].width, this.panes[0].height) / 75, 5);
     await this.begin();
@@ -164,8 +165,8 @@ class Drive {
     run.events = [];
     run.goal = null;
     run.isLog = false;
+    for (const agent of run.agents) agent.attacks = false;
     this.steps = 0;
-    this.reward = 0;
     this.steer = 0;
     this.owed = 0;
     this.going = false;
@@ -210,11 +211,12 @@ class Drive {
   put({ states, info, done }) {
     const run = this.runs[0], { network } = this, { policies, drivers } = this.settings;
     run.agents.forEach((agent, i) => {
-      const [x, y, heading, vx, vy, there, driver] = states.subarray(i * STATE, (i + 1) * STATE);
+      const [x, y, heading, vx, vy, there, driver, guided] = states.subarray(i * STATE, (i + 1) * STATE);
       const at = i * run.numSteps + this.steps;
       Object.entries({ x, y, heading, vx, vy }).forEach(([name, value]) => { run.a[name][at] = value; });
       run.a.valid[at] = there;
-      agent.driver = driver < 0 ? "ego" : policies[driver] || network;
+      agent.attacks ||= guided > 0;
+      agent.driver = driver < 0 ? "ego" : agent.attacks ? "adversary" : policies[driver] || network;
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
     this.time = run.start + this.steps * run.dt;
@@ -242,9 +244,6 @@ class Drive {
     this.slowest = Math.max(this.slowest || 0, seen.ms);
     this.steps += 1;
     this.put(seen);
-    const { settings, info } = this;
-    this.reward += settings.columns.filter((name) => name.startsWith("reward_"))
-      .reduce((sum, name) => sum + info[name], 0);
     if (this.done) this.finish();
     this.touch();
   }
@@ -271,6 +270,8 @@ class Drive {
     }
     this.outcome = { tone, text };
     this.going = false;
+    this.ended = this.time;
+    this.slow = matchMedia("(prefers-reduced-motion)").matches ? null : Math.max(this.time - REPLAY_SECONDS, run.start);
     this.showCard();
     $("outcome").replaceChildren(...verdict(this.outcome));
     $("said").textContent = text;
@@ -322,7 +323,9 @@ class Drive {
   action(mask = this.mask) {
     const most = STEER_PER_SECOND * STEP_SECONDS, wanted = ((mask & 4) > 0) - ((mask & 8) > 0);
     this.steer += Math.min(Math.max(wanted - this.steer, -most), most);
-    return [mask & 2 ? -1 : mask & 1, this.steer];
+    const run = this.runs[0], vx = run.a.vx[this.steps], vy = run.a.vy[this.steps];
+    const gas = (mask & 1) && vx * vx + vy * vy < this.top * this.top ? 1 : 0;
+    return [mask & 2 ? -1 : gas, this.steer];
   }
 
   /** The next step, by keys. */
@@ -350,11 +353,33 @@ class Drive {
       if (this.going) this.time = run.start + Math.max(this.steps - 1 + Math.min(this.owed / STEP_SECONDS, 1), 0) * run.dt;
       this.dirty = true;
     }
+    if (this.outcome && this.slow !== null) { // the end again, slowly, as often as one likes
+      this.slow += elapsed * REPLAY_RATE;
+      if (this.slow > this.ended + 0.7) this.slow = Math.max(this.ended - REPLAY_SECONDS, this.runs[0].start);
+      this.time = Math.min(this.slow, this.ended);
+      this.dirty = true;
+    }
     if (this.dirty && this.panes.length && this.info) {
       this.dirty = false;
       this.draw();
     }
     requestAnimationFrame((next) => this.frame(next));
+  }
+
+  /** An arrow at the edge where the ring is out of sight. */
+  pointToGoal({ canvas, width, height }) {
+    const last = this.log.numSteps - 1, ratio = window.devicePixelRatio || 1;
+    const [x, y] = this.camera.toScreen(this.log.a.x[last], this.log.a.y[last], width, height);
+    const reach = 26, far = Math.max(Math.abs(x - width / 2) / (width / 2 - reach), Math.abs(y - height / 2) / (height / 2 - reach));
+    if (far <= 1) return;
+    const context = canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.translate(width / 2 + (x - width / 2) / far, height / 2 + (y - height / 2) / far);
+    context.rotate(Math.atan2(y - height / 2, x - width / 2));
+    context.fillStyle = COLOURS[this.theme].ego;
+    context.beginPath();
+    for (const [u, v] of [[16, 0], [-8, -11], [-8, 11]]) context.lineTo(u, v);
+    context.fill();
   }
 
   draw() {
@@ -366,13 +391,14 @@ class Drive {
       this.camera.x = pose.x + ahead * Math.cos(pose.heading);
       this.camera.y = pose.y + ahead * Math.sin(pose.heading);
     }
-    pane.ground.colour = this.colours[this.theme].ego;
+    pane.ground.colour = COLOURS[this.theme].ego;
     if (pane.ground.rival) pane.ground.rival.step = (this.time - run.start) / run.dt;
     pane.draw(this, { actors: this.recording, run: this.log });
-    showLegend(this, this.settings);
+    this.pointToGoal(pane);
+    showLegend(this);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
     $("figures").textContent = `${(this.steps * run.dt).toFixed(1)} s · ${speed.toFixed(1)} m/s · `
-      + `${Math.floor(100 * this.info.route_completion)} % of the way · return ${this.reward.toFixed(1)}`;
+      + `${Math.floor(100 * this.info.route_completion)} % of the way`;
     $("heading").setAttribute("aria-pressed", this.headingUp);
     $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
@@ -393,7 +419,7 @@ function gap(a, [lengthA, widthA], b, [lengthB, widthB]) {
 function wireMap(pane, drive) {
   const nothing = () => {};
   listenToGestures(pane.canvas, {
-    grab: () => false, carry: nothing, drop: nothing, drag: nothing, hover: nothing, tap: nothing, doubleTap: nothing,
+    drag: nothing, hover: nothing, tap: nothing, doubleTap: nothing,
     zoom(factor, x, y) {
       drive.camera.zoom(factor, x, y, pane.width, pane.height, true);
       drive.touch();
@@ -424,10 +450,15 @@ function wire(drive) {
   for (const id of ["scene", "traffic", "criticality"]) $(id).addEventListener("change", opened);
   $("copy").addEventListener("click", async () => {
     let said = "Link copied";
-    try { await navigator.clipboard.writeText(drive.link); } catch { said = "Copy the address"; }
+    try {
+      if (matchMedia("(pointer: coarse)").matches && navigator.share) {
+        await navigator.share({ title: `${drive.outcome.text} (${$("scene").value})`, url: drive.link });
+        said = "Shared";
+      } else await navigator.clipboard.writeText(drive.link);
+    } catch { said = "Copy the address"; }
     try { history.replaceState(null, "", new URL(drive.link).hash); } catch { /* inside another page */ }
     $("copy").textContent = said;
-    setTimeout(() => { $("copy").textContent = "Copy link"; }, 2000);
+    setTimeout(() => { $("copy").textContent = "Share this drive"; }, 2000);
   });
   $("again").addEventListener("click", () => drive.begin());
   $("next").addEventListener("click", () => actions.n());
@@ -488,14 +519,13 @@ function wire(drive) {
 }
 
 async function main() {
-  const settings = JSON.parse($("settings").textContent);
   const kept = [$("module"), $("ego"), ...document.querySelectorAll("script.weights")];
   const bytes = await Promise.all(kept.map(async (node) => new Uint8Array(await inflate(node))));
   const [module, numbers, ...weights] = bytes, source = $("engine").textContent;
-  const policy = { ...settings.ego, tensors: {}, numbers: numbers.buffer };
+  const policy = { ...SETTINGS.ego, tensors: {}, numbers: numbers.buffer };
   const engines = [new Engine(source), new Engine(source)];
-  await Promise.all(engines.map((e) => e.ask("open", { module, weights, policy, columns: settings.columns.length })));
-  const drive = new Drive(...engines, settings);
+  await Promise.all(engines.map((e) => e.ask("open", { module, weights, policy, columns: SETTINGS.columns.length })));
+  const drive = new Drive(...engines);
   setTheme(drive, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   await wire(drive);
   window.drive = drive; // for the curious, and for tests

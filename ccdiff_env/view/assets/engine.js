@@ -1,6 +1,6 @@
 // The worker: worlds of the package as WebAssembly, and the two rivals that drive the same scene ahead.
 
-const STATE = 7;
+const STATE = 8;
 let calls, ego, columns;
 
 function give(bytes) {
@@ -14,7 +14,7 @@ function check(failed) {
 
 const floats = (at, length) => new Float32Array(calls.memory.buffer, at, length);
 
-/** States [A, 7], see rust/wasm, figures of the step, and whether it was the last. */
+/** States [A, 8], see rust/wasm, figures of the step, and whether it was the last. */
 function now(before) {
   const ms = performance.now() - before;
   return { states: floats(calls.states(), calls.num_agents() * STATE).slice(), info: floats(calls.columns(), columns).slice(), done: calls.done() === 1, ms };
@@ -67,7 +67,7 @@ const tasks = {
     check(calls.step(...action));
     return now(before);
   },
-  /** What a rival does in the scene: states of the ego [T, 7] and the last figures. */
+  /** What a rival does in the scene: states of the ego [T, 8] and the last figures. */
   rival({ config, trained }) {
     let seen = tasks.reset(config), action = [0, 0];
     const track = [...seen.states.slice(0, STATE)];
