@@ -72,6 +72,8 @@ def render_arrays(
     kind: U8,
     driver: U8,
     collided: Bool,
+    parked: Bool,
+    arrived: Bool,
     *,
     scene: Scene | None,
     size: tuple[int, int],
@@ -89,7 +91,9 @@ def render_arrays(
     scale_bar: bool,
     legend: list[tuple[tuple[int, int, int], str]],
     theme: str,
-) -> U8: ...
+    svg: bool,
+) -> U8 | str: ...
+def render_look() -> list[tuple[str, float]]: ...
 def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
 
 @final

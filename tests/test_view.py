@@ -272,11 +272,27 @@ def test_the_verb_writes_a_page_a_comparison_an_image_and_a_gif(tmp_path, capsys
     with Image.open(tmp_path / "step.png") as image:
         assert image.size == (720, 720)
     with Image.open(tmp_path / "video.gif") as video:
-        # four times the pace at 25 images a second; the last stays for a second
-        assert video.n_frames == 51
-        assert video.info["duration"] == 40
-        video.seek(50)
-        assert video.info["duration"] == pytest.approx(1000, abs=40)
+        # four times the pace at 12.5 images a second; the last stays to be read
+        assert video.n_frames == 26
+        assert video.info["duration"] == 80
+        video.seek(25)
+        assert video.info["duration"] == pytest.approx(1600, abs=80)
+
+
+def test_the_suffix_says_what_is_written(tmp_path, capsys):
+    planned_rollout().save(tmp_path / "run.npz")
+    heads = {".png": b"\x89PNG", ".gif": b"GIF8", ".svg": b"<svg", ".html": b"<!DO", ".mp4": None}
+    for suffix, head in heads.items():
+        out = tmp_path / f"made{suffix}"
+        more = [] if suffix in (".html", ".svg") else ["--size", "80"]
+        assert cli.main(["view", str(tmp_path / "run.npz"), "-o", str(out), *more]) == 0
+        assert out.read_bytes()[:4] == head or suffix == ".mp4"
+    # the moment is that of the contact, which has a ring
+    assert 'stroke="#d61f2c"' in (tmp_path / "made.svg").read_text()
+    for name, more in (("x.xyz", []), ("x.gif", ["--png", "3"]), ("x.html", ["--mp4"])):
+        assert cli.main(["view", str(tmp_path / "run.npz"), "-o", str(tmp_path / name), *more]) == 2
+        assert "expected a file that ends in" in capsys.readouterr().err
+        assert not (tmp_path / name).exists()
 
 
 def test_videos_of_two_runs_stand_side_by_side(tmp_path):

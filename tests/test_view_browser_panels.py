@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from browser_page import Page
 from view_rollouts import planned_rollout
@@ -42,8 +43,26 @@ def test_figures_at_the_cursor_are_those_of_the_rollout(visit):
     page.frames()
     rows = page.locator(".figure").all_inner_texts()
     shown = {row.split("\n")[0].split(" m")[0]: row.split("\n")[-1] for row in rows}
-    expected = rollout.info["route_distance"][19]
-    assert float(shown["route distance"]) == pytest.approx(expected, abs=0.01)
+    expected = np.linalg.norm(rollout.velocity[0, 20])
+    assert float(shown["speed"]) == pytest.approx(expected, abs=0.06)
+
+
+def test_one_run_alone_is_spoken_of_alone(visit):
+    page = visit("two.html")
+    page.evaluate("replay.seek(2)")
+    page.keyboard.press("2")
+    page.frames()
+    assert page.evaluate("replay.told.map((run) => run.title)") == ["log"]
+    assert "drove" not in page.inner_text("#events")
+    names = page.evaluate("replay.runs[1].agents.map((agent) => agent.label)")
+    pairs = {tuple(sorted((names[a], names[b]))): ttc
+             for a, b, ttc in page.evaluate("replay.runs[1].pairs(20)")}  # fmt: skip
+    for row in page.locator(".contact").all_inner_texts():
+        first, _, second, seconds = row.split()[:4]
+        assert pairs[tuple(sorted((first, second)))] == pytest.approx(float(seconds), abs=0.06)
+    page.keyboard.press("0")
+    page.frames()
+    assert page.locator(".contact .badge").count() == page.locator(".contact").count() > 0
 
 
 def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
@@ -333,6 +352,11 @@ def test_a_slider_chooses_the_run_that_is_seen_and_told(browser, tmp_path):
     page.keyboard.press("3")
     assert page.state("alone") == 2
     assert page.input_value("#choice input") == "2"
+    # what became of each stop is below the track
+    assert page.evaluate("[...document.querySelectorAll('.dots i')].map((i) => i.className)") == [
+        "bad", "good", "bad",
+    ]  # fmt: skip
+    assert page.inner_text("#captions").count("driven by") == 1
     assert page.faults == []
 
 
@@ -371,8 +395,8 @@ def test_a_tall_map_has_the_ego_heading_up_and_an_address_says_otherwise(visit):
 
 def test_a_curve_grows_at_a_click_on_its_name(visit):
     page = visit("one.html")
-    name = page.locator("#recorded .figure-name").first
-    small = page.locator("#recorded .figure-curve").first.bounding_box()["height"]
+    name = page.locator("#figures .figure-name").first
+    small = page.locator("#figures .figure-curve").first.bounding_box()["height"]
     name.click()
-    assert page.locator("#recorded .figure-curve").first.bounding_box()["height"] > 3 * small
+    assert page.locator("#figures .figure-curve").first.bounding_box()["height"] > 3 * small
     assert name.get_attribute("aria-expanded") == "true"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from browser_page import Page
 from test_view import elements, unpacked
 from view_rollouts import plan_of, planned_rollout
 
+from ccdiff_env import embedded_scenes
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
-from ccdiff_env.view import page_html, render
-from ccdiff_env.view.page import part
+from ccdiff_env.view import log_rollout, page_html, render, write_page
 from ccdiff_env.view.video import Video
 
 
@@ -21,23 +24,98 @@ def test_images_have_the_ego_in_the_middle_in_its_colour():
     assert sum(1 for _ in video.frames(every=20)) == 5
 
 
-def test_images_and_pages_have_the_same_colours():
-    map_names = {
-        "ground": "ground", "road": "drivable area", "kerb": "kerb", "walkway": "walkway",
-        "carpark": "car park", "stripe": "crossing", "stop": "stop area", "centre": "centre line",
-        "laneDivider": "lane divider", "roadDivider": "road divider",
-    }  # fmt: skip
-    marks = {"collision": "collision", "arrow": "causal arrow"}
-    for file, names in (("ground.js", map_names), ("actors.js", marks)):
-        text = part(file)
-        for theme in render.THEMES:
-            block = re.search(rf"\b{theme}: {{(.*?)}}", text, re.DOTALL)[1]
-            found = dict(re.findall(r'(\w+): "(#[0-9a-f]{6})"', block))
-            for name, title in names.items():
-                assert found[name] == "#{:02x}{:02x}{:02x}".format(*render.legend(theme)[title]), (
-                    theme,
-                    name,
-                )
+#: Calls of a canvas by what they paint: colour, how opaque, and whether a line or a surface.
+WATCH = """() => {
+  const seen = window.seen = {}, canvas = CanvasRenderingContext2D.prototype;
+  const hex = (c) => c.slice(0, 7);
+  for (const kind of ["fill", "stroke"]) {
+    const paint = canvas[kind];
+    canvas[kind] = function (...given) {
+      if (this.canvas.className === "map") {
+        const key = `${kind} ${hex(this[`${kind}Style`])} ${this.globalAlpha.toFixed(2)}`;
+        seen[key] = (seen[key] || 0) + 1;
+      }
+      return paint.apply(this, given);
+    };
+  }
+}"""
+
+
+@pytest.mark.parametrize("theme", render.THEMES)
+@pytest.mark.parametrize("step", [20, 30])
+def test_a_moment_has_the_same_marks_on_the_page_and_in_pictures(browser, tmp_path, theme, step):
+    """Bodies by driver, hollow ones, red outlines and rings, and every colour of the map."""
+    run = planned_rollout("queue-01")
+    write_page(run, tmp_path / "page.html")
+    page = Page(browser, tmp_path / "page.html", f"#t=0&theme={theme}&up=north")
+    page.evaluate("Object.assign(replay.layers, { labels: false, plans: false, trails: false })")
+    page.evaluate("replay.followAgent(null); replay.choose(null)")
+    page.evaluate(WATCH)
+    page.evaluate(f"replay.fit(); replay.camera.scale = 1.5; replay.seek({step / 10})")
+    page.frames()
+    page.evaluate("for (const key in seen) delete seen[key]; replay.touch()")
+    page.frames(1)
+    seen = page.evaluate("seen")
+    x, y = page.evaluate("[replay.camera.x, replay.camera.y]")
+    road = "#{:02x}{:02x}{:02x}".format(*render.legend(theme)["drivable area"])
+    frames = seen[f"fill {road} 1.00"]
+    page.context.close()
+    video = Video(run, size=(1200, 800), span_m=800.0, centre_m=(x, y), captions=False, theme=theme)
+    paths = re.findall(r'(fill|stroke)="(#[0-9a-f]{6})".*?(?:fill|stroke)-opacity="([0-9.]+)"',
+                       video.svg(step))  # fmt: skip
+    drawn = Counter(f"{kind} {colour} {float(alpha):.2f}" for kind, colour, alpha in paths)
+    legend = render.legend(theme)
+    drivers = ("ego", "ccdiff", "adversary", "replay", "static obstacle")
+    alphas = (1.0, render.LOOK["PARKED_ALPHA"])
+    for driver, alpha in ((d, a) for d in drivers for a in alphas):
+        key = f"fill #{{:02x}}{{:02x}}{{:02x}} {alpha:.2f}".format(*legend[driver])
+        assert seen.get(key, 0) == frames * drawn.get(key, 0), (driver, alpha)
+    red = "stroke #{:02x}{:02x}{:02x} 1.00".format(*legend["collision"])
+    assert seen.get(red, 0) == frames * drawn.get(red, 0) == frames * (3 if step == 30 else 0)
+    for layer in ("drivable area", "kerb", "walkway", "car park", "crossing", "stop area",
+                  "lane divider", "road divider", "centre line"):  # fmt: skip
+        colour = "#{:02x}{:02x}{:02x}".format(*legend[layer])
+        there = any(colour in key for key in drawn)
+        assert not there or any(colour in key for key in seen), layer
+
+
+def test_nothing_is_painted_over_the_road_in_which_vehicles_drive(browser, tmp_path):
+    """README's scene: under every agent of every step is road in the page, as in pictures."""
+    run = log_rollout(embedded_scenes()["tee-crossing-01"])
+    write_page(run, tmp_path / "page.html")
+    page = Page(browser, tmp_path / "page.html", "#t=0&theme=light&up=north")
+    page.evaluate(
+        """() => {
+          const { layers } = replay;
+          layers.labels = layers.plans = layers.trails = layers.lanes = false;
+          replay.followAgent(null);
+          replay.choose(null);
+          replay.fit();
+          replay.panes[0].actors.draw = () => {};
+        }"""
+    )
+    page.frames()
+    ground = page.evaluate(
+        """() => {
+          const { run, canvas, width, height } = replay.panes[0], off = [];
+          const context = canvas.getContext("2d");
+          const { data, width: wide } = context.getImageData(0, 0, canvas.width, canvas.height);
+          const ground = 0xeef0ec;
+          run.agents.forEach(({ kind }, agent) => {
+            for (let step = 0; kind === "vehicle" && step < run.numSteps; step += 5) {
+              const pose = run.pose(agent, step);
+              if (!pose) continue;
+              const [x, y] = replay.camera.toScreen(pose.x, pose.y, width, height).map(Math.round);
+              const at = 4 * (y * wide + x);
+              const colour = data[at] << 16 | data[at + 1] << 8 | data[at + 2];
+              if (colour === ground) off.push([agent, step]);
+            }
+          });
+          return off;
+        }"""
+    )
+    page.context.close()
+    assert ground == []
 
 
 def test_an_image_says_whom_it_shows_and_what_colours_mean_unless_captions_are_off():
@@ -104,6 +182,8 @@ def test_between_two_steps_agents_are_between_their_poses(monkeypatch):
     assert seen["caption"] == "left-turn-00  2.0 s"
     Video(run, title="other").frame(run.num_steps - 1)
     assert seen["caption"].startswith("other  8.0 s  ego drove into 1")
+    Video(run).frame(29)
+    assert "drove" not in seen["caption"]  # not before the contact
 
 
 def test_an_ego_at_its_goal_is_drawn_where_it_left_the_scene(monkeypatch):

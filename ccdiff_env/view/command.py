@@ -13,7 +13,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.planners import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
-from ccdiff_env.system.files import file_name
+from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.progress import shown
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
@@ -44,6 +44,8 @@ PLAYED: dict[str, Any] = {
 }
 #: Criticalities under a slider.
 LEVELS = tuple(0.25 * k for k in range(9))
+#: Stands for the step that matters.
+MOMENT = -1
 #: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
     "follow": None,
@@ -120,10 +122,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove; default: not "
         "kept)",
     )
-    draw = parser.add_argument_group("an image or a video instead of a page")
-    draw.add_argument(
-        "--png", type=int, metavar="STEP", help="write an image of a step (default: a page)"
+    draw = parser.add_argument_group(
+        "an image or a video instead of a page, as the suffix of --out also asks for"
     )
+    for kind in ("png", "svg"):
+        draw.add_argument(
+            f"--{kind}",
+            type=int,
+            nargs="?",
+            const=MOMENT,
+            metavar="STEP",
+            help=f"write {kind.upper()} of a step, or of the one that matters (default: a page)",
+        )
     draw.add_argument("--gif", action="store_true", help="write a GIF")
     draw.add_argument("--mp4", action="store_true", help="write an MP4")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
@@ -136,10 +146,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write what the arguments ask for; print its path."""
-    asked = {"png": args.png is not None, "gif": args.gif, "mp4": args.mp4}
-    kinds = [name for name, wanted in asked.items() if wanted]
-    if len(kinds) > 1:
-        raise ConfigError("give one of --png, --gif and --mp4")
+    kinds = _kinds(args)
     args.what, *others = args.what
     if others and args.traffic is not None:
         raise ConfigError("--traffic plays one scene: show others beside it with --compare")
@@ -150,7 +157,7 @@ def run(args: argparse.Namespace) -> int:
     if args.traffic is None:
         _settle(args, PLAYED, "plays a scene: give --traffic, too")
     if not kinds:
-        _settle(args, DRAWN, "goes with --png, --gif and --mp4")
+        _settle(args, DRAWN, "goes with --png, --svg, --gif and --mp4")
     elif args.open:
         raise ConfigError("--open shows pages, not images")
     if args.slider:
@@ -173,6 +180,26 @@ def run(args: argparse.Namespace) -> int:
     write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared, slider=args.slider)
     say_page(out, open_it=args.open)
     return 0
+
+
+def _kinds(args: argparse.Namespace) -> list[str]:
+    """What is asked for instead of a page, by an option or the suffix of ``--out``: one or none."""
+    asked = {"png": args.png is not None, "svg": args.svg is not None}
+    asked |= {"gif": args.gif, "mp4": args.mp4}
+    kinds = [name for name, wanted in asked.items() if wanted]
+    if len(kinds) > 1:
+        raise ConfigError("give one of --png, --svg, --gif and --mp4")
+    if args.out is None or Path(args.what[0]).is_dir():
+        return kinds
+    suffix = args.out.suffix.lower().lstrip(".")
+    if suffix in asked and not kinds:
+        kinds = [suffix]
+        if suffix in ("png", "svg"):
+            setattr(args, suffix, MOMENT)
+    if suffix not in (*(kinds or ("html", "htm")), ""):
+        listed = ", ".join(f".{name}" for name in kinds or ("html", *asked))
+        raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
+    return kinds
 
 
 def _settle(args: argparse.Namespace, options: Mapping[str, Any], refused: str = "") -> None:
@@ -270,7 +297,7 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
     }
     first, *others = (run.rollout for run in runs)
     titles = [run.title for run in runs] if others else [first.scene.name]
-    if args.png is None:
+    if args.png is None and args.svg is None:
         save_video(
             first,
             out,
@@ -282,5 +309,12 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
         )
         return
     videos = [Video(run.rollout, title=t, **options) for run, t in zip(runs, titles, strict=True)]
-    videos[0].frame(args.png)  # says what is wrong with the step
-    render.save(side_by_side(videos, args.png), out)
+    asked = args.png if args.svg is None else args.svg
+    step = videos[0].moment if asked == MOMENT else asked
+    if args.svg is None:
+        videos[0].frame(step)  # says what is wrong with the step
+        render.save(side_by_side(videos, step), out)
+    elif others:
+        raise ConfigError("--svg shows one run: write each by itself")
+    else:
+        write_aside(out, videos[0].svg(step))

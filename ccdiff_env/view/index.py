@@ -6,7 +6,8 @@ import base64
 import html
 import io
 import warnings
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
@@ -20,7 +21,7 @@ from ccdiff_env.view.render import THEMES, Image
 from ccdiff_env.view.sources import log_rollout, rollout_files
 from ccdiff_env.view.video import Video
 
-THUMBNAIL = (320, 200)
+THUMBNAIL = (480, 300)
 
 
 @dataclass(frozen=True)
@@ -140,16 +141,27 @@ def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = 
     home
         Address and title of a page above this one.
     """
-    cards = "\n".join(_card(entry) for entry in entries)
-    bad = sum(entry.outcome.tone == "bad" for entry in entries)
+    cards = "\n".join(_card(entry) for entry in _short(entries))
+    mishaps = Counter(entry.outcome.mishap for entry in entries)
+    told = [f"{what} in {n}" for what, n in mishaps.most_common() if what]
     others = sum(entry.outcome.others > 0 for entry in entries)
-    count = counted(len(entries), "replay")
-    line = f"{count}: the ego is hit or leaves the road in {bad}, others collide in {others}"
+    line = f"{counted(len(entries), 'replay')}: the ego {', '.join(told)}" if told else ""
+    line = f"{line or counted(len(entries), 'replay')}; others collide in {others}"
     up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
     told = '<option value="story">by story</option>' if any(e.story for e in entries) else ""
     tools = _TOOLS.replace("<option", f"{told}<option", 1)
     body = f'{up}{tools}\n<div class="cards">\n{cards}\n</div>'
     return plain_html(title, line, style=part("index.css"), body=body)
+
+
+def _short(entries: list[Entry]) -> list[Entry]:
+    """Entries without the parts of their lines that all of them share."""
+    parts = [entry.line.split(" · ") for entry in entries]
+    shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set()
+    return [
+        replace(entry, line=" · ".join(part for part in own if part not in shared))
+        for entry, own in zip(entries, parts, strict=True)
+    ]
 
 
 _TOOLS = """<div class="tools">
@@ -158,7 +170,7 @@ _TOOLS = """<div class="tools">
 <option value="bad">the ego's mishaps first</option>
 <option value="others">collisions of others first</option></select></label>
 <label>show <select id="only"><option value="">all</option>
-<option value="bad">the ego hit or off the road</option>
+<option value="bad">mishaps of the ego</option>
 <option value="good">the ego at its goal</option></select></label>
 <span id="count" role="status"></span></div>"""
 
@@ -181,5 +193,5 @@ def _card(entry: Entry) -> str:
         f'data-story="{int(entry.story)}">{image}<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
         f"{f'<p>{html.escape(entry.beside)}</p>' if entry.beside else ''}"
-        f"<p>{html.escape(entry.line)}</p></a>"
+        f"{f'<p>{html.escape(entry.line)}</p>' if entry.line else ''}</a>"
     )

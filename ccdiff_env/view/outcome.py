@@ -88,12 +88,24 @@ class Outcome:
         Collisions in which the ego has no part.
     opening_s
         A moment before what matters most, seconds from the start.
+    decided_s
+        When it is known, seconds from the start.
     """
 
     tone: Tone
     text: str
     others: int
     opening_s: float
+    decided_s: float
+
+    @property
+    def mishap(self) -> str:
+        """What befell the ego: it "is hit", "drives into somebody", "leaves the road", or ""."""
+        if self.tone != "bad":
+            return ""
+        if "not at fault" in self.text:
+            return "is hit"
+        return "drives into somebody" if "at fault" in self.text else "leaves the road"
 
     @property
     def line(self) -> str:
@@ -116,10 +128,11 @@ def outcome(rollout: Rollout) -> Outcome:
     found = happenings(rollout)
     others = sum(h.kind == "collision" and h.lane != "ego" for h in found)
     tone, text, moment = _fate(rollout, [h for h in found if h.lane == "ego"])
+    decided_s = (rollout.num_steps - 1 if moment is None else moment.step) * rollout.dt_s
     if moment is None:
         moment = next((h for h in found if h.kind == "collision"), None)
     step = 0 if moment is None or moment.kind in ENDS else moment.step
-    return Outcome(tone, text, others, max(0.0, step * rollout.dt_s - LEAD_S))
+    return Outcome(tone, text, others, max(0.0, step * rollout.dt_s - LEAD_S), decided_s)
 
 
 def _fate(rollout: Rollout, own: list[Happening]) -> tuple[Tone, str, Happening | None]:

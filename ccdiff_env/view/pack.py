@@ -12,14 +12,13 @@ import base64
 import json
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import _native
 from ccdiff_env.metrics.causal import GRAPH_DISTANCE_M, GRAPH_TTC_S
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.traffic import TrafficPlan
@@ -28,6 +27,7 @@ from ccdiff_env.view.captions import (
     agent_titles,
     driver_of,
     driver_title,
+    ego_title,
     is_log,
     subtitle,
 )
@@ -43,8 +43,6 @@ PLAN_SPACING_S = 0.4
 PLAN_SAMPLES = 12
 """Samples kept of a plan, at most; the selected one is always kept."""
 
-#: Figures that the page derives for any agent, or shows as events.
-_SHOWN_ELSEWHERE = {"speed", "acceleration", "collision_kind", "collision_partner"}
 _AREAS = {
     "drivable": "drivable_area",
     "walkways": "walkways",
@@ -72,7 +70,6 @@ def pack(rollout: Rollout, title: str) -> str:
     header = {
         "run": _run(rollout, title) | {"layers": layers},
         "plans": [_add_plan(arrays, rollout, i, plan) for i, plan in enumerate(rollout.plans)],
-        "info": list(_add_info(arrays, rollout.info)),
         "arrays": arrays.entries,
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
@@ -118,7 +115,7 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     """What the header says of a run."""
     scene = rollout.scene
     agents = []
-    kinds, categories, sizes = scene.agent_types, scene.agent_categories, scene.sizes
+    kinds, sizes = scene.agent_types, scene.sizes
     for i, (label, long) in enumerate(agent_titles(scene)):
         agents.append(
             {
@@ -126,11 +123,12 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
                 "label": label,
                 "title": long,
                 "kind": kinds[i],
-                "category": categories[i],
                 "length": round(float(sizes[i, 0]), 2),
                 "width": round(float(sizes[i, 1]), 2),
                 "driver": driver_of(rollout, i),
-                "drivenBy": driver_title(rollout, i),
+                "drivenBy": ego_title(rollout)
+                if rollout.agent_ids[i] == "ego"
+                else driver_title(rollout, i),
             }
         )
     fate = outcome(rollout)
@@ -217,22 +215,6 @@ def _add_plan(arrays: _Arrays, rollout: Rollout, index: int, plan: TrafficPlan) 
         "realism_cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
         "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
     }
-
-
-def _add_info(
-    arrays: _Arrays, info: Mapping[str, npt.NDArray[np.float32]]
-) -> Iterator[dict[str, str]]:
-    """Add the info columns that change in the run; the header has their names and units."""
-    columns = json.loads(_native.columns_json())
-    units = {column["name"]: column["unit"] for column in columns}
-    index = 0
-    for name, values in info.items():
-        known = np.nan_to_num(np.asarray(values, dtype=np.float64))
-        if name in _SHOWN_ELSEWHERE or known.size == 0 or np.ptp(known) < 1e-6:
-            continue
-        arrays.real(f"info{index}", known, 1e-4)
-        index += 1
-        yield {"name": name, "unit": units.get(name, "")}
 
 
 def _add_map(arrays: _Arrays, rollout: Rollout) -> dict[str, list[list[int]]]:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, urlencode
 
 from ccdiff_env import _native
@@ -47,7 +48,6 @@ def page_html(
     titles: Sequence[str] | None = None,
     shared: str = "",
     home: tuple[str, str] | None = None,
-    edit: bool = False,
     slider: bool = False,
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
@@ -64,8 +64,6 @@ def page_html(
         What is so of all runs, to stand beside the scene's name.
     home
         Address and title of a page above this one, to be linked.
-    edit
-        Let agents be dragged elsewhere; the page around this one is notified.
     slider
         Show one run at a time, which a slider chooses.
 
@@ -94,9 +92,7 @@ def page_html(
         "subtitle": html.escape(line),
         "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
-        "settings": _json(
-            {"colours": colours(), "drivers": DRIVER_TITLES, "edit": edit, "slider": slider}
-        ),
+        "settings": _json({**look(), "slider": slider}),
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
@@ -126,29 +122,6 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     texts = {"title": html.escape(title), "line": html.escape(line)}
     script = part("plain.js")
     return _page("plain.html", {**texts, "style": style, "body": body, "script": script})
-
-
-def local_html(name: str, parts: Mapping[str, str]) -> str:
-    """Return a page of a server on this machine.
-
-    Parameters
-    ----------
-    name
-        ``"play"`` or ``"live"``.
-    parts
-        HTML of the holes in its body.
-    """
-    plain = part("plain.html")
-    return _page(
-        "local.html",
-        {
-            "title": f"ccdiff-env {name}",
-            "colours": plain[plain.index(":root {") : plain.index("h1 {")],
-            "style": part("local.css"),
-            "body": _filled(part(f"{name}.html"), parts),
-            "script": part(f"{name}.js"),
-        },
-    )
 
 
 def _page(template: str, parts: Mapping[str, str]) -> str:
@@ -189,14 +162,20 @@ def address(
     return f"{quote(path)}#{query}" if query else quote(path)
 
 
+def look() -> dict[str, Any]:
+    """Return what pages draw by, the same as images: colours by theme and name, titles of drivers
+    in the order of the legend, times and lengths by name.
+    """
+    return {"colours": colours(), "drivers": DRIVER_TITLES, "look": render.LOOK}
+
+
 def colours() -> dict[str, dict[str, str]]:
-    """Return the colour of each driver in each theme, as in images: ``"#rrggbb"``."""
+    """Return the colours of images by theme, ``"#rrggbb"``: of drivers, the map and the marks."""
     found = {}
     for theme in render.THEMES:
         legend = render.legend(theme)
         drivers = {n: legend[render.DRIVERS[number]] for n, _, number in _native.drivers()}
-        shown = {**drivers, "static": legend["static obstacle"]}
-        found[theme] = {name: _hex(rgb) for name, rgb in shown.items()}
+        found[theme] = {name: _hex(rgb) for name, rgb in {**legend, **drivers}.items()}
     return found
 
 

@@ -17,7 +17,7 @@ from ccdiff_env.traffic.python import AGENT_KINDS
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["DRIVERS", "KINDS", "THEMES", "draw", "legend", "save"]
+__all__ = ["DRIVERS", "KINDS", "LOOK", "THEMES", "draw", "legend", "save"]
 
 Image: TypeAlias = npt.NDArray[np.uint8]
 
@@ -28,6 +28,8 @@ DRIVERS = tuple(name for i, (name, number) in enumerate(_NUMBERS.items()) if i =
 KINDS = AGENT_KINDS
 #: Grounds that images are drawn on; the replay page has the same.
 THEMES = ("light", "dark")
+#: Times, lengths and strengths that images and the replay page share, by name.
+LOOK = dict(_native.render_look())
 
 
 def legend(theme: str = "light") -> dict[str, tuple[int, int, int]]:
@@ -50,6 +52,8 @@ def draw(
     driver: str | Sequence[str] = "replay",
     kind: str | Sequence[str] = "vehicle",
     collided: npt.ArrayLike | None = None,
+    parked: npt.ArrayLike | None = None,
+    arrived: npt.ArrayLike | None = None,
     size: tuple[int, int] = (640, 640),
     span_m: float = 100.0,
     centre_m: tuple[float, float] | None = None,
@@ -65,7 +69,8 @@ def draw(
     scale_bar: bool = False,
     legend: Iterable[tuple[str, str]] = (),
     theme: str = "light",
-) -> Image:
+    svg: bool = False,
+) -> Any:
     """Draw agents and lines on the map of a scene, or on bare ground.
 
     Parameters
@@ -83,6 +88,8 @@ def draw(
         One of :data:`DRIVERS` and :data:`KINDS` for all agents, or one per agent.
     collided
         Agents [A] to outline in red.
+    parked, arrived
+        Agents [A] that are hollow, and to outline in green.
     size
         Width and height of the image, pixels.
     span_m
@@ -112,11 +119,13 @@ def draw(
         Images that are too small for it have none.
     theme
         One of :data:`THEMES`.
+    svg
+        Return the text of an SVG instead.
 
     Returns
     -------
     ndarray
-        Image [H, W, 3], uint8.
+        Image [H, W, 3], uint8; or the SVG.
 
     Raises
     ------
@@ -129,14 +138,15 @@ def draw(
     num_agents = len(position)
     if centre_m is None:
         centre_m = (float(position[0, 0]), float(position[0, 1])) if num_agents else (0.0, 0.0)
-    red = np.zeros(num_agents, bool) if collided is None else np.asarray(collided, dtype=bool)
+    none = np.zeros(num_agents, bool)
+    marks = [none if m is None else np.asarray(m, bool) for m in (collided, parked, arrived)]
     return _native.render_arrays(
         position,
         _vector("heading_rad", heading_rad),
         _points("size_m", size_m),
         _numbers("kind", kind, KINDS, num_agents),
         _numbers("driver", driver, DRIVERS, num_agents),
-        red,
+        *marks,
         scene=scene,
         size=size,
         span_m=span_m,
@@ -153,6 +163,7 @@ def draw(
         scale_bar=scale_bar,
         legend=_legend_rows(legend, theme),
         theme=theme,
+        svg=svg,
     )
 
 

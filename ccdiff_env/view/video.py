@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,15 +15,13 @@ from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision
 from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.render import LOOK
 
-TRAIL_S = 3.0
-MARK_S = 1.0
-"""Time for which a collision stays marked."""
 GAP = 6
 """Pixels between videos side by side."""
-HOLD_S = 1.0
-"""The last image stays so long, and the verdict is read so long before it."""
-FPS = {".gif": 25.0, ".mp4": 30.0}
+HOLD_S = 1.6
+"""The last image stays so long: the verdict can be read."""
+FPS = {".gif": 12.5, ".mp4": 30.0}
 """Images per second by suffix; GIF counts time in hundredths of a second."""
 
 
@@ -72,9 +71,10 @@ class Video:
         self._rollout = rollout
         self._size, self._span_m = size, span_m
         self._middle = rollout.agent_ids.index(follow)
-        self._graph, self._captions, self._theme = graph, captions, theme
+        self._graph, self._captions, self.theme = graph, captions, theme
         self._title = rollout.scene.name if title is None else title
-        self._verdict = outcome(rollout).text if captions else ""
+        self._fate = outcome(rollout)
+        self._parked = parked(rollout)
         self._there = _there(rollout)
         self._centres = (
             _centres(rollout, self._middle)
@@ -96,8 +96,19 @@ class Video:
         for step in range(0, self._rollout.num_steps, every):
             yield self.frame(step)
 
-    def frame(self, at: float) -> render.Image:
-        """Draw a step, or a moment between two.
+    @property
+    def moment(self) -> int:
+        """The step that matters: of a contact, else the middle."""
+        if self._fate.tone == "bad":
+            return round(self._fate.decided_s / self._rollout.dt_s)
+        return (self.num_steps - 1) // 2
+
+    def svg(self, at: float) -> str:
+        """Draw a step as SVG; see :meth:`frame`."""
+        return str(self.frame(at, svg=True))
+
+    def frame(self, at: float, *, svg: bool = False) -> Any:
+        """Draw a step, or a moment between two, as an image [H, W, 3] or as SVG.
 
         Raises
         ------
@@ -114,13 +125,13 @@ class Video:
         recent = [
             event
             for event in run.events
-            if is_collision(run, event) and 0 <= step - event.step < MARK_S / run.dt_s
+            if is_collision(run, event) and 0 <= step - event.step < LOOK["MARK_S"] / run.dt_s
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
         caption = f"{self._title}  {at * run.dt_s:.1f} s"
-        if (run.num_steps - 1 - at) * run.dt_s < HOLD_S + 1e-6:
-            caption += f"  {self._verdict}"
+        if at * run.dt_s > self._fate.decided_s - 1e-6:
+            caption += f"  {self._fate.text}"
         return render.draw(
             position[there],
             scene=run.scene,
@@ -129,6 +140,9 @@ class Video:
             driver=[self._drivers[i] for i in there],
             kind=[kinds[i] for i in there],
             collided=np.array([i in hit for i in there], dtype=bool),
+            parked=self._parked[there],
+            arrived=(there == self._number.get("ego")) & ~run.valid[there, step],
+            svg=svg,
             size=self._size,
             span_m=self._span_m,
             centre_m=(float(centre[0]), float(centre[1])),
@@ -141,7 +155,7 @@ class Video:
             caption=caption if self._captions else "",
             scale_bar=self._captions,
             legend=self._legend,
-            theme=self._theme,
+            theme=self.theme,
         )
 
     def _poses(self, at: float) -> tuple[npt.NDArray[np.float32], ...]:
@@ -166,7 +180,7 @@ class Video:
         self, step: int, there: npt.NDArray[np.int64]
     ) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
         run = self._rollout
-        first = max(0, step - round(TRAIL_S / run.dt_s))
+        first = max(0, step - round(LOOK["TRAIL_S"] / run.dt_s))
         for i in there:
             line = run.position[i, first : step + 1][run.valid[i, first : step + 1]]
             if len(line) > 1 and np.ptp(line, axis=0).max() > 0.5:
@@ -209,6 +223,18 @@ class Video:
         return [(place[j], place[i], weight) for j, i, weight in drawn]
 
 
+def parked(rollout: Rollout) -> npt.NDArray[np.bool_]:
+    """Return which vehicles [A] never leave the place at which they are first; never the ego."""
+    found = np.zeros(len(rollout.agent_ids), bool)
+    for i, (name, kind) in enumerate(
+        zip(rollout.agent_ids, rollout.scene.agent_types, strict=True)
+    ):
+        way = rollout.position[i, rollout.valid[i]]
+        far = np.linalg.norm(way - way[:1], axis=1).max(initial=0.0)
+        found[i] = kind == "vehicle" and name != "ego" and far <= LOOK["PARKED_M"]
+    return found
+
+
 def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:
     """Who is drawn at each step [A, T]: an ego that has reached its goal stays where it did."""
     there = rollout.valid.copy()
@@ -238,8 +264,16 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
 
 
 def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
-    """Draw a step of each video side by side; videos that are over show their last."""
-    images = [video.frame(min(at, video.num_steps - 1)) for video in videos]
+    """Draw a step of each video side by side; videos that are over show their last, fainter."""
+    images = []
+    for video in videos:
+        last = video.num_steps - 1
+        image = video.frame(min(at, last))
+        if at > last + 1e-6:
+            share = LOOK["ENDED_ALPHA"]
+            ground = np.array(render.legend(video.theme)["ground"])
+            image = np.rint(image * share + (1.0 - share) * ground).astype(np.uint8)
+        images.append(image)
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)

@@ -1,39 +1,19 @@
 // Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
 
-const ACTOR_COLOURS = {
-  light: { ink: "#1d242c", outline: "#1d242c", shadow: "rgba(20,28,38,.20)", collision: "#d61f2c", goal: "#00785a",
-    arrow: "#6a329f", label: "#1d242c", labelHalo: "rgba(255,255,255,.85)", ghost: "#303a46" },
-  dark: { ink: "#0d1116", outline: "#0d1116", shadow: "rgba(0,0,0,.45)", collision: "#ff5a5f", goal: "#3ecfa8",
-    arrow: "#c79bf2", label: "#e8edf3", labelHalo: "rgba(13,17,22,.85)", ghost: "#dfe6ee" },
-};
-const TRAIL_SECONDS = 3;
-const TRAIL_SEGMENTS = 6;
-const PLAN_SEGMENTS = 4;
-const FLASH_SECONDS = 1.2; // how long a collision stays marked
-const LEAST_PIXELS = 9; // length of a vehicle on the screen, at least
-const KIND_COLOURS = {
-  light: { ego: "#0057b8", vehicle: "#5f7ea3", pedestrian: "#c2410c", cyclist: "#0f8a6d",
-    motorcycle: "#8b5cb5", static: "#8a7663" },
-  dark: { ego: "#5aa9ff", vehicle: "#8fa9c9", pedestrian: "#ff9a62", cyclist: "#3ecfa8",
-    motorcycle: "#c39be8", static: "#a08c78" },
-};
 const FAST_MPS = 15; // colour scale of speeds ends here
 
 /** Draws the agents of one run at a fractional step. Coordinates are metres; y points north. */
 class Actors {
-  constructor(run, driverColours) {
+  constructor(run) {
     this.run = run;
-    this.driverColours = driverColours;
   }
 
-  /** Colour of an agent: by driver, by kind, or by speed in its pose. */
+  /** Colour of an agent: by driver, or by speed in its pose. */
   colour(agent, theme, pose) {
     const { driver, kind } = this.run.agents[agent];
-    if (this.mode === "kind") return KIND_COLOURS[theme][driver === "ego" ? "ego" : kind];
     if (this.mode === "speed" && pose && kind !== "static")
       return speedColour(Math.hypot(pose.vx, pose.vy), theme);
-    const name = kind === "static" ? "static" : driver;
-    return this.driverColours[theme][name] || "#888888";
+    return COLOURS[theme][kind === "static" ? "static obstacle" : driver];
   }
 
   /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), picked agents. */
@@ -46,22 +26,22 @@ class Actors {
     if (options.focus >= 0) this.ahead(context, step, options.focus, theme, pixel);
     if (layers.plans) this.plans(context, step, theme, pixel, options.focus);
     const hit = this.hitAgents(step);
-    poses.forEach((pose, agent) => {
-      const arrived = this.run.arrived(agent, step);
+    for (const agent of this.run.order) {
+      const arrived = this.run.arrived(agent, step), pose = poses[agent];
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
-    });
+    }
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
     if (options.pair) this.pair(context, poses, options.pair, theme, pixel);
     for (const agent of [options.focus, options.hover]) {
       const plain = agent === options.focus && this.run.agents[agent]?.driver === "ego";
       if (agent >= 0 && !plain && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
     }
-    this.flashes(context, step, poses, theme, pixel);
+    this.marks(context, step, poses, theme, pixel);
   }
 
   trails(context, at, poses, theme, pixel) {
     const { run } = this;
-    const step = Math.floor(at + 1e-6), count = Math.round(TRAIL_SECONDS / run.dt);
+    const step = Math.floor(at + 1e-6), count = Math.round(LOOK.TRAIL_S / run.dt);
     const first = Math.max(step - count, 0);
     context.lineWidth = Math.max(0.35, 1.6 * pixel);
     context.lineCap = "butt";
@@ -71,10 +51,10 @@ class Actors {
       if (run.valid(agent, first)
         && Math.hypot(pose.x - run.a.x[base + first], pose.y - run.a.y[base + first]) < 0.6) return;
       context.strokeStyle = this.colour(agent, theme, pose);
-      for (let segment = 0; segment < TRAIL_SEGMENTS; segment++) {
-        const from = step - Math.round(count * (TRAIL_SEGMENTS - segment) / TRAIL_SEGMENTS);
-        const to = step - Math.round(count * (TRAIL_SEGMENTS - segment - 1) / TRAIL_SEGMENTS);
-        context.globalAlpha = 0.08 + 0.42 * (segment + 1) / TRAIL_SEGMENTS;
+      for (let segment = 0; segment < LOOK.TRAIL_PARTS; segment++) {
+        const from = step - Math.round(count * (LOOK.TRAIL_PARTS - segment) / LOOK.TRAIL_PARTS);
+        const to = step - Math.round(count * (LOOK.TRAIL_PARTS - segment - 1) / LOOK.TRAIL_PARTS);
+        context.globalAlpha = 0.08 + 0.42 * (segment + 1) / LOOK.TRAIL_PARTS;
         context.beginPath();
         let open = false;
         for (let i = Math.max(from, 0); i <= to; i++) {
@@ -83,7 +63,7 @@ class Actors {
           else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
           open = true;
         }
-        if (open && segment === TRAIL_SEGMENTS - 1) context.lineTo(pose.x, pose.y);
+        if (open && segment === LOOK.TRAIL_PARTS - 1) context.lineTo(pose.x, pose.y);
         context.stroke();
       }
     });
@@ -94,7 +74,7 @@ class Actors {
   ahead(context, step, agent, theme, pixel) {
     const { run } = this, base = agent * run.numSteps;
     context.strokeStyle = this.colour(agent, theme);
-    context.globalAlpha = 0.16;
+    context.globalAlpha = LOOK.PATH_ALPHA;
     context.lineCap = context.lineJoin = "round";
     context.lineWidth = Math.max(1.6, 3 * pixel);
     context.beginPath();
@@ -124,7 +104,7 @@ class Actors {
       plan.agents.forEach((agent, row) => {
         if (!plan.follows_plan[row] && agent !== focus) return;
         context.strokeStyle = plan.guided[row]
-          ? this.driverColours[theme].adversary : this.colour(agent, theme);
+          ? COLOURS[theme].adversary : this.colour(agent, theme);
         context.setLineDash(plan.follows_plan[row] ? [] : [4 * pixel, 4 * pixel]);
         const strength = (chosen ? 0.95 : 0.35) * (about && agent !== focus ? 0.4 : 1);
         this.fading(context, strength, plan.num_points, (first, last) => {
@@ -143,11 +123,11 @@ class Actors {
 
   /** Stroke a line of n points in segments, each fainter than the one before. */
   fading(context, strength, n, trace) {
-    for (let segment = 0; segment < PLAN_SEGMENTS; segment++) {
-      const first = Math.floor((n - 1) * segment / PLAN_SEGMENTS);
-      const last = Math.floor((n - 1) * (segment + 1) / PLAN_SEGMENTS);
+    for (let segment = 0; segment < LOOK.PLAN_PARTS; segment++) {
+      const first = Math.floor((n - 1) * segment / LOOK.PLAN_PARTS);
+      const last = Math.floor((n - 1) * (segment + 1) / LOOK.PLAN_PARTS);
       if (last === first) continue;
-      context.globalAlpha = strength * (1 - 0.8 * segment / PLAN_SEGMENTS);
+      context.globalAlpha = strength * (1 - 0.8 * segment / LOOK.PLAN_PARTS);
       context.beginPath();
       trace(first, last);
       context.stroke();
@@ -156,12 +136,12 @@ class Actors {
 
   body(context, agent, pose, { theme, pixel, hit, arrived }) {
     const { kind, length, width } = this.run.agents[agent];
-    const colours = ACTOR_COLOURS[theme], colour = this.colour(agent, theme, pose);
+    const colours = COLOURS[theme], colour = this.colour(agent, theme, pose);
     context.save();
     context.translate(pose.x, pose.y);
     context.rotate(pose.heading);
-    if (kind === "vehicle" && length < LEAST_PIXELS * pixel) {
-      const larger = LEAST_PIXELS * pixel / length;
+    if (kind === "vehicle" && length < LOOK.LEAST_LENGTH_PX * pixel) {
+      const larger = LOOK.LEAST_LENGTH_PX * pixel / length;
       context.scale(larger, larger);
     }
     context.lineWidth = hit || arrived ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
@@ -173,17 +153,17 @@ class Actors {
     else if (kind === "static") box(context, length, width, 0.05);
     else box(context, length, width, Math.min(0.28 * width, 0.6));
     if (kind === "vehicle" && !hollow && theme === "light" && pixel < 0.25) {
-      context.shadowColor = colours.shadow;
+      context.shadowColor = "rgba(20,28,38,.20)";
       context.shadowBlur = 6;
       context.shadowOffsetY = 2;
     }
-    context.globalAlpha = hollow ? 0.2 : 1; // what never moves is dull
+    context.globalAlpha = hollow ? LOOK.PARKED_ALPHA : 1;
     context.fill();
     context.globalAlpha = 1;
     context.shadowColor = "transparent";
     context.stroke();
-    if (kind === "vehicle" && !hollow && pixel < 0.4) windscreen(context, length, width, colours.ink);
-    else if (kind !== "static" && kind !== "vehicle" && pixel < 0.2) nose(context, length, colours.ink);
+    if (kind === "vehicle" && !hollow && pixel < 0.4) windscreen(context, length, width, colours.outline);
+    else if (kind !== "static" && kind !== "vehicle" && pixel < 0.2) nose(context, length, colours.outline);
     context.restore();
   }
 
@@ -203,30 +183,27 @@ class Actors {
   }
 
   recent(step) {
-    const flash = FLASH_SECONDS / this.run.dt;
-    return this.run.events.filter(
-      (e) => e.kind === "collision" && e.step <= step && step - e.step < flash);
+    return this.run.events.filter((e) =>
+      e.kind === "collision" && e.step <= step && step - e.step < LOOK.MARK_S / this.run.dt);
   }
 
-  flashes(context, step, poses, theme, pixel) {
-    context.strokeStyle = ACTOR_COLOURS[theme].collision;
+  /** A ring half way between those that met. */
+  marks(context, step, poses, theme, pixel) {
+    context.strokeStyle = COLOURS[theme].collision;
+    context.lineWidth = 2.5 * pixel;
     for (const event of this.recent(step)) {
       const pose = poses[event.agent], other = poses[event.partner];
       if (!pose) continue;
       const x = other ? (pose.x + other.x) / 2 : pose.x, y = other ? (pose.y + other.y) / 2 : pose.y;
-      const age = (step - event.step) * this.run.dt / FLASH_SECONDS;
-      context.globalAlpha = 1 - 0.8 * age;
-      context.lineWidth = 2.5 * pixel;
       context.beginPath();
-      context.arc(x, y, 3 + (6 + 8 * age) * pixel, 0, 2 * Math.PI);
+      context.arc(x, y, LOOK.MARK_M + LOOK.MARK_PX * pixel, 0, 2 * Math.PI);
       context.stroke();
     }
-    context.globalAlpha = 1;
   }
 
   /** Arrows that lead to the focus within two hops; the other influences as faint lines. */
   influences(context, step, poses, theme, pixel, focus) {
-    const colour = ACTOR_COLOURS[theme].arrow;
+    const colour = COLOURS[theme]["causal arrow"];
     const edges = this.run.influences(step), leading = new Set(leadingTo(edges, focus));
     for (const edge of edges) {
       const [from, to, weight] = edge, p = poses[from], q = poses[to];
@@ -247,7 +224,7 @@ class Actors {
   pair(context, poses, pair, theme, pixel) {
     const p = poses[pair[0]], q = poses[pair[1]];
     if (!p || !q) return;
-    context.strokeStyle = ACTOR_COLOURS[theme].collision;
+    context.strokeStyle = COLOURS[theme].collision;
     context.lineWidth = 2.5 * pixel;
     context.setLineDash([6 * pixel, 4 * pixel]);
     context.beginPath();
@@ -259,7 +236,7 @@ class Actors {
 
   ring(context, agent, pose, theme, pixel) {
     const { length, width } = this.run.agents[agent];
-    context.strokeStyle = ACTOR_COLOURS[theme].label;
+    context.strokeStyle = COLOURS[theme].ink;
     context.lineWidth = 1.4 * pixel;
     context.setLineDash([4 * pixel, 3 * pixel]);
     context.beginPath();
@@ -268,23 +245,9 @@ class Actors {
     context.setLineDash([]);
   }
 
-  /** An agent where it is dragged to, joined to where it is. */
-  carried(context, at, agent, by, theme, pixel) {
-    const pose = agent < 0 ? null : this.run.pose(agent, at);
-    if (!pose) return;
-    const there = { ...pose, x: pose.x + by.x, y: pose.y + by.y };
-    context.strokeStyle = ACTOR_COLOURS[theme].label;
-    context.lineWidth = 1.5 * pixel;
-    context.beginPath();
-    context.moveTo(pose.x, pose.y);
-    context.lineTo(there.x, there.y);
-    context.stroke();
-    this.body(context, agent, there, { theme, pixel, hit: false });
-  }
-
   /** Outlines only: where the other run has the same moment. */
   ghosts(context, at, theme, pixel) {
-    context.strokeStyle = ACTOR_COLOURS[theme].ghost;
+    context.strokeStyle = COLOURS[theme].ghost;
     context.lineWidth = Math.max(0.1, 1.2 * pixel);
     context.setLineDash([0.6, 0.4]);
     this.run.agents.forEach(({ kind, length, width }, agent) => {
@@ -303,14 +266,14 @@ class Actors {
 
   /** Names beside the agents, in the pixels of the pane; of walkers where there is room. */
   labels(context, at, camera, width, height, theme, focus) {
-    const colours = ACTOR_COLOURS[theme];
+    const colours = COLOURS[theme];
     context.font = "600 11px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "bottom";
     context.lineWidth = 3;
     context.lineJoin = "round";
-    context.strokeStyle = colours.labelHalo;
-    context.fillStyle = colours.label;
+    context.strokeStyle = `${colours.paper}d9`;
+    context.fillStyle = colours.ink;
     this.run.agents.forEach(({ kind, label, width: wide }, agent) => {
       const small = kind === "static" || camera.scale < (kind === "pedestrian" ? 14 : 3.5);
       if (small && agent !== focus) return;

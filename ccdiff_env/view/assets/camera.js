@@ -65,12 +65,11 @@ class Camera {
 
 /**
  * Mouse, touch and wheel on a canvas.
- * handlers: drag(dx, dy), zoom(factor, x, y), hover(x, y) or hover(null), tap(x, y), doubleTap(x, y);
- * grab(x, y) tells whether the drag that begins there carries something: carry(dx, dy), drop() then.
+ * handlers: drag(dx, dy), zoom(factor, x, y), hover(x, y) or hover(null), tap(x, y), doubleTap(x, y).
  */
 function listenToGestures(canvas, handlers) {
   const pointers = new Map();
-  let moved = 0, spread = 0, lastTap = 0, carrying = false;
+  let moved = 0, spread = 0, lastTap = 0;
 
   const place = (event) => {
     const box = canvas.getBoundingClientRect();
@@ -85,11 +84,7 @@ function listenToGestures(canvas, handlers) {
     if (event.button !== 0) return;
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, place(event));
-    if (pointers.size === 1) {
-      const { x, y } = place(event);
-      moved = 0;
-      carrying = handlers.grab(x, y);
-    }
+    if (pointers.size === 1) moved = 0;
     if (pointers.size === 2) spread = distance();
   });
 
@@ -109,8 +104,6 @@ function listenToGestures(canvas, handlers) {
       handlers.drag(dx / 2, dy / 2);
       if (spread > 0) handlers.zoom(wide / spread, (p.x + q.x) / 2, (p.y + q.y) / 2);
       spread = wide;
-    } else if (carrying) {
-      handlers.carry(dx, dy);
     } else {
       handlers.drag(dx, dy);
     }
@@ -118,10 +111,6 @@ function listenToGestures(canvas, handlers) {
 
   const release = (event) => {
     if (!pointers.delete(event.pointerId)) return;
-    if (carrying && !pointers.size) {
-      carrying = false;
-      handlers.drop();
-    }
     if (event.type !== "pointerup" || moved >= 5 || pointers.size) return;
     const { x, y } = place(event);
     const now = performance.now();

@@ -1,6 +1,8 @@
 // Reading the packed runs: base64 → inflate → header (JSON) and arrays. See pack.py for the layout.
 
-const MOVED_M = 0.5; // what stays nearer than this stands
+// What pictures and this page draw alike: colours by theme and name, words, times and lengths (rust/render).
+const SETTINGS = JSON.parse(document.getElementById("settings").textContent);
+const { colours: COLOURS, look: LOOK } = SETTINGS;
 const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
 
 /** Bytes of the text of a data element. */
@@ -56,13 +58,11 @@ class Run {
     this.numAgents = this.agents.length;
     this.a = arrays;
     this.still = this.agents.map((agent, index) => agent.driver !== "ego" && !this.moves(index));
+    this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
     this.plans = header.plans.map((plan, index) => this.plan(plan, index));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
     const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
     this.goal = goal && { agent: goal.agent, step: goal.step };
-    this.info = header.info.map((column, index) => ({
-      ...column, values: arrays[`info${index}`],
-    }));
   }
 
   /** Seconds of the scene at the first and the last recorded state. */
@@ -81,6 +81,13 @@ class Run {
     return this.a.valid[agent * this.numSteps + step] === 1;
   }
 
+  /** What is drawn on top: obstacles lowest, the ego highest. */
+  height(agent) {
+    const { kind, driver } = this.agents[agent];
+    if (driver === "ego") return 4;
+    return kind === "static" ? 0 : driver === "replay" ? 1 : kind === "vehicle" ? 2 : 3;
+  }
+
   /** Whether an agent ever is half a metre away from where it was first. */
   moves(agent) {
     const base = agent * this.numSteps, { x, y, valid } = this.a;
@@ -88,7 +95,7 @@ class Run {
     for (let i = base; i < base + this.numSteps; i++) {
       if (!valid[i]) continue;
       if (first < 0) first = i;
-      if (Math.hypot(x[i] - x[first], y[i] - y[first]) > MOVED_M) return true;
+      if (Math.hypot(x[i] - x[first], y[i] - y[first]) > LOOK.PARKED_M) return true;
     }
     return false;
   }

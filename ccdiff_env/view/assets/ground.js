@@ -1,20 +1,5 @@
 // The map below the agents. Paths are built once, in metres, and drawn through the camera.
 
-const GROUND_COLOURS = {
-  light: {
-    ground: "#eef0ec", road: "#d3d7dd", kerb: "#a9b0ba", walkway: "#e3ddd0", carpark: "#c8ced6",
-    stripe: "#f7f8fa", stop: "#d59c8f", centre: "#8f98a4", laneDivider: "#6d7682",
-    roadDivider: "#96650a",
-  },
-  dark: {
-    ground: "#11151a", road: "#2f3743", kerb: "#566271", walkway: "#21272e", carpark: "#28303a",
-    stripe: "#5d6979", stop: "#7d4a42", centre: "#4b5766", laneDivider: "#8b97a6",
-    roadDivider: "#b98a26",
-  },
-};
-
-const FADE_M = 10;
-
 class Ground {
   constructor(run) {
     const { mapX, mapY } = run.a;
@@ -25,7 +10,6 @@ class Ground {
     }
     const joined = (name, close) => pathOf((layers[name] || []).flat(), close);
     this.road = joined("drivable", true);
-    this.edges = boxOf((layers.drivable || []).flat());
     this.walkways = joined("walkways", true);
     this.carparks = joined("carparks", true);
     this.stops = joined("stops", true);
@@ -44,34 +28,17 @@ class Ground {
     context.strokeStyle = colours.kerb;
     context.lineWidth = Math.max(0.3, 1.6 * pixel);
     context.stroke(this.road);
-    this.fill(context, this.road, colours.road);
-    this.fill(context, this.carparks, colours.carpark);
-    this.fill(context, this.stops, colours.stop);
-    for (const crossing of this.crossings) this.zebra(context, crossing, colours.stripe);
-    this.stroke(context, this.laneDividers, colours.laneDivider, Math.max(0.14, pixel), [3, 3]);
-    this.stroke(context, this.roadDividers, colours.roadDivider, Math.max(0.18, pixel), []);
-  }
-
-  /** The map ends where it was cut: it fades into the ground there. */
-  fade(context, colours) {
-    if (!this.edges) return;
-    const [x0, y0, x1, y1] = this.edges, far = 2000, deep = Math.min(FADE_M, (x1 - x0) / 4, (y1 - y0) / 4);
-    const strip = (fromX, fromY, toX, toY, x, y, wide, high) => {
-      const shade = context.createLinearGradient(fromX, fromY, toX, toY);
-      shade.addColorStop(0, colours.ground);
-      shade.addColorStop(1, `${colours.ground}00`);
-      context.fillStyle = shade;
-      context.fillRect(x, y, wide, high);
-    };
-    strip(x0, 0, x0 + deep, 0, x0 - far, y0 - far, far + deep, 2 * far);
-    strip(x1, 0, x1 - deep, 0, x1 - deep, y0 - far, far + deep, 2 * far);
-    strip(0, y0, 0, y0 + deep, x0 - far, y0 - far, 2 * far, far + deep);
-    strip(0, y1, 0, y1 - deep, x0 - far, y1 - deep, 2 * far, far + deep);
+    this.fill(context, this.road, colours["drivable area"]);
+    this.fill(context, this.carparks, colours["car park"]);
+    this.fill(context, this.stops, colours["stop area"]);
+    for (const crossing of this.crossings) this.zebra(context, crossing, colours.crossing);
+    this.stroke(context, this.laneDividers, colours["lane divider"], Math.max(0.14, pixel), [LOOK.LANE_DASH_M, LOOK.LANE_DASH_M]);
+    this.stroke(context, this.roadDividers, colours["road divider"], Math.max(0.18, pixel), []);
   }
 
   drawLanes(context, colours, pixel) {
-    this.stroke(context, this.lanes, colours.centre, Math.max(0.1, 0.9 * pixel), [0.5, 1.3]);
-    if (pixel < 0.3) this.stroke(context, this.chevrons, colours.centre, Math.max(0.14, pixel), []);
+    this.stroke(context, this.lanes, colours["centre line"], Math.max(0.1, 0.9 * pixel), [LOOK.CENTRE_DASH_M, LOOK.CENTRE_GAP_M]);
+    if (pixel < 0.3) this.stroke(context, this.chevrons, colours["centre line"], Math.max(0.14, pixel), []);
   }
 
   fill(context, path, colour) {
@@ -90,7 +57,7 @@ class Ground {
   zebra(context, crossing, colour) {
     context.save();
     context.clip(crossing.outline);
-    this.stroke(context, crossing.axis, colour, crossing.width, [0.55, 0.55]);
+    this.stroke(context, crossing.axis, colour, crossing.width, [LOOK.STRIPE_M, LOOK.STRIPE_M]);
     context.restore();
   }
 }
@@ -105,19 +72,6 @@ function readRings(lengths, mapX, mapY, cursor) {
   });
 }
 
-/** Least and greatest x and y of rings, or null. */
-function boxOf(rings) {
-  if (!rings.length) return null;
-  const box = [Infinity, Infinity, -Infinity, -Infinity];
-  for (const [x, y] of rings.flat()) {
-    box[0] = Math.min(box[0], x);
-    box[1] = Math.min(box[1], y);
-    box[2] = Math.max(box[2], x);
-    box[3] = Math.max(box[3], y);
-  }
-  return box;
-}
-
 function pathOf(rings, close) {
   const path = new Path2D();
   for (const ring of rings) {
@@ -129,7 +83,7 @@ function pathOf(rings, close) {
 
 /** Little arrows along the lanes: the direction of traffic. */
 function chevronsOf(lines) {
-  const path = new Path2D(), gap = 14, size = 0.55;
+  const path = new Path2D(), gap = LOOK.CHEVRON_GAP_M, size = LOOK.CHEVRON_M;
   for (const line of lines) {
     let left = gap / 2;
     for (let i = 1; i < line.length; i++) {

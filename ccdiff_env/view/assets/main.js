@@ -3,10 +3,16 @@
 // Runs have colours that no driver has; letters and dashes tell them apart, too.
 const CHROME = {
   light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#66707d", text: "#1d242c",
-    runs: ["#1d242c", "#b0006d", "#00707a", "#7a4a12"], flags: FLAG_COLOURS.light },
+    runs: ["#1d242c", "#b0006d", "#00707a", "#7a4a12"], flags: flagsOf("light") },
   dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#93a0ae", text: "#e8edf3",
-    runs: ["#e8edf3", "#ff7ac8", "#4fd6e0", "#e0a870"], flags: FLAG_COLOURS.dark },
+    runs: ["#e8edf3", "#ff7ac8", "#4fd6e0", "#e0a870"], flags: flagsOf("dark") },
 };
+/** Colours of flags on the time line. */
+function flagsOf(theme) {
+  const { collision, goal, ink, "road divider": off_road } = COLOURS[theme];
+  return { collision, goal, off_road, plan: goal, other: ink };
+}
+
 const PANEL_MS = 80; // panels change no faster than this while playing
 const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
@@ -30,37 +36,34 @@ const KEYS = [
   ["1 2 …, 0", "one run alone, all runs", null, []],
   ["R", "loop", null, []],
   ["I, V", "save a picture, a video", null, []],
-  ["C", "colour by driver, kind, speed", null, []],
+  ["C", "colour by driver, speed", null, []],
   ["D", "dark or light", null, ["d"]],
   ["S", "panels", null, ["s"]],
   ["?", "this help", null, ["?"]],
 ];
 
 async function main() {
-  const settings = JSON.parse($("settings").textContent);
   const runs = [];
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
-  const colours = settings.colours;
 
-  let timeline = null, figures = null, recorded = null, contacts = null;
-  const player = new Player(runs, $("stage"), colours, () => update());
+  let timeline = null, figures = null, contacts = null;
+  const player = new Player(runs, $("stage"), () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
   timeline = new Timeline($("timeline"), runs, seek, (event) => player.flags[event.lane]);
   /** Fill the panels: with what all runs, or one of them, have to tell. */
   const fill = (told) => {
-    for (const id of ["events", "figures", "recorded", "contacts"]) $(id).replaceChildren();
+    for (const id of ["events", "figures", "contacts"]) $(id).replaceChildren();
     timeline.runs = told;
+    player.told = told;
     new EventsPanel($("events"), told, player.flags,
       (run, event) => player.goTo(run, event), () => player.touch());
     figures = new FiguresPanel($("figures"), told, seek);
-    recorded = new FiguresPanel($("recorded"), told, seek);
-    $("recorded-part").hidden = !recorded.showRecorded();
-    const [run] = told;
-    contacts = new ContactPanel($("contacts"), run, (pair) => {
+    contacts = new ContactPanel($("contacts"), told, (run, pair) => {
       player.pair = pair && pair.map((agent) => run.agents[agent].id);
       player.touch();
-    }, (pair) => player.showPair(pair.map((agent) => run.agents[agent].id)));
+    }, (run, pair) => player.showPair(run, pair));
   };
+  player.showing = (told) => fill(told);
   fill(runs);
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
@@ -75,20 +78,16 @@ async function main() {
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
     said.at(player.time, player.flags);
-    if (!player.playing) timeline.speak(player.time);
+    timeline.speak(player.time);
     figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
-    recorded.draw(player.time, chrome);
-    const { run } = contacts, step = Math.floor(run.stepAt(player.time) + 1e-6);
-    const focus = run.indexOf.get(player.focus);
-    contacts.draw(step, focus === undefined ? -1 : focus, chrome);
+    contacts.draw(player.time, player.focus, chrome);
     showFocus(player);
     showControls(player);
-    showLegend(player, settings);
+    showLegend(player);
   };
   wireControls(player);
-  if (settings.edit) wireEditing(player);
-  if (settings.slider) wireSlider(player, fill);
+  if (SETTINGS.slider) wireSlider(player);
   wireKeys(player);
   player.panes.forEach((pane, index) => {
     wirePane(pane, player);
@@ -232,25 +231,19 @@ function wireControls(player) {
   }
 }
 
-/** A chip that lets agents be dragged; the page around this one plays again then. */
-function wireEditing(player) {
-  const chip = element("button", "chip", "Move agents");
-  chip.id = "edit";
-  chip.title = "Drag agents elsewhere and play again (M)";
-  chip.setAttribute("aria-pressed", "false");
-  chip.addEventListener("click", () => player.toggleEditing());
-  $("layers").append(chip);
-}
-
-/** One run at a time, chosen by a slider while it plays. */
-function wireSlider(player, fill) {
-  const [input, output] = $("choice").children;
+/** One run at a time, chosen by a slider while it plays; dots below it are what became of the ego in each. */
+function wireSlider(player) {
+  const [input, output, dots] = $("choice").children;
   input.max = player.runs.length - 1;
+  for (const { title, outcome: { tone, text } } of player.runs) {
+    const dot = element("i", tone);
+    dot.title = `${title}: ${text}`;
+    dots.append(dot);
+  }
   const choose = () => {
     player.show(+input.value, true);
-    fill([player.shown.run]);
     output.textContent = player.shown.run.title;
-    input.setAttribute("aria-valuetext", output.textContent);
+    input.setAttribute("aria-valuetext", `${output.textContent}: ${player.shown.run.outcome.text}`);
   };
   player.slid = () => { input.value = player.alone; choose(); };
   input.addEventListener("input", choose);
@@ -278,7 +271,7 @@ function showControls(player) {
   $("colour").value = player.colourMode;
   $("heading").setAttribute("aria-pressed", player.headingUp);
   $("loop").setAttribute("aria-pressed", player.loop);
-  if ($("edit")) $("edit").setAttribute("aria-pressed", player.editing);
+
   for (const layer of LAYERS) {
     const chip = $(`layer-${layer}`);
     if (chip) chip.setAttribute("aria-pressed", player.layers[layer]);
@@ -288,7 +281,7 @@ function showControls(player) {
 /** Captions of the chosen agent; where two runs say different things, both stand there. */
 function showFocus(player) {
   const list = $("captions");
-  const knowing = player.runs.filter((run) => run.indexOf.has(player.focus));
+  const knowing = player.told.filter((run) => run.indexOf.has(player.focus));
   if (!knowing.length) {
     list.replaceChildren(element("p", "quiet", "Tap an agent to see what is known of it."));
     return;
@@ -302,8 +295,9 @@ function showFocus(player) {
     const values = known.map((captions) => captions.get(name) || "–");
     return [name, ...(values.every((value) => value === values[0]) ? [values[0]] : values)];
   });
+  const marks = knowing.map((run) => player.runs.indexOf(run));
   const run = knowing[0];
-  showCaptions(list, run.agents[run.indexOf.get(player.focus)].title, rows);
+  showCaptions(list, run.agents[run.indexOf.get(player.focus)].title, rows, marks);
 }
 
 function showAbout(runs) {
@@ -318,25 +312,6 @@ function wirePane(pane, player) {
   const tip = $("tip");
   const hide = () => { tip.hidden = true; };
   listenToGestures(pane.canvas, {
-    grab(x, y) {
-      const id = player.editing ? pane.find(player.camera, x, y, player.time, 14) : null;
-      player.carried = id === null ? null : { id, x: 0, y: 0 };
-      if (id !== null) player.playing = false;
-      return id !== null;
-    },
-    carry(dx, dy) {
-      const [fromX, fromY] = player.camera.toMap(0, 0, 0, 0), [x, y] = player.camera.toMap(dx, dy, 0, 0);
-      player.carried.x += x - fromX;
-      player.carried.y += y - fromY;
-      hide();
-      player.touch();
-    },
-    drop() {
-      const { id, x, y } = player.carried;
-      player.carried = null;
-      player.touch();
-      if (Math.hypot(x, y) > 0.1) parent.postMessage({ moved: id, east: x, north: y }, location.origin);
-    },
     drag(dx, dy) {
       player.follow = null;
       player.camera.pan(dx, dy);
@@ -353,7 +328,7 @@ function wirePane(pane, player) {
       pane.canvas.style.cursor = id === null ? "" : "pointer";
       if (id === null) return hide();
       const agent = pane.run.indexOf.get(id), box = pane.canvas.getBoundingClientRect();
-      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)).slice(0, -1));
+      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)));
       tip.hidden = false;
       tip.style.left = `${Math.min(box.left + x + 16, innerWidth - tip.offsetWidth - 8)}px`;
       tip.style.top = `${Math.min(box.top + y + 16, innerHeight - tip.offsetHeight - 8)}px`;
@@ -389,14 +364,13 @@ function wireKeys(player) {
     "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
     t: () => player.toggle("trails"), p: () => player.toggle("plans"), g: () => player.toggle("graph"),
     l: () => player.toggle("labels"), k: () => player.toggle("lanes"), o: () => player.toggle("ghost"),
-    c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 3]),
+    c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 2]),
     d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
     s: () => togglePanels(player),
     r: () => toggleLoop(player),
     i: () => savePicture(player),
     v: () => window.MediaRecorder && saveClip(player, $("clip")),
     0: () => player.slid || player.show(null),
-    m: () => $("edit") && player.toggleEditing(),
     "?": () => $("help").showModal(),
   };
   if (player.panes.length > 1)
@@ -424,6 +398,6 @@ main().catch((error) => {
   document.body.dataset.ready = "failed";
   $("failure").hidden = false;
   $("failure").textContent = "This replay cannot be shown: its data are damaged, or the browser is too old "
-    + `(${error.message}). Write the page anew with ccdiff-env view.`;
+    + `(${error.message}). Write the page again with ccdiff-env view.`;
   throw error;
 });

@@ -16,9 +16,9 @@ function element(tag, className, text) {
 
 /** Captions of one agent at a step, as pairs of name and value. */
 function captionsOf(run, agent, at) {
-  const { kind, category, length, width, drivenBy, id } = run.agents[agent];
+  const { kind, length, width, drivenBy } = run.agents[agent];
   const captions = kind === "static" ? [] : [["driven by", drivenBy]];
-  const lasting = [["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`], ["kind", category || kind], ["id", id]];
+  const lasting = [["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`]];
   const pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
   if (!pose) return [...captions, ["state", "not in the scene now"], ...lasting];
   const speed = Math.hypot(pose.vx, pose.vy);
@@ -34,8 +34,6 @@ function captionsOf(run, agent, at) {
     }
   }
   captions.push(...planCaptions(run, agent, step));
-  captions.push(["heading", `${Math.round(wrap(pose.heading) * 180 / Math.PI) || 0}°`]);
-  captions.push(["place", `${pose.x.toFixed(1)}, ${pose.y.toFixed(1)} m`]);
   return [...captions, ...lasting];
 }
 
@@ -51,7 +49,7 @@ function planCaptions(run, agent, step) {
 }
 
 /** Fill a list with captions: name and value, or a value for each run; the title says whose. */
-function showCaptions(list, title, captions) {
+function showCaptions(list, title, captions, marks = []) {
   list.replaceChildren(element("div", "captions-title", title));
   for (const [name, ...values] of captions) {
     const row = element("div", "caption");
@@ -59,7 +57,7 @@ function showCaptions(list, title, captions) {
     const both = element("span", "caption-value");
     values.forEach((value, i) => {
       const shown = element("span", "", value);
-      if (values.length > 1) shown.prepend(badge(i));
+      if (values.length > 1) shown.prepend(badge(marks[i] ?? i));
       both.append(shown);
     });
     row.append(both);
@@ -92,24 +90,11 @@ class FiguresPanel {
     }
     this.row("speed", "m/s", of("speeds"));
     this.row("acceleration", "m/s²", of("accelerations"));
-    this.row("time to contact", "s", of("leastTtc"));
+    this.row("time to contact", "s", of("leastTtc"), this.runs[0].ttcCap - 1e-3);
   }
 
-  /** Show what the runs recorded; returns whether they did. */
-  showRecorded() {
-    const columns = new Map();
-    for (const run of this.runs)
-      for (const { name, unit } of run.info) columns.set(name, unit);
-    for (const [name, unit] of columns) {
-      this.row(name.replaceAll("_", " "), unit, this.runs.map((run) => {
-        const column = run.info.find((other) => other.name === name);
-        return column ? column.values : null;
-      }));
-    }
-    return columns.size > 0;
-  }
-
-  row(name, unit, series) {
+  /** A value from `cap` on is none. */
+  row(name, unit, series, cap = Infinity) {
     const row = element("div", "figure");
     const canvas = element("canvas", "figure-curve");
     canvas.setAttribute("aria-hidden", "true");
@@ -130,7 +115,7 @@ class FiguresPanel {
       const box = canvas.getBoundingClientRect();
       this.seek(this.start + (event.clientX - box.left) / box.width * (this.end - this.start));
     });
-    this.rows.push({ canvas, values, series, low, high });
+    this.rows.push({ canvas, values, series, low, high, cap });
   }
 
   get start() { return Math.min(...this.runs.map((run) => run.start)); }
@@ -143,7 +128,7 @@ class FiguresPanel {
   draw(time, colours) {
     this.drawn = [time, colours];
     const ratio = window.devicePixelRatio || 1;
-    for (const { canvas, values, series, low, high } of this.rows) {
+    for (const { canvas, values, series, low, high, cap } of this.rows) {
       const width = canvas.clientWidth, height = canvas.clientHeight;
       if (!width) continue;
       resizeCanvas(canvas, width, height, ratio);
@@ -161,8 +146,8 @@ class FiguresPanel {
       context.globalAlpha = 1;
       if (height > 60) this.scale(context, low, high, height, colours);
       series.forEach((s, i) => {
-        const value = s ? s[indexAt(this.runs[i], s, time)] : NaN;
-        values[i].textContent = Number.isFinite(value) ? brief(value) : "–";
+        const value = s ? s[Math.round(this.runs[i].stepAt(time))] : NaN;
+        values[i].textContent = Number.isFinite(value) && value < cap ? brief(value) : "–";
       });
     }
   }
@@ -177,7 +162,6 @@ class FiguresPanel {
 
   curve(context, index, series, x, y, colours) {
     const run = this.runs[index], which = index % RUN_DASHES.length;
-    const lag = run.numSteps - series.length; // info columns start one state later
     context.strokeStyle = colours[which];
     context.setLineDash(RUN_DASHES[which]);
     context.lineWidth = 1.5;
@@ -186,7 +170,7 @@ class FiguresPanel {
     let open = false;
     series.forEach((value, i) => {
       if (!Number.isFinite(value)) { open = false; return; }
-      const px = x(run.start + (i + lag) * run.dt), py = y(value);
+      const px = x(run.start + i * run.dt), py = y(value);
       if (open) context.lineTo(px, py);
       else context.moveTo(px, py);
       open = true;
@@ -194,12 +178,6 @@ class FiguresPanel {
     context.stroke();
     context.setLineDash([]);
   }
-}
-
-/** Entry of a series at a time; info columns have one entry less than there are states. */
-function indexAt(run, series, time) {
-  const lag = run.numSteps - series.length;
-  return Math.max(Math.round(run.stepAt(time)) - lag, 0);
 }
 
 function brief(value) {
@@ -280,65 +258,64 @@ function merged(found) {
 
 /** The pairs that meet soonest at the cursor, those of the chosen agent first. */
 class ContactPanel {
-  /** hover([a, b] or null) and choose([a, b]) are called with indices of run 0. */
-  constructor(container, run, hover, choose) {
-    this.container = container;
-    this.run = run;
-    this.hover = hover;
-    this.choose = choose;
-    this.rows = [];
-    container.addEventListener("pointerleave", () => hover(null));
+  /** hover(run, [a, b] or null) and choose(run, [a, b]) are called with indices of that run. */
+  constructor(container, runs, hover, choose) {
+    Object.assign(this, { container, runs, hover, choose, rows: [] });
+    container.addEventListener("pointerleave", () => hover(runs[0], null));
   }
 
-  /** The pairs that matter: of what moves, obstacles only where they are close. */
-  pairs(step, focus) {
-    const { run } = this, plan = run.planAt(step);
-    const rank = ([a, b]) => {
-      if (a === focus || b === focus) return 0;
-      return plan && plan.agents.includes(a) && plan.agents.includes(b) ? 1 : 2;
-    };
-    const moves = (agent) => {
-      const pose = run.pose(agent, step);
-      return pose && Math.hypot(pose.vx, pose.vy) > STATIONARY_MPS;
-    };
-    const solid = (agent) => run.agents[agent].kind !== "static";
-    return run.pairs(step)
-      .filter(([a, b, ttc]) => (moves(a) || moves(b)) && (ttc < 2 || solid(a) && solid(b)))
-      .sort((p, q) => rank(p) - rank(q) || p[2] - q[2])
-      .slice(0, TTC_ROWS);
+  /** The pairs that matter as [run, a, b, seconds]: of what moves, obstacles only where they are close. */
+  pairs(time, focusId) {
+    return this.runs.flatMap((run) => {
+      const step = Math.floor(run.stepAt(time) + 1e-6), plan = run.planAt(step), focus = run.indexOf.get(focusId);
+      const rank = ([a, b]) => {
+        if (a === focus || b === focus) return 0;
+        return plan && plan.agents.includes(a) && plan.agents.includes(b) ? 1 : 2;
+      };
+      const moves = (agent) => {
+        const pose = run.pose(agent, step);
+        return pose && Math.hypot(pose.vx, pose.vy) > STATIONARY_MPS;
+      };
+      const solid = (agent) => run.agents[agent].kind !== "static";
+      return run.pairs(step)
+        .filter(([a, b, ttc]) => (moves(a) || moves(b)) && (ttc < 2 || solid(a) && solid(b)))
+        .map(([a, b, ttc]) => [run, a, b, ttc, rank([a, b])]);
+    }).sort((p, q) => p[4] - q[4] || p[3] - q[3]).slice(0, TTC_ROWS);
   }
 
-  draw(step, focus, chrome) {
-    const pairs = this.pairs(step, focus), key = pairs.map(([a, b]) => `${a} ${b}`).join();
+  draw(time, focus, chrome) {
+    const pairs = this.pairs(time, focus), key = pairs.map(([run, a, b]) => `${this.runs.indexOf(run)} ${a} ${b}`).join();
     if (key !== this.key || !pairs.length) {
       this.key = key;
-      this.rows = pairs.map(([a, b]) => this.row(a, b));
+      this.rows = pairs.map(([run, a, b]) => this.row(run, a, b));
       const none = element("p", "quiet", "No two agents are on course to meet within 10 s.");
       this.container.replaceChildren(...(pairs.length ? this.rows.map((row) => row.button) : [none]));
     }
     this.rows.forEach((row, i) => {
-      row.value.textContent = `${pairs[i][2].toFixed(1)} s`;
-      row.button.classList.toggle("hot", pairs[i][2] < 2);
-      this.curve(row, step, chrome);
+      const [run, , , seconds] = pairs[i];
+      row.value.textContent = `${seconds.toFixed(1)} s`;
+      row.button.classList.toggle("hot", seconds < 2);
+      this.curve(row, run, run.stepAt(time), chrome);
     });
   }
 
-  row(a, b) {
-    const { agents } = this.run;
+  row(run, a, b) {
+    const { agents } = run;
     const button = element("button", "contact"), canvas = element("canvas", "figure-curve");
     const value = element("span", "figure-value");
     canvas.setAttribute("aria-hidden", "true");
     button.title = `${agents[a].title} and ${agents[b].title}: show both`;
+    if (this.runs.length > 1) button.append(badge(this.runs.indexOf(run)));
     button.append(element("span", "figure-name", `${agents[a].label} – ${agents[b].label}`), canvas, value);
-    button.addEventListener("pointerenter", () => this.hover([a, b]));
-    button.addEventListener("focus", () => this.hover([a, b]));
-    button.addEventListener("blur", () => this.hover(null));
-    button.addEventListener("click", () => this.choose([a, b]));
-    return { button, canvas, value, series: this.run.pairSeries(a, b) };
+    button.addEventListener("pointerenter", () => this.hover(run, [a, b]));
+    button.addEventListener("focus", () => this.hover(run, [a, b]));
+    button.addEventListener("blur", () => this.hover(run, null));
+    button.addEventListener("click", () => this.choose(run, [a, b]));
+    return { button, canvas, value, series: run.pairSeries(a, b) };
   }
 
   /** Time to contact over the run, low where it is short. */
-  curve({ canvas, series }, step, chrome) {
+  curve({ canvas, series }, run, step, chrome) {
     const ratio = window.devicePixelRatio || 1, { clientWidth: width, clientHeight: height } = canvas;
     if (!width) return;
     resizeCanvas(canvas, width, height, ratio);
@@ -350,7 +327,7 @@ class ContactPanel {
     context.lineWidth = 1.5;
     context.beginPath();
     series.forEach((value, i) => {
-      const y = height - 2 - (height - 4) * value / this.run.ttcCap;
+      const y = height - 2 - (height - 4) * value / run.ttcCap;
       if (i) context.lineTo(x(i), y);
       else context.moveTo(x(i), y);
     });

@@ -24,6 +24,11 @@ if (find) {
 }
 
 for (const table of document.querySelectorAll("table.sorts")) {
+  // rows that leave their name to the row above keep it when they are sorted
+  let name = "";
+  const whole = () => {
+    for (const row of table.tBodies[0].rows) row.cells[0].textContent.trim() ? name = row.cells[0].innerHTML : row.cells[0].innerHTML = name;
+  };
   const valueOf = (row, column) => {
     const text = row.cells[column].textContent.trim(), number = parseFloat(text);
     return Number.isNaN(number) || /^[a-z]/i.test(text) ? text : number;
@@ -39,6 +44,7 @@ for (const table of document.querySelectorAll("table.sorts")) {
       for (const other of table.querySelectorAll("th")) other.removeAttribute("aria-sort");
       head.setAttribute("aria-sort", down ? "descending" : "ascending");
       const body = table.tBodies[0];
+      whole();
       const rows = [...body.rows].sort((p, q) => {
         const [a, b] = [valueOf(p, column), valueOf(q, column)];
         const by = typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b), undefined, { numeric: true });

@@ -3,16 +3,16 @@
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
 const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
 const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
-const COLOUR_MODES = ["driver", "kind", "speed"];
+const COLOUR_MODES = ["driver", "speed"];
 const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
 /** One run on one canvas. */
 class Pane {
-  constructor(root, run, index, driverColours) {
+  constructor(root, run, index) {
     this.run = run;
     this.ground = new Ground(run);
-    this.actors = new Actors(run, driverColours);
+    this.actors = new Actors(run);
     this.root = element("div", "pane");
     this.canvas = element("canvas", "map");
     this.canvas.tabIndex = 0;
@@ -38,14 +38,13 @@ class Pane {
     const ratio = window.devicePixelRatio || 1, { width, height } = this;
     resizeCanvas(this.canvas, width, height, ratio);
     const context = this.canvas.getContext("2d");
-    const colours = GROUND_COLOURS[theme], pixel = 1 / camera.scale;
+    const colours = COLOURS[theme], pixel = 1 / camera.scale;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colours.ground;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     camera.apply(context, width, height, ratio);
     this.ground.draw(context, colours, pixel);
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
-    this.ground.fade(context, colours);
     const at = this.run.stepAt(player.time);
     if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
     this.actors.draw(context, at, {
@@ -53,7 +52,6 @@ class Pane {
       focus: this.index(player.focus), hover: this.index(player.hover),
       pair: player.pair && player.pair.map((id) => this.index(id)),
     });
-    if (player.carried) this.actors.carried(context, at, this.index(player.carried.id), player.carried, theme, pixel);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
     this.scaleBar(context, camera, width, height, theme);
@@ -69,8 +67,7 @@ class Pane {
   scaleBar(context, camera, width, height, theme) {
     const metres = [1, 2, 5, 10, 20, 50, 100, 200].find((m) => m * camera.scale >= 60) || 500;
     const long = metres * camera.scale, x = width - 16 - long, y = height - 16;
-    context.strokeStyle = context.fillStyle = ACTOR_COLOURS[theme].label;
-    context.globalAlpha = 0.7;
+    context.strokeStyle = context.fillStyle = COLOURS[theme].ink;
     context.lineWidth = 1.5;
     context.beginPath();
     context.moveTo(x, y - 5);
@@ -81,8 +78,10 @@ class Pane {
     context.font = "11px system-ui, sans-serif";
     context.textAlign = "center";
     context.textBaseline = "bottom";
+    context.strokeStyle = `${COLOURS[theme].paper}d9`;
+    context.lineWidth = 3;
+    context.strokeText(`${metres} m`, x + long / 2, y - 4);
     context.fillText(`${metres} m`, x + long / 2, y - 4);
-    context.globalAlpha = 1;
   }
 
   /** Id of the agent under a pixel, or null. */
@@ -95,11 +94,11 @@ class Pane {
 
 /** State of the page and everything that changes it. Times are seconds of the scene. */
 class Player {
-  constructor(runs, stage, driverColours, changed) {
+  constructor(runs, stage, changed) {
     this.runs = runs;
     this.stage = stage;
     this.camera = new Camera();
-    this.panes = runs.map((run, index) => new Pane(stage, run, index, driverColours));
+    this.panes = runs.map((run, index) => new Pane(stage, run, index));
     this.start = Math.min(...runs.map((run) => run.start));
     this.end = Math.max(...runs.map((run) => run.end));
     this.step = Math.min(...runs.map((run) => run.dt));
@@ -110,7 +109,7 @@ class Player {
     this.headingUp = false;
     this.loop = false;
     this.clip = null; // what records a clip, while it does
-    this.colourMode = runs.every((run) => run.isLog) ? "kind" : "driver";
+    this.colourMode = "driver";
     this.layers = { ...LAYERS_AT_START };
     this.flags = { ego: true, guided: true, others: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
@@ -118,8 +117,8 @@ class Player {
     this.alone = null; // index of the run that has the stage to itself
     this.hover = null;
     this.pair = null;
-    this.editing = false;
-    this.carried = null; // an agent that is dragged: its id, and metres east and north
+    this.told = runs; // those of which the panels speak
+    this.showing = () => {};
     this.changed = changed;
     this.dirty = true;
     this.before = 0;
@@ -202,7 +201,8 @@ class Player {
 
   /** Zoom so that whoever is near the ego is seen; a road that crosses a tall pane goes up. */
   frameNeighbours() {
-    const { width, height } = this.panes[0], run = this.runs[0], at = run.stepAt(this.time);
+    this.framed = true;
+    const { width, height, run } = this.shown, at = run.stepAt(this.time);
     const ego = run.indexOf.get(this.follow), here = ego === undefined ? null : run.pose(ego, at);
     let reach = 0;
     run.agents.forEach((_, agent) => {
@@ -225,16 +225,13 @@ class Player {
     const seen = this.alone === null ? this.panes.length : 1;
     this.stage.style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
     document.body.classList.toggle("alone", this.alone !== null);
+    this.showing(this.alone === null ? this.runs : [this.runs[this.alone]]);
+    if (!stay && this.framed) this.frameNeighbours(); // the pane has another size
     this.touch();
   }
 
   /** The first pane that is seen. */
   get shown() { return this.panes[this.alone ?? 0]; }
-
-  toggleEditing() {
-    this.editing = !this.editing;
-    this.touch();
-  }
 
   colourBy(mode) {
     this.colourMode = mode;
@@ -288,16 +285,15 @@ class Player {
     this.touch();
   }
 
-  /** Show two agents of the first run close by. */
-  showPair([one, other]) {
-    const poses = [one, other].map((id) => this.panes[0].index(id))
-      .map((agent) => this.runs[0].pose(agent, this.runs[0].stepAt(this.time)));
+  /** Show two agents of a run close by. */
+  showPair(run, pair) {
+    const poses = pair.map((agent) => run.pose(agent, run.stepAt(this.time)));
     if (!poses[0] || !poses[1]) return;
     const [xs, ys] = [poses.map((p) => p.x), poses.map((p) => p.y)];
     const box = [Math.min(...xs) - 12, Math.min(...ys) - 12, Math.max(...xs) + 12, Math.max(...ys) + 12];
     this.follow = null;
     this.headingUp = false;
-    this.focus = one;
+    this.focus = run.agents[pair[0]].id;
     this.camera.fit(box, this.shown.width, this.shown.height);
     this.touch();
   }

@@ -5,15 +5,15 @@ const CLIP_FPS = 30;
 /** The panes as they lie on the screen, drawn onto a canvas. */
 function drawStage(player, canvas) {
   const ratio = window.devicePixelRatio || 1, stage = player.stage.getBoundingClientRect();
-  const context = canvas.getContext("2d"), colours = ACTOR_COLOURS[player.theme];
+  const context = canvas.getContext("2d"), colours = COLOURS[player.theme];
   resizeCanvas(canvas, 2 * Math.round(stage.width / 2), 2 * Math.round(stage.height / 2), ratio);
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.fillStyle = GROUND_COLOURS[player.theme].ground;
+  context.fillStyle = colours.ground;
   context.fillRect(0, 0, stage.width, stage.height);
   context.textBaseline = "top";
   context.lineWidth = 4;
   context.lineJoin = "round";
-  context.strokeStyle = colours.labelHalo;
+  context.strokeStyle = `${colours.paper}d9`;
   for (const pane of player.panes) {
     if (!pane.width) continue;
     const box = pane.canvas.getBoundingClientRect();
@@ -21,7 +21,7 @@ function drawStage(player, canvas) {
     context.drawImage(pane.canvas, x, y, box.width, box.height);
     const { title, outcome: { tone, text } } = pane.run;
     const clock = `${(player.time - player.start).toFixed(1)} s`;
-    [[`${title}  ${clock}`, "label"], [text, { bad: "collision", good: "goal" }[tone] || "label"]]
+    [[`${title}  ${clock}`, "ink"], [text, { bad: "collision", good: "goal" }[tone] || "ink"]]
       .forEach(([words, colour], row) => {
         context.font = `600 ${row ? 13 : 15}px system-ui, sans-serif`;
         context.fillStyle = colours[colour];

@@ -9,32 +9,29 @@ function setTheme(player, theme) {
 }
 
 /** What the colours mean, in the mode that is chosen. */
-function showLegend(player, settings) {
-  const key = `${player.theme} ${player.colourMode}`;
+function showLegend(player) {
+  const key = `${player.theme} ${player.colourMode} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
   if ($("legend").dataset.key === key) return;
   $("legend").dataset.key = key;
-  $("legend").replaceChildren(...legendOf(player, settings).map(([colour, title]) => {
+  $("legend").replaceChildren(...legendOf(player).map(([colour, title, hollow]) => {
     const item = element("span", "legend-item"), dot = element("i");
     item.setAttribute("role", "listitem");
-    dot.style.background = colour;
+    if (hollow) dot.style.boxShadow = `inset 0 0 0 1.5px ${colour}`;
+    else dot.style.background = colour;
     item.append(dot, title);
     return item;
   }));
 }
 
-function legendOf(player, settings) {
-  const agents = player.runs.flatMap((run) => run.agents);
+function legendOf(player) {
+  const agents = player.runs.flatMap((run) => run.agents), colours = COLOURS[player.theme];
   if (player.colourMode === "speed")
     return [0, 5, 10, FAST_MPS].map((v) => [speedColour(v, player.theme), `${v} m/s`]);
-  if (player.colourMode === "kind") {
-    const seen = new Set(agents.map((agent) => (agent.driver === "ego" ? "ego" : agent.kind)));
-    return Object.entries(KIND_COLOURS[player.theme])
-      .filter(([kind]) => seen.has(kind))
-      .map(([kind, colour]) => [colour, kind === "static" ? settings.drivers.static : kind]);
-  }
   const seen = new Set(agents.map((agent) => (agent.kind === "static" ? "static" : agent.driver)));
-  const colours = player.panes[0].actors.driverColours[player.theme];
-  return Object.entries(settings.drivers)
-    .filter(([name]) => seen.has(name))
-    .map(([name, title]) => [colours[name], title]);
+  const rows = Object.entries(SETTINGS.drivers).filter(([name]) => seen.has(name))
+    .map(([name, title]) => [colours[name === "static" ? "static obstacle" : name], title]);
+  if (player.runs.some((run) => run.still.some((still, i) => still && run.agents[i].kind === "vehicle")))
+    rows.push([colours.outline, "parked", true]);
+  if (player.layers.graph) rows.push([colours["causal arrow"], "may influence"]);
+  return rows;
 }

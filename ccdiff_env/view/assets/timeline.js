@@ -1,9 +1,5 @@
 // The time line: where we are, and flags where something happens.
 
-const FLAG_COLOURS = {
-  light: { collision: "#d61f2c", off_road: "#8a5a00", goal: "#00785a", other: "#5c6672", plan: "#00785a" },
-  dark: { collision: "#ff5a5f", off_road: "#f0b34a", goal: "#3ecfa8", other: "#93a0ae", plan: "#3ecfa8" },
-};
 const FLAG_HEIGHTS = { ego: 16, guided: 11, others: 7 };
 
 class Timeline {

@@ -60,8 +60,8 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// How images show a kind of driver.
 fn drawn(kind: &str) -> DrawStyle {
-    let style = of(kind).map_or(kind, |kind| kind.style);
-    DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == style).unwrap_or(DrawStyle::Other)
+    let named = |name: &str| DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == name);
+    named(kind).or_else(|| named(of(kind)?.style)).unwrap_or(DrawStyle::Other)
 }
 
 /// What legends call a kind of driver.
@@ -82,7 +82,7 @@ type Row = (&'static str, &'static str, u8);
 #[pyfunction]
 fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
-    let others = kinds().filter(|kind| kind.style != kind.name);
+    let others = kinds().filter(|kind| drawn(kind.name).name() != kind.name);
     styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
 }
 

@@ -5,17 +5,19 @@ use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_render::{
     AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme,
-    palette, render,
+    look, palette, render, render_svg,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{AgentKind, Map, Scene};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyString;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(render_arrays, module)?)?;
+    module.add_function(wrap_pyfunction!(render_look, module)?)?;
     module.add_function(wrap_pyfunction!(render_legend, module)?)
 }
 
@@ -132,6 +134,8 @@ fn boxes(
     kind: &PyReadonlyArray1<'_, u8>,
     driver_of: &PyReadonlyArray1<'_, u8>,
     collided: &PyReadonlyArray1<'_, bool>,
+    parked: &PyReadonlyArray1<'_, bool>,
+    arrived: &PyReadonlyArray1<'_, bool>,
 ) -> PyResult<Vec<AgentBox>> {
     let (positions, sizes) = (points("position_m", position_m)?, points("size_m", size_m)?);
     let num_agents = positions.len();
@@ -141,6 +145,8 @@ fn boxes(
         ("kind", kind.len()),
         ("driver", driver_of.len()),
         ("collided", collided.len()),
+        ("parked", parked.len()),
+        ("arrived", arrived.len()),
     ] {
         if len != num_agents {
             let message = format!("{what} has {len} entries, expected {num_agents}, one per position");
@@ -148,7 +154,8 @@ fn boxes(
         }
     }
     let (heading_rad, kind) = (heading_rad.as_array(), kind.as_array());
-    let (driver_of, collided) = (driver_of.as_array(), flags(collided)?);
+    let driver_of = driver_of.as_array();
+    let (collided, parked, arrived) = (flags(collided)?, flags(parked)?, flags(arrived)?);
     (0..num_agents)
         .map(|a| {
             let shape = AgentKind::ALL.get(usize::from(kind[a])).copied();
@@ -161,15 +168,17 @@ fn boxes(
                 })?,
                 driver: driver(driver_of[a])?,
                 collided: collided[a],
+                parked: parked[a],
+                arrived: arrived[a],
             })
         })
         .collect()
 }
 
-/// An image [H, W, 3] of agents and lines given as arrays; see `ccdiff_env.view.render.draw`.
+/// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.view.render.draw`.
 #[pyfunction]
-#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, *, scene, size, span_m, centre_m, up_rad,
-    route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme))]
+#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
+    route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme, svg))]
 fn render_arrays<'py>(
     py: Python<'py>,
     position_m: Points<'py>,
@@ -178,6 +187,8 @@ fn render_arrays<'py>(
     kind: PyReadonlyArray1<'py, u8>,
     driver: PyReadonlyArray1<'py, u8>,
     collided: PyReadonlyArray1<'py, bool>,
+    parked: PyReadonlyArray1<'py, bool>,
+    arrived: PyReadonlyArray1<'py, bool>,
     scene: Option<Handed>,
     size: (i64, i64),
     span_m: f32,
@@ -194,8 +205,9 @@ fn render_arrays<'py>(
     scale_bar: bool,
     legend: Vec<((u8, u8, u8), String)>,
     theme: &str,
-) -> PyResult<Bound<'py, PyArray3<u8>>> {
-    let boxes = boxes(&position_m, &heading_rad, &size_m, &kind, &driver, &collided)?;
+    svg: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let boxes = boxes(&position_m, &heading_rad, &size_m, &kind, &driver, &collided, &parked, &arrived)?;
     let owned = |what, list: Vec<(Points<'py>, u8)>| -> PyResult<Vec<(Vec<Point2>, DrawStyle)>> {
         list.iter().map(|(p, d)| Ok((points(what, p)?, self::driver(*d)?))).collect()
     };
@@ -236,13 +248,22 @@ fn render_arrays<'py>(
             legend: &legend,
             theme,
         };
-        render(&drawing, &camera)
+        if svg { render_svg(&drawing, &camera).map(Err) } else { render(&drawing, &camera).map(Ok) }
     });
-    to_array(py, image.map_err(from_render)?)
+    match image.map_err(from_render)? {
+        Ok(image) => Ok(to_array(py, image)?.into_any()),
+        Err(text) => Ok(PyString::new(py, &text).into_any()),
+    }
 }
 
 fn lines(list: &[(Vec<Point2>, DrawStyle)]) -> Vec<Line<'_>> {
     list.iter().map(|(points, driver)| Line { points, driver: *driver }).collect()
+}
+
+/// Times, lengths and strengths that images and the replay page share, by name.
+#[pyfunction]
+fn render_look() -> Vec<(&'static str, f32)> {
+    look::LOOK.to_vec()
 }
 
 /// Name and colour (red, green, blue).

@@ -2,14 +2,13 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
+use crate::look::{LEAST_LENGTH_PX, PARKED_ALPHA};
 use crate::palette::DrawStyle;
 use ccdiff_sim::geom::{Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 
 /// Half of the smallest side that an agent is drawn with, pixels.
 const MIN_HALF_PX: f32 = 1.5;
-/// Length of a vehicle in the image, at least; a shorter one is drawn larger, pixels.
-const LEAST_LENGTH_PX: f32 = 9.0;
 
 /// One agent of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -26,6 +25,10 @@ pub struct AgentBox {
     pub driver: DrawStyle,
     /// Whether it is in a collision: outlined in red.
     pub collided: bool,
+    /// Whether it is a vehicle that never moves: it is hollow.
+    pub parked: bool,
+    /// Whether it is an ego that has reached its goal: outlined in green.
+    pub arrived: bool,
 }
 
 /// Draws all agents: obstacles lowest, then by driver, the ego on top.
@@ -66,15 +69,18 @@ fn draw_one(canvas: &mut Canvas, b: &AgentBox) {
     };
     let Some(body) = body.path() else { return };
     let fill = if b.kind == AgentKind::Static { palette.obstacle } else { b.driver.colour(canvas.theme) };
-    canvas.fill_path(&body, fill, 1.0);
+    let hollow = b.parked && !b.collided;
+    canvas.fill_path(&body, fill, if b.parked { PARKED_ALPHA } else { 1.0 });
     let (edge, width) = if b.collided {
         (palette.collision, canvas.px(0.3, 2.2))
+    } else if b.arrived {
+        (palette.goal, canvas.px(0.3, 2.2))
     } else {
-        (palette.outline, canvas.px(0.08, 0.8))
+        (if hollow { fill } else { palette.outline }, canvas.px(0.08, 0.8))
     };
     canvas.stroke_path(&body, edge, 1.0, width, true);
     match b.kind {
-        AgentKind::Vehicle if px_per_m > 2.5 => windows(canvas, b, half_l, half_w),
+        AgentKind::Vehicle if px_per_m > 2.5 && !b.parked => windows(canvas, b, half_l, half_w),
         AgentKind::Vehicle | AgentKind::Static => {}
         _ if px_per_m > 5.0 => {
             let mut nose = Outline::new();

@@ -4,8 +4,10 @@ use crate::camera::View;
 use crate::image::Image;
 use crate::palette::{Palette, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
+use std::fmt::Write;
 use tiny_skia::{
-    Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Shader, Stroke, Transform,
+    Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, PathSegment, Pixmap, Shader, Stroke,
+    Transform,
 };
 
 /// Points nearer than this to the one before are left out, pixels.
@@ -13,9 +15,16 @@ const MERGE_PX: f32 = 0.35;
 /// Coordinates are held within this, pixels: far outside any image, well inside what the rasteriser can take.
 const FAR_PX: f32 = 1e6;
 
-/// A pixel buffer and the view that places metres on it.
+/// What is painted on.
+enum Surface {
+    Pixels(Pixmap),
+    /// Elements of an SVG.
+    Vector(String),
+}
+
+/// A surface and the view that places metres on it.
 pub(crate) struct Canvas {
-    pixmap: Pixmap,
+    surface: Surface,
     pub(crate) view: View,
     pub(crate) theme: Theme,
 }
@@ -31,7 +40,12 @@ impl Canvas {
     pub(crate) fn new(width: u32, height: u32, view: View, theme: Theme) -> Option<Self> {
         let mut pixmap = Pixmap::new(width, height)?;
         pixmap.fill(colour(theme.palette().ground, 1.0));
-        Some(Self { pixmap, view, theme })
+        Some(Self { surface: Surface::Pixels(pixmap), view, theme })
+    }
+
+    /// Canvas of an SVG, without ground.
+    pub(crate) fn vector(view: View, theme: Theme) -> Self {
+        Self { surface: Surface::Vector(String::new()), view, theme }
     }
 
     /// Colours of the map and the marks.
@@ -48,7 +62,14 @@ impl Canvas {
 
     /// Fills a finished path.
     pub(crate) fn fill_path(&mut self, path: &Path, rgb: Rgb, alpha: f32) {
-        self.pixmap.fill_path(path, &paint(rgb, alpha), FillRule::Winding, Transform::identity(), None);
+        match &mut self.surface {
+            Surface::Pixels(pixmap) => {
+                pixmap.fill_path(path, &paint(rgb, alpha), FillRule::Winding, Transform::identity(), None);
+            }
+            Surface::Vector(text) => {
+                element(text, path, &format!("fill=\"{}\" fill-opacity", hex(rgb)), alpha)
+            }
+        }
     }
 
     /// Strokes a path with round joins; `round` ends or flat ones.
@@ -66,7 +87,18 @@ impl Canvas {
             line_join: LineJoin::Round,
             ..Stroke::default()
         };
-        self.pixmap.stroke_path(path, &paint(rgb, alpha), &stroke, Transform::identity(), None);
+        match &mut self.surface {
+            Surface::Pixels(pixmap) => {
+                pixmap.stroke_path(path, &paint(rgb, alpha), &stroke, Transform::identity(), None);
+            }
+            Surface::Vector(text) => {
+                let (colour, cap) = (hex(rgb), if round { "round" } else { "butt" });
+                let how = format!(
+                    "fill=\"none\" stroke=\"{colour}\" stroke-width=\"{width_px:.2}\" stroke-linecap=\"{cap}\" stroke-linejoin=\"round\" stroke-opacity"
+                );
+                element(text, path, &how, alpha);
+            }
+        }
     }
 
     /// Pixels of a length in metres, at least `min_px`.
@@ -81,12 +113,25 @@ impl Canvas {
 
     /// Drops the alpha channel: everything was drawn on an opaque ground.
     pub(crate) fn finish(self) -> Image {
-        let rgba = self.pixmap.data();
+        let Surface::Pixels(pixmap) = self.surface else {
+            return Image { width: 0, height: 0, rgb: Vec::new() };
+        };
+        let rgba = pixmap.data();
         let mut rgb = vec![0; rgba.len() / 4 * 3];
         for (to, from) in rgb.chunks_exact_mut(3).zip(rgba.chunks_exact(4)) {
             to.copy_from_slice(&from[..3]);
         }
-        Image { width: self.pixmap.width(), height: self.pixmap.height(), rgb }
+        Image { width: pixmap.width(), height: pixmap.height(), rgb }
+    }
+
+    /// The SVG of so many pixels, on the colour of the ground.
+    pub(crate) fn finish_svg(self, width: u32, height: u32) -> String {
+        let ground = hex(self.palette().ground);
+        let Surface::Vector(text) = self.surface else { return String::new() };
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
+             viewBox=\"0 0 {width} {height}\">\n<rect width=\"100%\" height=\"100%\" fill=\"{ground}\"/>\n{text}</svg>\n"
+        )
     }
 }
 
@@ -149,6 +194,31 @@ impl Outline {
     pub(crate) fn path(self) -> Option<Path> {
         self.builder.finish()
     }
+}
+
+/// `#rrggbb`.
+fn hex(Rgb(r, g, b): Rgb) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// Adds a path to an SVG.
+fn element(text: &mut String, path: &Path, how: &str, alpha: f32) {
+    text.push_str("<path d=\"");
+    for segment in path.segments() {
+        let (letter, points): (char, &[tiny_skia::Point]) = match &segment {
+            PathSegment::MoveTo(p) => ('M', &[*p]),
+            PathSegment::LineTo(p) => ('L', &[*p]),
+            PathSegment::QuadTo(c, p) => ('Q', &[*c, *p]),
+            PathSegment::CubicTo(c, d, p) => ('C', &[*c, *d, *p]),
+            PathSegment::Close => ('Z', &[]),
+        };
+        text.push(letter);
+        for (i, p) in points.iter().enumerate() {
+            let gap = if i > 0 { " " } else { "" };
+            let _ = write!(text, "{gap}{:.2} {:.2}", p.x, p.y);
+        }
+    }
+    let _ = writeln!(text, "\" {how}=\"{:.3}\"/>", alpha.clamp(0.0, 1.0));
 }
 
 fn held(v: f32) -> f32 {

@@ -92,34 +92,50 @@ pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
     let (width, height) = (camera.width, camera.height);
     let canvas = Canvas::new(width, height, view, drawing.theme);
     let mut canvas = canvas.ok_or(RenderError::Size { width, height, max: crate::MAX_SIDE_PX })?;
+    paint(drawing, camera, &mut canvas);
+    Ok(canvas.finish())
+}
+
+/// The same as SVG, letters as outlines.
+///
+/// # Errors
+/// Those of [`render`].
+pub fn render_svg(drawing: &Drawing<'_>, camera: &Camera) -> Result<String> {
+    let view = camera.view()?;
+    drawing.check()?;
+    let mut canvas = Canvas::vector(view, drawing.theme);
+    paint(drawing, camera, &mut canvas);
+    Ok(canvas.finish_svg(camera.width, camera.height))
+}
+
+fn paint(drawing: &Drawing<'_>, camera: &Camera, canvas: &mut Canvas) {
     if let Some(map) = drawing.map {
-        map.draw(&mut canvas);
+        map.draw(canvas);
     }
-    lines::route(&mut canvas, drawing.route);
+    lines::route(canvas, drawing.route);
     for trail in drawing.trails {
-        lines::trail(&mut canvas, trail);
+        lines::trail(canvas, trail);
     }
     for sample in drawing.samples {
-        lines::sample(&mut canvas, sample);
+        lines::sample(canvas, sample);
     }
     for plan in drawing.plans {
-        lines::plan(&mut canvas, plan);
+        lines::plan(canvas, plan);
     }
-    agents::draw(&mut canvas, drawing.boxes);
+    agents::draw(canvas, drawing.boxes);
     for arrow in drawing.arrows {
-        lines::arrow(&mut canvas, arrow);
+        lines::arrow(canvas, arrow);
     }
     for mark in drawing.collisions {
-        lines::collision(&mut canvas, *mark);
+        lines::collision(canvas, *mark);
     }
-    let size_px = (width as f32, height as f32);
-    text::names(&mut canvas, drawing.boxes, drawing.names, size_px);
-    text::legend(&mut canvas, drawing.legend, size_px);
+    let size_px = (camera.width as f32, camera.height as f32);
+    text::names(canvas, drawing.boxes, drawing.names, size_px);
+    text::legend(canvas, drawing.legend, size_px);
     if drawing.scale_bar {
-        text::scale_bar(&mut canvas, size_px);
+        text::scale_bar(canvas, size_px);
     }
     if !drawing.caption.is_empty() {
-        text::caption(&mut canvas, drawing.caption, size_px);
+        text::caption(canvas, drawing.caption, size_px);
     }
-    Ok(canvas.finish())
 }

@@ -3,19 +3,11 @@
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
 use crate::error::{RenderError, Result};
+use crate::look::{CENTRE_DASH_M, CENTRE_GAP_M, CHEVRON_GAP_M, CHEVRON_M, LANE_DASH_M, STRIPE_M};
 use crate::palette::Rgb;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2, math};
 use ccdiff_sim::scene::Map;
 
-/// Length of a dash and of the gap after it on lane dividers, metres.
-const LANE_DASH_M: (Real, Real) = (3.0, 3.0);
-/// Length of a dash and of the gap after it on centre lines, metres.
-const CENTRE_DASH_M: (Real, Real) = (0.5, 1.3);
-/// Way between chevrons of a lane, and how far they reach back and aside, metres.
-const CHEVRON_GAP_M: Real = 14.0;
-const CHEVRON_M: Real = 0.55;
-/// Width of a stripe of a crossing and of the gap after it, metres.
-const STRIPE_M: (Real, Real) = (0.55, 0.55);
 /// Most dashes or stripes of one line or crossing; a longer line is drawn solid.
 const MAX_SEGMENTS: Real = 2000.0;
 /// Points of a line that are looked at together when the image is cut to the view.
@@ -68,9 +60,17 @@ impl MapLayers {
             carpark_areas: areas(&map.carpark_areas),
             stripes: map.ped_crossings.iter().flat_map(stripes).collect(),
             stop_lines: areas(&map.stop_lines),
-            centre_lines: map.lanes.iter().flat_map(|l| dashes(&l.centreline, CENTRE_DASH_M)).collect(),
+            centre_lines: map
+                .lanes
+                .iter()
+                .flat_map(|l| dashes(&l.centreline, (CENTRE_DASH_M, CENTRE_GAP_M)))
+                .collect(),
             chevrons: map.lanes.iter().flat_map(|l| chevrons(&l.centreline)).collect(),
-            lane_dividers: map.lane_dividers.iter().flat_map(|l| dashes(l, LANE_DASH_M)).collect(),
+            lane_dividers: map
+                .lane_dividers
+                .iter()
+                .flat_map(|l| dashes(l, (LANE_DASH_M, LANE_DASH_M)))
+                .collect(),
             road_dividers: map.road_dividers.iter().flat_map(|l| chunks(l)).collect(),
         })
     }
@@ -220,17 +220,17 @@ fn stripes(crossing: &Polygon) -> Vec<Area> {
         dots.fold((Real::INFINITY, Real::NEG_INFINITY), |(lo, hi), d| (lo.min(d), hi.max(d)))
     };
     let (low, high) = spread(along);
-    let period = STRIPE_M.0 + STRIPE_M.1;
+    let period = 2.0 * STRIPE_M;
     let count = ((high - low) / period).floor();
     if !(1.0..=MAX_SEGMENTS).contains(&count) {
         return Vec::new();
     }
     // Centred, so that both ends of the crossing look the same.
-    let start = low + 0.5 * (high - low - count * period + STRIPE_M.1);
+    let start = low + 0.5 * (high - low - count * period + STRIPE_M);
     (0..count as usize)
         .filter_map(|i| {
             let from = start + i as Real * period;
-            let cut = clip(&clip(ring, along, from), -along, -(from + STRIPE_M.0));
+            let cut = clip(&clip(ring, along, from), -along, -(from + STRIPE_M));
             (cut.len() >= 3).then(|| Area::new(&Polygon { exterior: cut, holes: Vec::new() }))
         })
         .collect()

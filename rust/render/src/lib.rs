@@ -1,7 +1,7 @@
 //! Top-down images of a scene or a running world, drawn on the processor.
 //!
 //! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, plans, causal arrows — and
-//! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes. The same input gives the same bytes.
+//! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes, or the same as SVG. The same input gives the same bytes.
 //!
 //! ```text
 //! Map ──► MapLayers ──┐
@@ -9,7 +9,7 @@
 //! agents, lines ──────┘
 //! ```
 //!
-//! Every colour stands in [`palette`]; nothing else in the crate names one.
+//! Every colour is in [`palette`], every length and time that the replay page shares in [`look`].
 
 mod agents;
 mod camera;
@@ -20,19 +20,20 @@ mod image;
 mod layers;
 mod lines;
 mod log;
+pub mod look;
 pub mod palette;
 mod text;
 mod world;
 
 pub use agents::AgentBox;
 pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
-pub use drawing::{Drawing, render};
+pub use drawing::{Drawing, render, render_svg};
 pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
 pub use lines::{Arrow, Line};
 pub use log::{
-    Centre, LogView, driver_of, legend_of, logged_boxes, logged_future, logged_trail, name_of,
+    Centre, LogView, driver_of, is_parked, legend_of, logged_boxes, logged_future, logged_trail, name_of,
     nearest_logged_pose, render_log,
 };
 pub use palette::{DrawStyle, Rgb, Theme};

@@ -2,6 +2,7 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
+use crate::look::{MARK_M, MARK_PX, PATH_ALPHA, PLAN_PARTS, TRAIL_PARTS};
 use crate::palette::DrawStyle;
 use ccdiff_sim::geom::{Point2, Real};
 
@@ -30,31 +31,31 @@ pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
     let mut outline = Outline::new();
     outline.polyline(canvas.view, points);
     let width = canvas.px(1.6, 3.0);
-    canvas.stroke(outline, DrawStyle::Ego.colour(canvas.theme), 0.16, width, true);
+    canvas.stroke(outline, DrawStyle::Ego.colour(canvas.theme), PATH_ALPHA, width, true);
 }
 
 /// A line that fades towards its old end.
 pub(crate) fn trail(canvas: &mut Canvas, line: &Line<'_>) {
-    fading(canvas, line, 6, canvas.px(0.35, 1.6), |share| 0.08 + 0.42 * share);
+    fading(canvas, line, TRAIL_PARTS, canvas.px(0.35, 1.6), |share| 0.08 + 0.42 * share);
 }
 
 /// A thin line in its driver's colour that fades towards its end.
 pub(crate) fn sample(canvas: &mut Canvas, line: &Line<'_>) {
-    fading(canvas, line, 4, canvas.px(0.1, 1.0), |share| 0.35 * (1.2 - 0.8 * share));
+    fading(canvas, line, PLAN_PARTS, canvas.px(0.1, 1.0), |share| 0.35 * (1.2 - 0.8 * share));
 }
 
 /// A thick line in its driver's colour that fades towards its end.
 pub(crate) fn plan(canvas: &mut Canvas, line: &Line<'_>) {
-    fading(canvas, line, 4, canvas.px(0.3, 2.0), |share| 0.95 * (1.2 - 0.8 * share));
+    fading(canvas, line, PLAN_PARTS, canvas.px(0.3, 2.0), |share| 0.95 * (1.2 - 0.8 * share));
 }
 
 /// Strokes a line in parts; `alpha` of a part is that of the share of the line that ends with it.
-fn fading(canvas: &mut Canvas, line: &Line<'_>, parts: usize, width_px: f32, alpha: impl Fn(f32) -> f32) {
+fn fading(canvas: &mut Canvas, line: &Line<'_>, parts: f32, width_px: f32, alpha: impl Fn(f32) -> f32) {
     if !canvas.view.sees(&Bounds::of(line.points), 1.0) {
         return;
     }
     let segments = line.points.len().saturating_sub(1);
-    let parts = parts.min(segments);
+    let parts = (parts as usize).min(segments);
     for part in 0..parts {
         let (from, to) = (part * segments / parts, (part + 1) * segments / parts);
         let mut outline = Outline::new();
@@ -111,6 +112,6 @@ fn moved_in(end: (f32, f32), towards: (f32, f32), by_px: f32) -> ((f32, f32), (f
 /// A ring where agents met.
 pub(crate) fn collision(canvas: &mut Canvas, at: Point2) {
     let mut ring = Outline::new();
-    ring.circle(canvas.view.to_px(at), canvas.px(3.0, 0.0) + 6.0);
+    ring.circle(canvas.view.to_px(at), canvas.px(MARK_M, 0.0) + MARK_PX);
     canvas.stroke(ring, canvas.palette().collision, 1.0, 2.5, true);
 }

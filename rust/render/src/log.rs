@@ -7,13 +7,11 @@ use crate::error::{RenderError, Result};
 use crate::image::Image;
 use crate::layers::MapLayers;
 use crate::lines::Line;
+use crate::look::{PARKED_M, TRAIL_S};
 use crate::palette::{DrawStyle, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene};
 use std::collections::BTreeSet;
-
-/// How far back trails of a log reach, seconds.
-const TRAIL_S: Real = 3.0;
 
 /// What the middle of an image follows.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -155,9 +153,21 @@ pub fn logged_boxes(scene: &Scene, step_idx: usize) -> Vec<AgentBox> {
                 kind: agent.kind,
                 driver: driver_of(scene, agent_idx),
                 collided: false,
+                parked: is_parked(scene, agent_idx),
+                arrived: false,
             }
         })
         .collect()
+}
+
+/// Whether a vehicle never leaves the place at which it is first logged; the ego is never parked.
+pub fn is_parked(scene: &Scene, agent_idx: usize) -> bool {
+    let agent = &scene.agents[agent_idx];
+    let mut places = logged_future(scene, agent_idx, 0).into_iter();
+    let Some(first) = places.next().filter(|_| agent.kind == AgentKind::Vehicle && agent.id != EGO_ID) else {
+        return false;
+    };
+    places.all(|place| (place - first).norm() <= PARKED_M)
 }
 
 /// Centres of an agent over the last `num_steps` steps up to and with `step_idx`, oldest first; only the part after

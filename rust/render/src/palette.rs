@@ -28,11 +28,13 @@ pub enum DrawStyle {
     ConstantVelocity = 6,
     /// Any other model.
     Other = 7,
+    /// The token policy.
+    Tokens = 8,
 }
 
 impl DrawStyle {
     /// All drivers, in the order of their numbers.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Ego,
         Self::External,
         Self::Ccdiff,
@@ -41,18 +43,38 @@ impl DrawStyle {
         Self::Replay,
         Self::ConstantVelocity,
         Self::Other,
+        Self::Tokens,
     ];
 
     /// The name used in Python and in legends.
     pub fn name(self) -> &'static str {
-        ["ego", "external", "ccdiff", "adversary", "idm", "replay", "constant_velocity", "other"]
-            [self as usize]
+        let names = [
+            "ego",
+            "external",
+            "ccdiff",
+            "adversary",
+            "idm",
+            "replay",
+            "constant_velocity",
+            "other",
+            "tokens",
+        ];
+        names[self as usize]
     }
 
     /// What it is called in words.
     pub fn title(self) -> &'static str {
-        let titles =
-            ["ego", "policy", "CCDiff", "guided", "IDM", "log", "constant velocity", "another model"];
+        let titles = [
+            "ego",
+            "policy",
+            "CCDiff",
+            "guided",
+            "IDM",
+            "log",
+            "constant velocity",
+            "another model",
+            "tokens",
+        ];
         titles[self as usize]
     }
 
@@ -72,6 +94,7 @@ impl DrawStyle {
             Self::Replay => Rgb(0x8C, 0x96, 0xA3),
             Self::ConstantVelocity => Rgb(0xC2, 0x6F, 0xA4),
             Self::Other => Rgb(0x7D, 0x6F, 0xD0),
+            Self::Tokens => Rgb(0x0B, 0x5E, 0x4B),
         };
         theme.of(light)
     }
@@ -147,6 +170,10 @@ pub struct Palette {
     pub obstacle: Rgb,
     /// Collisions: outline of agents and marks.
     pub collision: Rgb,
+    /// An ego that has reached its goal.
+    pub goal: Rgb,
+    /// The same moment of another run.
+    pub ghost: Rgb,
     /// Arrows of the causal graph.
     pub arrow: Rgb,
     /// Outlines and windscreens of agents.
@@ -171,6 +198,8 @@ pub const LIGHT: Palette = Palette {
     road_divider: Rgb(0x96, 0x65, 0x0A),
     obstacle: Rgb(0x8A, 0x76, 0x63),
     collision: Rgb(0xD6, 0x1F, 0x2C),
+    goal: Rgb(0x00, 0x78, 0x5A),
+    ghost: Rgb(0x30, 0x3A, 0x46),
     arrow: Rgb(0x6A, 0x32, 0x9F),
     outline: Rgb(0x1D, 0x24, 0x2C),
     ink: Rgb(0x1D, 0x24, 0x2C),
@@ -191,6 +220,8 @@ pub const DARK: Palette = Palette {
     road_divider: Rgb(0xB9, 0x8A, 0x26),
     obstacle: Rgb(0x98, 0x87, 0x76),
     collision: Rgb(0xFF, 0x5A, 0x5F),
+    goal: Rgb(0x3E, 0xCF, 0xA8),
+    ghost: Rgb(0xDF, 0xE6, 0xEE),
     arrow: Rgb(0xC7, 0x9B, 0xF2),
     outline: Rgb(0x0D, 0x11, 0x16),
     ink: Rgb(0xE8, 0xED, 0xF3),
@@ -204,6 +235,7 @@ pub fn legend(theme: Theme) -> Vec<(&'static str, Rgb)> {
     let rest = [
         ("static obstacle", palette.obstacle),
         ("collision", palette.collision),
+        ("goal", palette.goal),
         ("causal arrow", palette.arrow),
         ("ground", palette.ground),
         ("drivable area", palette.drivable),
@@ -215,6 +247,10 @@ pub fn legend(theme: Theme) -> Vec<(&'static str, Rgb)> {
         ("centre line", palette.centre_line),
         ("lane divider", palette.lane_divider),
         ("road divider", palette.road_divider),
+        ("ink", palette.ink),
+        ("paper", palette.paper),
+        ("ghost", palette.ghost),
+        ("outline", palette.outline),
     ];
     drivers.chain(rest).collect()
 }

@@ -7,12 +7,15 @@ use crate::error::Result;
 use crate::image::Image;
 use crate::layers::MapLayers;
 use crate::lines::Line;
-use crate::log::{Centre, caption, legend_of, name_of};
+use crate::log::{Centre, caption, is_parked, legend_of, name_of};
 use crate::palette::{DrawStyle, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::VecWorld;
 use std::collections::VecDeque;
+
+/// Who is parked in the log and no faster than this is parked, metres per second.
+const STANDS_MPS: Real = 0.1;
 
 /// An image of a world.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -189,6 +192,8 @@ impl WorldImage {
             kind: scene.agents[a].kind,
             driver: looks[a].0,
             collided: in_contact.iter().any(|(i, j)| *i == a || *j == a),
+            parked: states.speed_mps[a] < STANDS_MPS && is_parked(scene, a),
+            arrived: false,
         });
         let between = |(i, j): &(usize, usize)| {
             let (p, q) = (states.position(*i), states.position(*j));

@@ -3,8 +3,8 @@
 mod common;
 
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme, palette,
-    render,
+    AgentBox, Arrow, Camera, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme, look,
+    palette, render, render_svg,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
 use ccdiff_sim::scene::{AgentKind, Map};
@@ -102,6 +102,25 @@ fn a_collided_agent_has_a_red_outline_and_keeps_its_colour() {
 }
 
 #[test]
+fn a_parked_vehicle_is_hollow_and_an_svg_has_the_same_marks() {
+    let parked = AgentBox { parked: true, ..car(0.0, 0.0, 0.0, DrawStyle::Idm) };
+    let boxes = [parked, car(8.0, 0.0, 0.0, DrawStyle::Ego)];
+    let drawing = Drawing { boxes: &boxes, collisions: &[Point2::new(8.0, 0.0)], ..Drawing::default() };
+    let camera = north_up(40.0);
+    let image = render(&drawing, &camera).unwrap();
+    let Rgb(inside, ..) = colour_at(&image, &camera, 0.0, 0.0);
+    let (Rgb(full, ..), Rgb(ground, ..)) = (DrawStyle::Idm.colour(Theme::Light), palette::LIGHT.ground);
+    let mixed = f32::from(ground) + look::PARKED_ALPHA * (f32::from(full) - f32::from(ground));
+    assert!((f32::from(inside) - mixed).abs() < 2.0, "{inside}, not {mixed}");
+    let svg = render_svg(&drawing, &camera).unwrap();
+    let count = |what: &str| svg.matches(what).count();
+    assert_eq!(count("fill=\"#ebd53a\" fill-opacity=\"0.200\""), 1);
+    assert_eq!(count("fill=\"#0057b8\" fill-opacity=\"1.000\""), 1);
+    assert_eq!(count("stroke=\"#d61f2c\""), 1);
+    assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && svg.contains("fill=\"#eef0ec\""));
+}
+
+#[test]
 fn the_ego_is_drawn_over_what_stands_in_the_same_place_whatever_the_order() {
     let (ego, other) = (car(0.0, 0.0, 0.0, DrawStyle::Ego), car(0.0, 0.0, 0.0, DrawStyle::Ccdiff));
     for boxes in [[ego, other], [other, ego]] {
@@ -124,7 +143,8 @@ fn a_trail_grows_stronger_towards_the_present() {
 #[test]
 fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
     for theme in Theme::ALL {
-        let legend = palette::legend(theme);
+        let mut legend = palette::legend(theme);
+        legend.retain(|(name, _)| *name != "outline"); // as dark as ink or paper
         for (i, (name, a)) in legend.iter().enumerate() {
             for (other, b) in &legend[..i] {
                 assert_ne!(a, b, "{name} and {other}");
@@ -246,6 +266,8 @@ proptest! {
                 kind: AgentKind::ALL[*kind],
                 driver: DrawStyle::ALL[*driver],
                 collided: *kind == 1,
+                parked: *kind == 2,
+                arrived: *kind == 3,
             })
             .collect();
         let lines = [Line { points: &a, driver: DrawStyle::Ccdiff }, Line { points: &d, driver: DrawStyle::Ego }];
@@ -272,6 +294,7 @@ proptest! {
             Camera { centre: Point2::new(x, y), up_rad: turn, metres_per_pixel: scale, width, height };
         let first = render(&drawing, &camera);
         prop_assert_eq!(&first, &render(&drawing, &camera));
+        prop_assert_eq!(render_svg(&drawing, &camera).is_ok(), first.is_ok());
         if let Ok(image) = first {
             prop_assert_eq!(image.rgb.len(), (width * height * 3) as usize);
         }

@@ -46,5 +46,7 @@ pub(crate) fn car(x: Real, y: Real, heading_rad: Real, driver: DrawStyle) -> Age
         kind: AgentKind::Vehicle,
         driver,
         collided: false,
+        parked: false,
+        arrived: false,
     }
 }
