@@ -114,7 +114,7 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
             name: Traffic(f"{_TITLES[name]}, no guidance", name, {"num_samples": 1})
             for name in NETWORKS
         },
-        **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5)},
+        **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.5)},
         **{f"{name}-{c:g}": _critical(c, name) for c in (1.0, 2.0) for name in NETWORKS},
         **{
             f"ccdiff-{level:g}-{form}": _critical(level, form=form)

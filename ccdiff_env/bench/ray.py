@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
+from ccdiff_env.errors import MissingFeatureError
+
 __all__ = ["results_of_tasks"]
 
 _Work = TypeVar("_Work")
@@ -19,7 +21,10 @@ def results_of_tasks(do: Callable[[_Work], _Result], works: Sequence[_Work]) -> 
     The cluster is that which this process belongs to (``ray.init`` decides which). Errors of the
     function are raised here.
     """
-    import ray  # an optional dependency
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingFeatureError("--backend ray needs Ray: pip install 'ray>=2.30'") from error
 
     if not ray.is_initialized():
         ray.init(log_to_driver=False)
