@@ -9,10 +9,14 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-import ray
-from ray.rllib.algorithms.ppo import PPOConfig
-from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-from ray.tune.registry import register_env
+
+try:
+    import ray
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+    from ray.tune.registry import register_env
+except ImportError as error:
+    raise SystemExit(f"this example needs {error.name}: pip install 'ray[rllib,tune]'") from error
 
 import ccdiff_env
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from

@@ -38,7 +38,6 @@ from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
-from ccdiff_env.view.live import read_curves
 from ccdiff_env.view.sources import log_rollout, play_scene
 
 
@@ -489,7 +488,7 @@ def test_episodes_are_of_the_scene_that_the_manifest_names(made):
 
 @pytest.mark.timeout(30)
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_caches_and_curves_go_on_without_what_is_no_file(tmp_path, kind):
+def test_caches_go_on_without_what_is_no_file(tmp_path, kind):
     unpack(tmp_path)
     cache, names = tmp_path / "cache", [scene().name]
 
@@ -499,11 +498,8 @@ def test_caches_and_curves_go_on_without_what_is_no_file(tmp_path, kind):
     before = load()
     (kept,) = [path for path in cache.rglob("*") if path.parent.name == "scene"]
     kept.unlink()
-    curves = tmp_path / "run" / "a.csv"
-    curves.parent.mkdir()
-    for path in (kept, curves):
+    for path in (kept,):
         CONTENTS[kind](path)
     again = load()
     assert again[0] == before[0]
     assert "damaged" in again.report.cache.notes[0]
-    assert read_curves(curves.parent) == []

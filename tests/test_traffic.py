@@ -18,6 +18,7 @@ from ccdiff_env.errors import (
     ConfigError,
     DatasetError,
     DatasetNotFoundError,
+    ResetNeededError,
     SceneError,
     UnknownNameError,
 )
@@ -287,7 +288,8 @@ def test_unguided_traffic_stays_on_real_roads_and_beats_constant_velocity(data_r
 def test_environments_explain_their_traffic(scenes):
     env = ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", driver="idm")
     env.reset(seed=0)
-    assert env.explain() is None
+    with pytest.raises(ResetNeededError, match="call step"):
+        env.explain()
     env.step(env.action_space.sample())
     plan = env.explain()
     assert plan.samples.shape[1] == len(plan.agents) == len(plan.graph)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -45,6 +46,10 @@ def checked_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
         if name not in RENDER_OPTIONS:
             raise unknown("render option", str(name), RENDER_OPTIONS)
     return {**RENDER_OPTIONS, **(given or {})}
+
+
+#: What single environments offer: a window only where pygame can open one.
+RENDER_MODES = [*(["human"] if find_spec("pygame") else []), "rgb_array"]
 
 
 def check_render_mode(mode: str | None, known: tuple[str, ...]) -> None:

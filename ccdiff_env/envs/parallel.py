@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
-from ccdiff_env.envs.drawing import FPS, DrawnWorld
+from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
 from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
@@ -74,7 +74,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
         "name": "ccdiff_env_multi_v0",
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": RENDER_MODES,
         "render_fps": FPS,
         "is_parallelizable": True,
     }

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.drawing import FPS, DrawnWorld
+from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
 from ccdiff_env.envs.parts import InfoLevel, Shared, ego_parts
 from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
-from ccdiff_env.errors import SnapshotError
+from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
@@ -99,7 +99,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     """
 
     _title = "ccdiff_env/Ego"
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
         self,
@@ -272,15 +272,20 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             self._seat.reset([0])
         return self.observation() if self._begun else None
 
-    def explain(self) -> TrafficPlan | None:
-        """Return the plan that CCDiff traffic follows; ``None`` before the first one.
+    def explain(self) -> TrafficPlan:
+        """Return the plan that CCDiff traffic follows.
 
         Raises
         ------
+        ResetNeededError
+            Before the first step after a reset: traffic plans in it.
         UnknownNameError
             If CCDiff drives nobody.
         """
-        return self.worlds.explain(0)
+        plan = self.worlds.explain(0)
+        if plan is None:
+            raise ResetNeededError("explain: traffic plans in the first step: call step() before")
+        return plan
 
     def fork(self, *, seed: int | None = None) -> EgoEnv:
         """Return an independent environment in the same state, with a ``seed`` of its own."""

@@ -371,7 +371,16 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
         raise MissingFeatureError(
             f"policies of {package} need it: pip install {package.replace('_', '-')}"
         ) from error
-    return Seat(_Sb3(getattr(learners, algorithm).load(path, device="cpu"), name), name)
+    try:
+        model = getattr(learners, algorithm).load(path, device="cpu")
+    except ModuleNotFoundError as error:
+        other = "1" if str(error.name).startswith("numpy._core") else "2"
+        why = f"it was saved under another NumPy than {other}" if "numpy" in str(error.name) else ""
+        raise MissingFeatureError(
+            f"policy {name}: its pickles need the module {error.name!r}; "
+            f"{why or 'install it'}: load it where it was saved, or save it again there"
+        ) from error
+    return Seat(_Sb3(model, name), name)
 
 
 def seated(

@@ -173,7 +173,10 @@ def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
         The file is damaged, or its pickle asks for anything but numpy arrays and plain containers.
     """
     with reading("scenario", path):
-        scenario = _Unpickler(io.BytesIO(read_bytes(path))).load()
+        data = read_bytes(path)
+        if not data.startswith(b"\x80"):
+            raise DatasetError("no pickle, expected a scenario description of ScenarioNet (.pkl)")
+        scenario = _Unpickler(io.BytesIO(data)).load()
         if not isinstance(scenario, dict):
             raise DatasetError(f"a {type(scenario).__name__}, expected a dictionary")
         return scenario

@@ -127,7 +127,7 @@ def parse(text: str) -> Place:
     if limit is not None and not limit.isdecimal():
         raise _wrong(text, f"limit is {limit!r}, expected a whole number")
     if name not in SOURCES:
-        raise _wrong(text, f"no source {name!r}", name, SOURCES)
+        raise _wrong(text, f"no source {name!r}{_meant(text)}", name, SOURCES)
     path: str | None = None
     version = split = None
     if rest.startswith(":") and SOURCES[name].path is not None:
@@ -192,6 +192,18 @@ def _is_there(path: str) -> bool:
 
 def _near(name: str, known: Iterable[str]) -> list[str]:
     return difflib.get_close_matches(name, list(known), n=2, cutoff=0.6)
+
+
+def _meant(text: str) -> str:
+    """What a text that names no source may be: a folder, or a scene."""
+    if text[:1] in ("/", ".", "~") or os.path.exists(text):
+        return f"; a folder or file needs one before it, as in nuscenes:{text}"
+    if any(text in names for names in embedded_splits().values()):
+        return (
+            f'; one embedded scene is load("embedded", names=[{text!r}]), '
+            f'or reset(options={{"scene": {text!r}}})'
+        )
+    return ""
 
 
 def _wrong(text: str, what: str, name: str = "", known: Iterable[str] = ()) -> ConfigError:

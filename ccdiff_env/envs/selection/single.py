@@ -9,7 +9,13 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.envs.drawing import FPS, DrawnWorld, check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import (
+    FPS,
+    RENDER_MODES,
+    DrawnWorld,
+    check_render_mode,
+    checked_render_options,
+)
 from ccdiff_env.envs.selection.vector import (
     AdversarySelectionVectorEnv,
     Counts,
@@ -48,7 +54,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """
 
     _title = "ccdiff_env/AdversarySelection"
-    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(self, **options: Unpack[SingleOptions]) -> None:
         self.render_mode = options.get("render_mode")
