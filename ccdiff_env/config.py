@@ -255,7 +255,7 @@ _TABLES: dict[Any, str] = {WorldConfig: "WorldConfig", PythonTraffic: "PythonOpt
 def unknown(what: str, name: str, known: typing.Iterable[str]) -> ConfigError:
     """Return the error for a name that does not exist, with the names that come near it."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
     hint = (
         f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
     )
@@ -360,6 +360,11 @@ def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict
         if isinstance(value, str) and ":" in value:
             made = named_instance(value, "traffic model")
             value = made if isinstance(made, PythonTraffic) else PythonTraffic(made)
+        if callable(value):
+            raise ConfigError(
+                f"config: {field_name} is a function or object, expected PythonTraffic(it) "
+                "(docs/own_traffic.md), a name, or shares"
+            )
         if isinstance(value, PythonTraffic):
             found["python"] = value
             options = {**options, field_name: "python"}

@@ -13,6 +13,7 @@ import numpy as np
 
 from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, policies
 from ccdiff_env.view import render
+from ccdiff_env.view.captions import DRIVER_TITLES, driver_of
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env.view.video import Video
 
@@ -20,8 +21,9 @@ __all__ = ["RUNS"]
 
 SEED = 0
 LAST_STEP = 60
-HOLD = 10
+HOLD = 8
 """Images for which the end stays."""
+SIZE, STRIP_PX = (640, 330), 28
 
 
 def ego() -> Rollout:
@@ -71,12 +73,33 @@ def write(folder: Path) -> None:
     for name, run in RUNS.items():
         played = run()
         last = min(played.num_steps - 1, LAST_STEP)
-        # an image that stands still makes a small file; the end matters most
+        # an image that stands still makes a small file
         way_m = played.position[0, : last + 1][played.valid[0, : last + 1]]
-        x_m, y_m = way_m[3 * len(way_m) // 4]
-        video = Video(played, size=(480, 270), span_m=85.0, centre_m=(float(x_m), float(y_m)))
-        steps = [*range(last), *[last] * HOLD]
-        render.save((video.frame(step) for step in steps), folder / f"task_{name}.gif", fps=10)
+        x_m, y_m = (way_m.min(axis=0) + way_m.max(axis=0)) / 2
+        span_m = max(float(np.ptp(way_m, axis=0).max()) + 40.0, 60.0)
+        video = Video(
+            played, size=SIZE, span_m=span_m, centre_m=(float(x_m), float(y_m)), captions=False
+        )
+        words = _words(played)
+        steps = [*range(0, last, 2), *[last] * HOLD]
+        frames = (np.concatenate([words, video.frame(step)]) for step in steps)
+        render.save(frames, folder / f"task_{name}.gif", fps=5)
+
+
+def _words(played: Rollout) -> render.Image:
+    """What the colours mean, in a line above the images [STRIP_PX, width, 3]."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    kinds = played.scene.agent_types
+    drivers = {driver_of(played, i) for i, kind in enumerate(kinds) if kind == "vehicle"}
+    line = Image.new("RGB", (SIZE[0], STRIP_PX), "white")
+    pen, font, x = ImageDraw.Draw(line), ImageFont.load_default(15), 12.0
+    for name, title in DRIVER_TITLES.items():
+        if name in drivers:
+            pen.rounded_rectangle((x, 9, x + 18, 19), 3, fill=render.legend()[name])
+            pen.text((x + 24, 14), title, fill="#222222", font=font, anchor="lm")
+            x += 24 + pen.textlength(title, font=font) + 20
+    return np.asarray(line)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,10 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
         return embedded_scenes()
     splits = embedded_splits()
     if split is not None and split not in splits:
-        raise UnknownNameError(f"unknown split {split!r}, expected one of all, {', '.join(splits)}")
+        near = "; did you mean 'embedded'?" if split.startswith("embed") else ""
+        raise UnknownNameError(
+            f"unknown split {split!r}, expected one of all, {', '.join(splits)}{near}"
+        )
     names = splits["train"] + splits["val"] if split is None else splits[split]
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
         unpack(Path(folder), CITY if split == "city" else SHIPPED)
