@@ -25,6 +25,7 @@ $(STAMP): pyproject.toml requirements.lock
 	touch $(STAMP)
 
 $(SO) &: $(STAMP) $(RUST) tools/build_backend.py
+	@echo "building: about six minutes the first time on two cores"
 	$(BIN)/python tools/build_backend.py
 	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
 	touch $(SO)
@@ -32,7 +33,7 @@ $(SO) &: $(STAMP) $(RUST) tools/build_backend.py
 lock:  ## newest releases into requirements.lock, which setup installs
 	$(UV) pip compile -q --upgrade pyproject.toml --universal --python-version 3.10 $(EXTRAS) -o requirements.lock
 
-demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, draw it: runs/demo (DATAROOT= VERSION= for nuScenes)
+demo: $(SO)  ## train a PPO ego in reactive traffic, compare it, open a replay, in two minutes: runs/demo (DATAROOT= VERSION= for nuScenes)
 	$(BIN)/python examples/demo.py $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)
 
 test: test-rust test-py  ## every test

@@ -10,10 +10,12 @@ change what IDM would do (assisted driving). ``--scenes`` names others than the 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import dataclasses
 import json
 import math
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +25,7 @@ import numpy as np
 
 import ccdiff_env
 from ccdiff_env.config import RewardConfig, WorldConfig
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.policies.ego import OBSERVATION
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.record.rollout import Rollout
@@ -35,7 +38,7 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.sources import title
 from ccdiff_env.system.table import Column, Table
-from ccdiff_env.system.terminal import say
+from ccdiff_env.system.terminal import say, say_page
 from ccdiff_env.view import write_page
 
 #: Figures of an episode that the table shows: (heading, key of the final info, how to read it).
@@ -280,6 +283,7 @@ def main() -> None:
     start = time.time()
     train_scenes, test_scenes = scenes_from(args), scenes_from(args, other=True)
     name = f"{title(place_from(args))}; {title(other_place(args))}"
+    print("about two minutes: trains PPO, compares it with IDM and the log, and opens a replay")
     print(f"{len(train_scenes)} training and {len(test_scenes)} held-out scenes ({name})")
     if args.smoke:
         train_scenes, test_scenes, args.steps = train_scenes[:2], test_scenes[:2], (1, 1)
@@ -315,7 +319,9 @@ def main() -> None:
     summary["seconds"] = time.time() - start
     (args.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     say(f"\n{len(test_scenes)} held-out scenes:\n\n{text}")
-    print(f"results in {args.out}/; open {(args.out / 'episode.html').resolve().as_uri()}")
+    print(f"results in {args.out}/; a replay:")
+    with contextlib.suppress(ConfigError):  # no browser
+        say_page(args.out / "episode.html", open_it=sys.stdout.isatty())
 
 
 if __name__ == "__main__":
