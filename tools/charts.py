@@ -176,7 +176,7 @@ def lines_chart(
     """
     left, right, high = 34, 104, 210
     wide = WIDTH - left - right
-    still = (wide / max(len(stills), 1)) if stills else 0.0
+    still = WIDTH / max(len(stills), 1)
     top = 34 + (still * 6 / 7 + 30 if stills else 0)
     first, last = places[0], places[-1]
 
@@ -188,7 +188,7 @@ def lines_chart(
 
     body = []
     for i, (_, said, png) in enumerate(stills):
-        at = left + i * still
+        at = i * still
         data = base64.b64encode(png).decode()
         body += [
             f'<image x="{at + 2:.1f}" width="{still - 4:.1f}" height="{(still - 4) * 6 / 7:.1f}" '
@@ -264,8 +264,8 @@ DIAL = {
     "pdm": ("PDM-Closed", "purple", "diamond"),
     "ego": ("trained ego", "blue", "circle"),
 }
-LEVELS = {"ccdiff": 0.0, "ccdiff-0.5": 0.5, "ccdiff-1": 1.0, "ccdiff-1.5": 1.5, "ccdiff-2": 2.0}
-STILL_SCENE, STILL_SIZE = "tee-crossing-01", (280, 240)
+LEVELS = {"ccdiff": 0.0, "ccdiff-1": 1.0, "ccdiff-2": 2.0}
+STILL_SCENE, STILL_SIZE = "tee-crossing-01", (350, 300)
 
 
 def realism() -> str:
@@ -295,7 +295,7 @@ def speed() -> str:
 
 def dial() -> str:
     """Return the chart of the dial, with stills of one crossing."""
-    rows = {(row["planner"], row["traffic"]): row for row in kept("dial_planners")["rows"]}
+    rows = {(row["planner"], row["traffic"]): row for row in kept("egos")["rows"]}
     series = [
         Series(title, colour, marker, [_figure(rows[name, t], "collision", 100) for t in LEVELS])
         for name, (title, colour, marker) in DIAL.items()
@@ -305,7 +305,7 @@ def dial() -> str:
         "criticality of the CCDiff traffic",
         list(LEVELS.values()),
         series,
-        (0, 10, 20, 30, 40),
+        (0, 10, 20, 30),
         stills=_stills(),
     )
 
@@ -319,7 +319,7 @@ def _stills() -> list[tuple[float, str, bytes]]:
     scene, found, moment = find_scene(STILL_SCENE), [], None
     for level in (1.0, 0.0, 2.0):
         run = play_scene(scene, driver="replay", ccdiff={"criticality": level})
-        video = Video(run, size=STILL_SIZE, span_m=46.0, captions=False)
+        video = Video(run, size=STILL_SIZE, span_m=36.0, captions=False)
         moment = video.moment if moment is None else moment
         image = pillow().fromarray(video.frame(min(moment, video.num_steps - 1)))
         file = io.BytesIO()

@@ -14,8 +14,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ccdiff_env import _native
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.models import shipped_weights
@@ -105,11 +103,8 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     scenes
         What can be played; :data:`SCENES` by default.
     """
-    ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
-    places, start = {}, 0
-    for name, tensor in ego.tensors.items():
-        places[name] = (start, tensor.size)
-        start += tensor.size
+    file = str(files("ccdiff_env").joinpath("data/ego.safetensors"))
+    ego = load_ego(file)
     settings = {
         **look(),
         # places of the drivers that every world has; the next is that of the network
@@ -121,13 +116,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         },
         "traffic": TRAFFIC,
         "configs": _configs(ego),
-        "ego": {
-            "size": ego.size,
-            "rows": (ego.rows.start, *ego.shape),
-            "mask": ego.mask.start,
-            "held": ego.config.decision_steps,
-            "places": places,
-        },
+        "held": ego.config.decision_steps,
     }
     site = os.environ.get("SITE_URL", "").removesuffix("/")
     parts = {
@@ -136,10 +125,10 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "settings": json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c"),
         "module": _packed(module),
         "weights": "\n".join(
-            f'<script class="weights" type="text/plain">{_packed(file.read_bytes())}</script>'
-            for file in (shipped_weights(one_step=True), shipped_weights("tokens"))
+            f'<script class="weights" type="text/plain">{_packed(each.read_bytes())}</script>'
+            for each in (shipped_weights(one_step=True), shipped_weights("tokens"))
         ),
-        "ego": _packed(b"".join(np.ascontiguousarray(t).tobytes() for t in ego.tensors.values())),
+        "ego": _packed(Path(file).read_bytes()),
         "engine": part("engine.js"),
         "scenes": "\n".join(map(_scene, load(DEFAULT, names=SCENES) if scenes is None else scenes)),
         "script": "\n".join(map(part, SCRIPTS)),

@@ -192,7 +192,8 @@ class Drive {
   async race(key) {
     const traffic = $("traffic").value;
     for (const name of ["trained", "idm"]) {
-      const given = { config: this.config(`${traffic}_${name}`), trained: name === "trained" };
+      const held = name === "trained" ? SETTINGS.held : 0;
+      const given = { config: this.config(`${traffic}_${name}`), held };
       const found = await this.rivals.ask("rival", given);
       if (this.key !== key) return;
       this.results[name] = found;
@@ -521,10 +522,9 @@ function wire(drive) {
 async function main() {
   const kept = [$("module"), $("ego"), ...document.querySelectorAll("script.weights")];
   const bytes = await Promise.all(kept.map(async (node) => new Uint8Array(await inflate(node))));
-  const [module, numbers, ...weights] = bytes, source = $("engine").textContent;
-  const policy = { ...SETTINGS.ego, tensors: {}, numbers: numbers.buffer };
+  const [module, trained, ...weights] = bytes, source = $("engine").textContent;
   const engines = [new Engine(source), new Engine(source)];
-  await Promise.all(engines.map((e) => e.ask("open", { module, weights, policy, columns: SETTINGS.columns.length })));
+  await Promise.all(engines.map((e) => e.ask("open", { module, weights, trained, columns: SETTINGS.columns.length })));
   const drive = new Drive(...engines);
   setTheme(drive, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   await wire(drive);

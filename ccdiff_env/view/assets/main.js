@@ -18,28 +18,33 @@ const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
   lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
 };
+const second = (player) => Math.round(1 / player.step);
+const zoomed = (factor) => (p) => { p.camera.zoom(factor, 0, 0, 0, 0, true); p.touch(); };
+const layer = (name) => (p) => p.toggle(name);
+/** What the help says of keys, and what each does with the player and the event. */
 const KEYS = [
-  ["space", "play, pause", (p) => p.togglePlay(), [" "]],
-  ["← →", "one step back, on", null, []],
-  ["shift ← →", "one second back, on", null, []],
-  ["home, end", "first, last step", null, []],
-  ["[ ]", "slower, faster", null, []],
-  [", .", "event before, next event", null, []],
-  ["N", "follow the next agent (shift: the one before)", null, []],
-  ["E", "follow the ego", (p) => p.followAgent(p.runs[0].agents[0].id), ["e"]],
-  ["F", "show all, follow nobody", (p) => p.fit(), ["f"]],
-  ["H", "heading up", (p) => p.toggleHeadingUp(), ["h"]],
-  ["+ −", "zoom", null, []],
-  ["T P G", "trails, plans, causal graph", null, []],
-  ["L K", "names, lanes", null, []],
-  ["O", "ghost of the other run", null, []],
-  ["1 2 …, 0", "one run alone, all runs", null, []],
-  ["R", "loop", null, []],
-  ["I, V", "save a picture, a video", null, []],
-  ["C", "colour by driver, speed", null, []],
-  ["D", "dark or light", null, ["d"]],
-  ["S", "panels", null, ["s"]],
-  ["?", "this help", null, ["?"]],
+  ["space", "play, pause", { " ": (p) => p.togglePlay() }],
+  ["← →", "one step back, on", {
+    ArrowLeft: (p, e) => p.stepBy(e.shiftKey ? -second(p) : -1), ArrowRight: (p, e) => p.stepBy(e.shiftKey ? second(p) : 1) }],
+  ["shift ← →", "one second back, on", {}],
+  ["home, end", "first, last step", { Home: (p) => p.seek(p.start), End: (p) => p.seek(p.end) }],
+  ["[ ]", "slower, faster", { "[": (p) => p.changeRate(-1), "]": (p) => p.changeRate(1) }],
+  [", .", "event before, next event", { ",": (p) => p.nextEvent(-1), ".": (p) => p.nextEvent(1) }],
+  ["N", "follow the next agent (shift: the one before)", { n: (p, e) => p.followNext(e.shiftKey ? -1 : 1) }],
+  ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
+  ["F", "show all, follow nobody", { f: (p) => p.fit() }],
+  ["H", "heading up", { h: (p) => p.toggleHeadingUp() }],
+  ["+ −", "zoom", { "+": zoomed(1.25), "=": zoomed(1.25), "-": zoomed(0.8) }],
+  ["T P G", "trails, plans, causal graph", { t: layer("trails"), p: layer("plans"), g: layer("graph") }],
+  ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
+  ["O", "ghost of the other run", { o: layer("ghost") }],
+  ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
+  ["R", "loop", { r: (p) => toggleLoop(p) }],
+  ["I, V", "save a picture, a video", { i: (p) => savePicture(p), v: (p) => window.MediaRecorder && saveClip(p, $("clip")) }],
+  ["C", "colour by driver, speed", { c: (p) => p.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(p.colourMode) + 1) % 2]) }],
+  ["D", "dark or light", { d: (p) => setTheme(p, p.theme === "dark" ? "light" : "dark") }],
+  ["S", "panels", { s: (p) => togglePanels(p) }],
+  ["?", "this help", { "?": () => $("help").showModal() }],
 ];
 
 async function main() {
@@ -346,39 +351,11 @@ function wirePane(pane, player) {
 }
 
 function wireKeys(player) {
-  const second = Math.round(1 / player.step);
-  const zoom = (factor) => {
-    player.camera.zoom(factor, 0, 0, 0, 0, true);
-    player.touch();
-  };
-  const actions = {
-    ArrowLeft: (e) => player.stepBy(e.shiftKey ? -second : -1),
-    ArrowRight: (e) => player.stepBy(e.shiftKey ? second : 1),
-    Home: () => player.seek(player.start),
-    End: () => player.seek(player.end),
-    "[": () => player.changeRate(-1),
-    "]": () => player.changeRate(1),
-    ",": () => player.nextEvent(-1),
-    ".": () => player.nextEvent(1),
-    n: (e) => player.followNext(e.shiftKey ? -1 : 1),
-    "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
-    t: () => player.toggle("trails"), p: () => player.toggle("plans"), g: () => player.toggle("graph"),
-    l: () => player.toggle("labels"), k: () => player.toggle("lanes"), o: () => player.toggle("ghost"),
-    c: () => player.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(player.colourMode) + 1) % 2]),
-    d: () => setTheme(player, player.theme === "dark" ? "light" : "dark"),
-    s: () => togglePanels(player),
-    r: () => toggleLoop(player),
-    i: () => savePicture(player),
-    v: () => window.MediaRecorder && saveClip(player, $("clip")),
-    0: () => player.slid || player.show(null),
-    "?": () => $("help").showModal(),
-  };
+  const actions = Object.assign({}, ...KEYS.map(([, , keys]) => keys));
   if (player.panes.length > 1)
     player.panes.slice(0, 9).forEach((_, index) => {
       actions[index + 1] = () => { player.show(index, Boolean(player.slid)); player.slid?.(); };
     });
-  for (const [, , action, keys] of KEYS)
-    if (action) for (const key of keys) actions[key] = () => action(player);
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
     // a dialog that was just closed keeps the focus until the next frame
@@ -386,7 +363,7 @@ function wireKeys(player) {
     const action = actions[event.key] || actions[event.key.toLowerCase()];
     if (!action) return;
     event.preventDefault();
-    action(event);
+    action(player, event);
   });
   // a button that is clicked gives the keys back to the map
   addEventListener("click", (event) => {

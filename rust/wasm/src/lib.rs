@@ -45,6 +45,18 @@ pub extern "C" fn weights() -> u32 {
     attempt(Playground::weights)
 }
 
+/// Takes the weights of a trained ego: the bytes of its safetensors file.
+#[unsafe(no_mangle)]
+pub extern "C" fn ego() -> u32 {
+    attempt(Playground::ego)
+}
+
+/// Asks the trained ego for its action in the present state of a world that observes as it does: [`action`] has it.
+#[unsafe(no_mangle)]
+pub extern "C" fn decide() -> u32 {
+    attempt(Playground::decide)
+}
+
 /// Begins an episode of the scene with the configuration that was given, as `WorldConfig.to_json` in Python writes it.
 #[unsafe(no_mangle)]
 pub extern "C" fn reset(seed: u32) -> u32 {
@@ -76,10 +88,10 @@ pub extern "C" fn columns() -> *const f32 {
     PLAYGROUND.with_borrow(|playground| playground.out.columns.as_ptr())
 }
 
-/// The flat observation of the ego after the last step [D].
+/// The action of the last decision [2], normalised.
 #[unsafe(no_mangle)]
-pub extern "C" fn observation() -> *const f32 {
-    PLAYGROUND.with_borrow(|playground| playground.out.obs.as_ptr())
+pub extern "C" fn action() -> *const f32 {
+    PLAYGROUND.with_borrow(|playground| playground.action.as_ptr())
 }
 
 /// 1 where the episode has ended.

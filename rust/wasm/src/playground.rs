@@ -4,10 +4,13 @@ use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_nuscenes::decode_scene;
+use ccdiff_sim::observe::Layout;
 use ccdiff_sim::options::read;
+use ccdiff_sim::planner::NetworkOfEgo;
 use ccdiff_sim::policy::{Driver, TrafficPolicy};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Numbers of a state.
@@ -56,6 +59,12 @@ pub(crate) struct Playground {
     weights: Vec<(String, Vec<u8>)>,
     scene: Option<Arc<Scene>>,
     world: Option<VecWorld>,
+    /// Weights of the trained ego by name: shape and numbers.
+    tensors: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    /// The trained ego for what the world observes, once it was asked.
+    trained: Option<NetworkOfEgo>,
+    /// Its last action.
+    pub(crate) action: Vec<f32>,
 }
 
 /// Drivers by name.
@@ -83,6 +92,39 @@ impl Playground {
             model.config().kind.as_str().into()
         };
         self.weights.push((kind, bytes));
+        Ok(())
+    }
+
+    /// Keeps the weights of the trained ego.
+    pub(crate) fn ego(&mut self) -> Result<(), String> {
+        let bytes = std::mem::take(&mut self.given);
+        let wrong = || "not a safetensors file".to_string();
+        let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(wrong)?;
+        let (head, data) = rest.split_at_checked(u64::from_le_bytes(*length) as usize).ok_or_else(wrong)?;
+        let head: BTreeMap<String, serde_json::Value> =
+            serde_json::from_slice(head).map_err(|e| e.to_string())?;
+        for (name, entry) in head.iter().filter(|(name, _)| *name != "__metadata__") {
+            let numbers = |key: &str| -> Option<Vec<usize>> {
+                entry[key].as_array()?.iter().map(|v| Some(v.as_u64()? as usize)).collect()
+            };
+            let (shape, ends) = numbers("shape").zip(numbers("data_offsets")).ok_or_else(wrong)?;
+            let [from, to] = ends[..] else { return Err(wrong()) };
+            let values = data.get(from..to).ok_or_else(wrong)?.chunks_exact(4);
+            let values = values.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+            self.tensors.insert(name.clone(), (shape, values));
+        }
+        Ok(())
+    }
+
+    /// Lets the trained ego decide on what the world observes.
+    pub(crate) fn decide(&mut self) -> Result<(), String> {
+        let (world, observed) = (self.world.as_ref().ok_or("decide before reset")?, &self.out.obs);
+        if self.trained.is_none() {
+            let layout = Layout::new(&world.config().observation).map_err(|e| e.to_string())?;
+            let network = NetworkOfEgo::new(&layout, 2, self.tensors.clone());
+            self.trained = Some(network.map_err(|e| e.to_string())?);
+        }
+        self.action = self.trained.as_mut().map(|network| network.act(observed)).unwrap_or_default();
         Ok(())
     }
 
@@ -114,6 +156,7 @@ impl Playground {
         let policies = self.traffic(&text, &scene)?;
         let mut world = VecWorld::new(vec![scene], config, 1, 1, policies).map_err(|e| e.to_string())?;
         self.out = Arrays::of(&world);
+        self.trained = None;
         let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], ..ResetRequest::default() };
         world.reset(&request, self.out.buffers()).map_err(|e| e.to_string())?;
         self.world = Some(world);

@@ -43,7 +43,7 @@ fn rectify(x: &mut [Real]) {
 
 /// Network and memory that it works in.
 #[derive(Debug)]
-pub(super) struct NetworkOfEgo {
+pub struct NetworkOfEgo {
     mean: Vec<Real>,
     std: Vec<Real>,
     /// Numbers of an agent in the row, one agent after another, and where their mask stands.
@@ -60,7 +60,7 @@ impl NetworkOfEgo {
     ///
     /// # Errors
     /// [`SimError::Config`] names the weights whose shape does not fit.
-    pub(super) fn new(
+    pub fn new(
         layout: &Layout,
         width: usize,
         mut tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
@@ -116,7 +116,7 @@ impl NetworkOfEgo {
     }
 
     /// The action for a row, -1 to 1.
-    pub(super) fn act(&mut self, row: &[Real]) -> Vec<Real> {
+    pub fn act(&mut self, row: &[Real]) -> Vec<Real> {
         let scaled = |((x, mean), std): ((&Real, &Real), &Real)| ((x - mean) / std).clamp(-CLIP, CLIP);
         self.x.clear();
         self.x.extend(row.iter().zip(&self.mean).zip(&self.std).map(scaled));
