@@ -301,7 +301,7 @@ def dial() -> str:
         for name, (title, colour, marker) in DIAL.items()
     ]
     return lines_chart(
-        "scenes with a collision of the planner, %",
+        f"collisions of the planner, % of {kept('egos')['scenes'].split()[0]} scenes",
         "criticality of the CCDiff traffic",
         list(LEVELS.values()),
         series,

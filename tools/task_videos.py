@@ -76,7 +76,8 @@ def write(folder: Path) -> None:
         # an image that stands still makes a small file
         way_m = played.position[0, : last + 1][played.valid[0, : last + 1]]
         x_m, y_m = (way_m.min(axis=0) + way_m.max(axis=0)) / 2
-        span_m = max(float(np.ptp(way_m, axis=0).max()) + 40.0, 60.0)
+        wide_m, high_m = np.ptp(way_m, axis=0)
+        span_m = max(float(wide_m), 2.0 * float(high_m), 50.0) + 40.0
         video = Video(
             played, size=SIZE, span_m=span_m, centre_m=(float(x_m), float(y_m)), captions=False
         )
