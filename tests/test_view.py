@@ -345,7 +345,7 @@ def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):
     options = ["--mp4", "--size", "160", "--follow", planned_rollout().agent_ids[1]]
     assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
     video = imageio.get_reader(out).get_meta_data()
-    seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1 + 1.0
+    seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1 + 1.6
     assert video["fps"] == 30
     assert video["duration"] == pytest.approx(seconds, abs=0.2)
     assert video["size"] == (160, 160)
@@ -362,7 +362,7 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
     # two seconds before the collision
     assert links == ["a.html#t=1.0&amp;play=1", "deep-b.html#t=1.0&amp;play=1"]
     assert all((out / link.partition("#")[0]).is_file() for link in links)
-    assert "2 replays: the ego is hit or leaves the road in 2" in text
+    assert "2 replays: the ego drives into somebody in 2; others collide in 0" in text
     assert text.count('alt="a: ego drove into 1') == 1
     assert 'href="index.html"' in (out / "a.html").read_text(encoding="utf-8")
     assert "<title>deep-b</title>" in (out / "deep-b.html").read_text(encoding="utf-8")

@@ -189,7 +189,8 @@ class Video:
     def _marks(self, events: Sequence[RolloutEvent], step: int) -> npt.NDArray[np.float32]:
         """Points [N, 2] half way between those that met."""
         run = self._rollout
-        pairs = [[self._number[i] for i in (e.agent_id, e.partner_id) if i] for e in events]
+        both = (sorted(self._number[i] for i in (e.agent_id, e.partner_id) if i) for e in events)
+        pairs = [list(pair) for pair in dict.fromkeys(map(tuple, both))]
         there = [pair for pair in pairs if run.valid[pair, step].all()]
         points = [run.position[pair, step].mean(axis=0) for pair in there]
         return np.array(points, np.float32).reshape(-1, 2)

@@ -238,7 +238,7 @@ function wireControls(player) {
 
 /** One run at a time, chosen by a slider while it plays; dots below it are what became of the ego in each. */
 function wireSlider(player) {
-  const [input, output, dots] = $("choice").children;
+  const [input, output, dots] = ["input", "output", ".dots"].map((part) => $("choice").querySelector(part));
   input.max = player.runs.length - 1;
   for (const { title, outcome: { tone, text } } of player.runs) {
     const dot = element("i", tone);

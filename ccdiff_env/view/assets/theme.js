@@ -31,7 +31,7 @@ function legendOf(player) {
   const rows = Object.entries(SETTINGS.drivers).filter(([name]) => seen.has(name))
     .map(([name, title]) => [colours[name === "static" ? "static obstacle" : name], title]);
   if (player.runs.some((run) => run.still.some((still, i) => still && run.agents[i].kind === "vehicle")))
-    rows.push([colours.outline, "parked", true]);
+    rows.push([colours.ink, "parked", true]);
   if (player.layers.graph) rows.push([colours["causal arrow"], "may influence"]);
   return rows;
 }
