@@ -498,8 +498,7 @@ def test_caches_go_on_without_what_is_no_file(tmp_path, kind):
     before = load()
     (kept,) = [path for path in cache.rglob("*") if path.parent.name == "scene"]
     kept.unlink()
-    for path in (kept,):
-        CONTENTS[kind](path)
+    CONTENTS[kind](kept)
     again = load()
     assert again[0] == before[0]
     assert "damaged" in again.report.cache.notes[0]
