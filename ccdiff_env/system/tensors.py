@@ -25,6 +25,11 @@ def write_tensors(
     path: str | os.PathLike[str], tensors: Mapping[str, F32], metadata: Mapping[str, str]
 ) -> None:
     """Write arrays and texts; a reader never sees half a file."""
+    write_aside(Path(path), tensor_bytes(tensors, metadata))
+
+
+def tensor_bytes(tensors: Mapping[str, F32], metadata: Mapping[str, str]) -> bytes:
+    """Return arrays and texts in the safetensors format."""
     header: dict[str, Any] = {"__metadata__": dict(metadata)}
     offset = 0
     for name, array in tensors.items():
@@ -35,7 +40,7 @@ def write_tensors(
     text += b" " * (-len(text) % 8)
     parts = [struct.pack("<Q", len(text)), text]
     parts += [np.ascontiguousarray(array, "<f4").tobytes() for array in tensors.values()]
-    write_aside(Path(path), b"".join(parts))
+    return b"".join(parts)
 
 
 def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str, str]]:

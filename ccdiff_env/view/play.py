@@ -22,6 +22,7 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import DEFAULT, load
 from ccdiff_env.system.files import write_aside
+from ccdiff_env.system.tensors import tensor_bytes
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.view import page
 from ccdiff_env.view.link import TRAFFIC, top_speed_mps, world_config
@@ -103,8 +104,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     scenes
         What can be played; :data:`SCENES` by default.
     """
-    file = str(files("ccdiff_env").joinpath("data/ego.safetensors"))
-    ego = load_ego(file)
+    ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
     settings = {
         **look(),
         # places of the drivers that every world has; the next is that of the network
@@ -128,7 +128,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
             f'<script class="weights" type="text/plain">{_packed(each.read_bytes())}</script>'
             for each in (shipped_weights(one_step=True), shipped_weights("tokens"))
         ),
-        "ego": _packed(Path(file).read_bytes()),
+        "ego": _packed(tensor_bytes(ego.tensors, {})),
         "engine": part("engine.js"),
         "scenes": "\n".join(map(_scene, load(DEFAULT, names=SCENES) if scenes is None else scenes)),
         "script": "\n".join(map(part, SCRIPTS)),

@@ -4,7 +4,6 @@ use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_nuscenes::decode_scene;
-use ccdiff_sim::observe::Layout;
 use ccdiff_sim::options::read;
 use ccdiff_sim::planner::NetworkOfEgo;
 use ccdiff_sim::policy::{Driver, TrafficPolicy};
@@ -120,8 +119,7 @@ impl Playground {
     pub(crate) fn decide(&mut self) -> Result<(), String> {
         let (world, observed) = (self.world.as_ref().ok_or("decide before reset")?, &self.out.obs);
         if self.trained.is_none() {
-            let layout = Layout::new(&world.config().observation).map_err(|e| e.to_string())?;
-            let network = NetworkOfEgo::new(&layout, 2, self.tensors.clone());
+            let network = NetworkOfEgo::new(world.layout(), 2, self.tensors.clone());
             self.trained = Some(network.map_err(|e| e.to_string())?);
         }
         self.action = self.trained.as_mut().map(|network| network.act(observed)).unwrap_or_default();
