@@ -22,7 +22,6 @@ VERBS = {
     "distil": ("teach swift traffic what guided CCDiff does", "envs.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "compare": ("two runs of bench planners: paired differences", "bench.compare"),
-    "rollout": ("draw closed-loop samples of scenes and render them", "view.rollouts"),
     "view": ("write a replay page, an image or a video", "view.command"),
     "scenes": ("list the scenes that can be played and shown", "view.listing"),
     "play": ("write a page in which one drives the ego by keys", "view.play"),

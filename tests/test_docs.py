@@ -207,7 +207,6 @@ def test_help_lists_the_names_that_an_option_takes(verb):
         "--methods": "ccdiff_unguided",
         "--planners": "pdm",
         "--traffic": {
-            "rollout": "constant_velocity",
             "view": "constant_velocity",
             "train-ego": "bank",
         }.get(verb, "ccdiff-1"),

@@ -363,7 +363,7 @@ def test_terminals_of_ascii():
     assert b"????" in done.stdout
 
 
-@pytest.mark.parametrize("verb", [["view"], ["bench", "planners"], ["rollout"]])
+@pytest.mark.parametrize("verb", [["view"], ["bench", "planners"]])
 def test_help_says_which_policies_run_code(verb, capsys):
     with pytest.raises(SystemExit):
         main([*verb, "--help"])

@@ -226,7 +226,6 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
             make()
     for words in (
         ["view", scenes[0].name, "--traffic", "idm", "--driver", "pdmm"],
-        ["rollout", "--split", "val", "--driver", "pdmm", "--out", str(tmp_path / "r")],
         ["bench", "planners", "--planners", "pdmm", "--out", str(tmp_path / "b")],
     ):
         assert main(words) == 2

@@ -26,7 +26,7 @@ from ccdiff_env.errors import ConfigError
             "mean --planners?",
         ),
         ("view left-turn-00 --trafic=idm", "ccdiff-env view --help", "did you mean --traffic?"),
-        ("rollout", "ccdiff-env rollout --help", "required: --out"),
+        ("compare", "ccdiff-env compare --help", "required: RUN"),
     ],
 )
 def test_wrong_words_are_answered_by_their_verb(words, help_line, said, capsys):

@@ -424,20 +424,3 @@ def test_several_files_are_a_grid(tmp_path, capsys):
     assert cli.main(["view", "left-turn-00", "left-turn-01", "--traffic", "idm"]) == 2
     assert "--traffic plays one scene" in capsys.readouterr().err
     assert cli.main(["view", str(tmp_path), names[0]]) == 2
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--traffic", "idm", "--criticality", "1"], "--criticality is for networks"),
-        (["--traffic", "idm", "--samples", "3"], "--samples is for networks"),
-        (["--traffic", "replay", "--weights", "w.safetensors"], "--weights is for networks"),
-        (["--traffic", "idm", "--scenes", "nothing"], "no source 'nothing'"),
-        (["--traffic", "nobody"], "'nobody'"),
-        (["--criticality", "5"], "--criticality is 5, expected 0 to 2"),
-    ],
-)
-def test_rollouts_refuse_what_would_mean_nothing(options, message, tmp_path, capsys):
-    assert cli.main(["rollout", *options, "--out", str(tmp_path / "out")]) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.glob("out/*.npz"))

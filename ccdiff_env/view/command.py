@@ -21,12 +21,11 @@ from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages
-from ccdiff_env.view.link import is_drive
+from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import (
     LOG,
     SAMPLES,
-    check_criticality,
     find_rollout,
     find_scene,
     play_scene,
@@ -231,7 +230,8 @@ def _played(args: argparse.Namespace) -> list[Titled]:
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
     levels = args.criticality
     for level in levels:
-        check_criticality(level)
+        if not 0.0 <= level <= MAX_CRITICALITY:
+            raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
     for traffic in args.traffic:
         if any(levels) and not {traffic, *drivers} & set(NETWORKS):
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")

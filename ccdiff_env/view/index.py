@@ -18,7 +18,7 @@ from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import THEMES, Image
-from ccdiff_env.view.sources import log_rollout, rollout_files
+from ccdiff_env.view.sources import log_rollout
 from ccdiff_env.view.video import Video
 
 THUMBNAIL = (480, 300)
@@ -68,7 +68,7 @@ def write_pages(
         If there are no rollouts below the folder, or none that can be read. Others are left out
         with a warning.
     """
-    files = rollout_files(folder)
+    files = sorted(folder.rglob("*.npz"))
     if not files:
         raise DatasetNotFoundError(f"no rollouts (.npz) below {folder}")
     out.mkdir(parents=True, exist_ok=True)

@@ -15,18 +15,12 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
-from ccdiff_env.view.link import MAX_CRITICALITY, is_drive, play_drive
+from ccdiff_env.view.link import is_drive, play_drive
 
 SAMPLES = 8
 """Samples per plan of CCDiff in episodes that are played for a page."""
 LOG = "log"
 """Stands for the log of the scene of the other run."""
-
-
-def check_criticality(level: float) -> None:
-    """Refuse a criticality that no verb takes."""
-    if not 0.0 <= level <= MAX_CRITICALITY:
-        raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
 
 
 def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:
@@ -163,8 +157,3 @@ def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
             f"no file {name!r}, and in {place}: {error}; ccdiff-env scenes lists them, --scenes "
             "names another source"
         ) from None
-
-
-def rollout_files(folder: Path) -> list[Path]:
-    """Return the files of rollouts below a folder, in order."""
-    return sorted(folder.rglob("*.npz"))
