@@ -274,14 +274,16 @@ class Actors {
     context.lineJoin = "round";
     context.strokeStyle = `${colours.paper}d9`;
     context.fillStyle = colours.ink;
-    this.run.agents.forEach(({ kind, label, width: wide }, agent) => {
+    this.run.agents.forEach(({ kind, label, length, width: wide }, agent) => {
       const small = kind === "static" || camera.scale < (kind === "pedestrian" ? 14 : 3.5);
       if (small && agent !== focus) return;
       const pose = this.run.pose(agent, at);
       if (!pose) return;
       const [x, y] = camera.toScreen(pose.x, pose.y, width, height);
       if (x < -20 || y < -20 || x > width + 20 || y > height + 20) return;
-      const above = y - Math.max(wide / 2 * camera.scale, 4) - 3;
+      const turn = pose.heading - camera.right; // clear of the box, whichever way it points
+      const half = (length * Math.abs(Math.sin(turn)) + wide * Math.abs(Math.cos(turn))) / 2;
+      const above = y - Math.max(half * camera.scale, 4) - 3;
       context.strokeText(label, x, above);
       context.fillText(label, x, above);
     });

@@ -146,7 +146,10 @@ pub(crate) fn names(canvas: &mut Canvas, boxes: &[AgentBox], names: &[String], (
         }
         let (x, y) = canvas.view.to_px(b.pose.position);
         let name: String = name.chars().take(LONGEST).collect();
-        let above = canvas.px(0.5 * b.width_m, 4.0) + 3.0 + cap;
+        // clear of the box, whichever way it points
+        let nose = canvas.local_px(&b.pose, 0.5 * b.length_m, 0.0).1 - y;
+        let side = canvas.local_px(&b.pose, 0.0, 0.5 * b.width_m).1 - y;
+        let above = (nose.abs() + side.abs()).max(4.0) + 3.0 + cap;
         write(canvas, &name, (x - 0.5 * width_px(&name, cap), y - above), cap, true);
     }
 }
