@@ -6,6 +6,7 @@ import argparse
 import json
 import pickle
 import re
+import sys
 import warnings
 
 import numpy as np
@@ -17,7 +18,7 @@ import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, mean_interval
 from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.scenes import scene_names, source_title
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError, UnknownNameError
 from ccdiff_env.scenes import of_kinds
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -65,7 +66,11 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
     ("text", "message"),
     [
         ("nuscene:/a", "no source 'nuscene' (did you mean 'nuscenes'?)"),
-        ("/data/nuscenes", "no source ''"),
+        (
+            "/data/nuscenes",
+            "no source ''; a folder or file needs one before it, as in nuscenes:/data",
+        ),
+        ("left-turn-00", "load(\"embedded\", names=['left-turn-00'])"),
         ("", "no source ''"),
         (
             "embedded/vall",
@@ -89,6 +94,35 @@ def test_wrong_texts_are_told_with_the_sources_there_are(text, message):
         ccdiff_env.load(text)
     for part in (repr(text), *(source.form for source in SOURCES.values())):
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"traffic": "IDM"}, "did you mean 'idm'"),
+        ({"traffic": lambda world: 0}, "expected PythonTraffic"),
+        ({"scenes": "embeded"}, "did you mean 'embedded'"),
+        ({"scenes": []}, "at least one scene"),
+        ({"traffic": []}, "traffic is"),
+    ],
+)
+def test_options_that_many_mistake_say_what_is_meant(options, message):
+    with pytest.raises((ConfigError, UnknownNameError), match=message):
+        ccdiff_env.EgoEnv(**options)
+
+
+def test_a_file_that_is_no_scenario_says_so(tmp_path):
+    (tmp_path / "note.pkl").write_text("hello")
+    with pytest.raises(DatasetError, match="no pickle, expected a scenario description"):
+        ccdiff_env.load_scenarionet(tmp_path / "note.pkl")
+
+
+def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
+    from ccdiff_env.bench.ray import results_of_tasks
+
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingFeatureError, match="pip install 'ray"):
+        next(results_of_tasks(len, [[]]))
 
 
 def test_embedded_scenes_are_those_of_their_splits():
