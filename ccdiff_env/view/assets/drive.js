@@ -124,7 +124,7 @@ class Drive {
     run.outcome = { tone: "plain", text: "driven by keys", others: 0 };
     this.panes = [new Pane($("stage"), run, 0)];
     this.panes[0].ground = new Way(run, log);
-    this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive: orange vehicles want to hit you"));
+    this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive, ← → to steer: orange vehicles want to hit you"));
     this.recording = new Actors(log);
     wireMap(this.panes[0], this);
     this.camera.scale = Math.max(Math.min(this.panes[0].width, this.panes[0].height) / 75, 5);
