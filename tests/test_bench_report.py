@@ -11,7 +11,7 @@ from ccdiff_env import cli
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
-from ccdiff_env.bench.plots import colours_of
+from ccdiff_env.bench.plots import styles_of
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 from ccdiff_env.bench.traffic_report import Condition, choose_examples, examples_tables
 from ccdiff_env.system.table import document
@@ -188,12 +188,12 @@ def test_the_verdict_names_the_best_and_what_breaks():
     assert verdict(few, ["idm", "pdm"], ["replay", "idm"]) == FEW
 
 
-def test_colours_of_methods_are_the_same_whatever_else_is_drawn():
-    some = colours_of(["idm", "ccdiff_unguided", "other"])
-    more = colours_of(["replay", "ccdiff_unguided", "pdm", "idm"])
+def test_styles_of_methods_are_the_same_whatever_else_is_drawn():
+    some = styles_of(["idm", "ccdiff_unguided", "other"])
+    more = styles_of(["replay", "ccdiff_unguided", "pdm", "idm"])
     assert some["idm"] == more["idm"]
     assert some["ccdiff_unguided"] == more["ccdiff_unguided"]
-    assert len(set(some.values())) == 3
+    assert len({(s["color"], s["marker"]) for s in some.values()}) == 3
 
 
 def test_the_worst_come_first_once_each_and_close_calls_break_ties():

@@ -92,7 +92,13 @@ def test_what_can_be_played_is_calm_at_0_and_hits_at_2(name):
 
 def test_the_first_drive_meets_an_attacker():
     config = world_config("ccdiff", 1.0)
-    run = play_scene(embedded_scenes()[SCENES[0]], traffic="ccdiff", driver="idm", config=config)
+    run = play_scene(
+        embedded_scenes()[SCENES[0]],
+        traffic="ccdiff",
+        driver="idm",
+        config=config,
+        ccdiff={"num_samples": 4, "criticality": 1.0, "denoising_steps": 1},
+    )
     assert run.collisions("ego")[0].step < 60
 
 
@@ -179,7 +185,7 @@ def test_an_end_has_a_chip_and_says_why(visit):
 
 
 def test_an_ego_at_its_goal_stays_to_be_seen(visit):
-    page = visit("#scene=pedestrians-00&traffic=replay&drive=b60")
+    page = visit("#scene=pedestrians-00&traffic=replay&drive=b150")
     page.until("drive.outcome", 60)
     assert page.inner_text("#verdict").startswith("ego reached its goal")
     assert page.evaluate("drive.runs[0].pose(0, drive.steps) !== null")

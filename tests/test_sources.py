@@ -406,7 +406,7 @@ def test_run_folders_of_the_former_form_are_refused_in_a_line():
 
 
 @pytest.mark.nuscenes
-@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench", "rollout"])
+@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench"])
 def test_scenarionet_files_open_everywhere(data_root, tmp_path, verb):
     text = f"scenarionet:{data_root / 'scenarionet'}"
     out = tmp_path / "out"
@@ -424,7 +424,6 @@ def test_scenarionet_files_open_everywhere(data_root, tmp_path, verb):
             "--out",
             str(out),
         ],
-        "rollout": ["scene-0757", "--traffic", "idm", "--out", str(out)],
     }[verb]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of scenes without a road

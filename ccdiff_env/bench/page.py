@@ -48,9 +48,9 @@ def write_report_page(
     """Write a page that needs nothing else, but for the replays that it links.
 
     ``parts`` are Markdown by heading (see :func:`markdown_html`), empty ones are left out; the
-    first paragraph comes before the ``plots`` (SVG) and says what was found. ``images`` are replays
-    to show: title, address, and file of an image (PNG). ``maps`` is HTML after them: heat maps.
-    ``command`` made the page.
+    first comes, up to its subheadings, before the ``plots`` (SVG) and says what was found. ``maps``
+    is HTML after them: heat maps. ``images`` are replays to show: title, address, and file of an
+    image (PNG). ``command`` made the page.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)
@@ -67,9 +67,9 @@ def write_report_page(
             first,
             _terms(" ".join(shown.values())),
             f'<div class="plots">{drawn}</div>' if drawn else "",
+            maps,
             f'<h2>To look at</h2>\n<div class="cards">{cards}</div>' if cards else "",
             rest,
-            maps,
             *sections[1:],
             f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",
         ]
@@ -80,10 +80,9 @@ def write_report_page(
 
 
 def _split_lead(section: str) -> tuple[str, str]:
-    """What comes before the first subheading or table of a section, and the rest."""
-    found = [at for at in (section.find("<h3"), section.find('<div class="wide"')) if at >= 0]
-    at = min(found, default=len(section))
-    return section[:at], section[at:]
+    """What comes before the first subheading of a section, and the rest."""
+    at = section.find("<h3")
+    return (section, "") if at < 0 else (section[:at], section[at:])
 
 
 def anchor(head: str) -> str:

@@ -70,6 +70,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import planner_report as report
+    from ccdiff_env.bench.heat import heat_maps
     from ccdiff_env.bench.intervals import grouped
     from ccdiff_env.bench.planners import TRAFFIC, planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
@@ -149,6 +150,7 @@ def _planners(args: argparse.Namespace) -> int:
         rows,
         files,
         plot_robustness(found, criticality, report.short_name, run.folder / "robustness"),
+        maps=heat_maps(found, pages, source, {p: report.title_of(p) for p in planners}),
     )
 
 

@@ -207,9 +207,10 @@ def pairs_table(found: Results) -> Table:
 
 
 def parts_tables(found: Results) -> list[Block]:
-    """Return a table of score and parts for each traffic."""
+    """Return a table of score and parts for each traffic, without parts that never differ."""
     planners, traffic = _names(found)
-    parts = _parts(found)
+    means = {p: {mean_interval(rows, p)[0] for rows in found.values()} for p in _parts(found)}
+    parts = [p for p, seen in means.items() if p == "score" or len(seen) > 1]
     columns = [Column(part, interval=part == "score") for part in parts]
     tables = [
         Table(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -13,44 +15,66 @@ from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.traffic_report import Condition
 from ccdiff_env.system.files import read_text, write_aside
 from ccdiff_env.system.table import Figure as Figure3
-from ccdiff_env.view.page import colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_P = ParamSpec("_P")
+
 __all__ = [
-    "colours_of",
     "new_plot",
     "plot_bars",
     "plot_matrix",
     "plot_robustness",
     "plot_scores",
     "save_plot",
+    "styles_of",
 ]
 
-_DRIVERS = colours()["light"]
-#: Colours of methods and planners: those of the drivers on replays, but for yellow, which white
-#: would swallow. Guided CCDiff has the colour of guided vehicles.
-COLOURS = {
-    **{name: _DRIVERS[name] for name in ("replay", "constant_velocity")},
-    "ccdiff": _DRIVERS["adversary"],
-    "ccdiff_unguided": _DRIVERS["ccdiff"],
-    "ccdiff_one_sample": "#5cbf9f",
-    "idm": "#a89100",
-    "lane_idm": "#d1bb3a",
-    "pdm": "#3b8fd4",
-}
-#: For all others, in their order.
-MORE = ("#8d6bd1", "#c7593f", "#2aa1b3", "#7d8a2e", "#a9743a", "#d46a8a", "#5f7fa8")
+#: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
+OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+#: No hue tells methods apart alone.
+MARKERS = "osD^vPX*"
+#: Methods and planners that look the same in every plot, by their place in this list.
+USUAL = (
+    "ccdiff_unguided",
+    "ccdiff",
+    "idm",
+    "pdm",
+    "lane_idm",
+    "ego",
+    "replay",
+    "constant_velocity",
+)
 
 
-def colours_of(names: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each method or planner, ``"#rrggbb"``."""
+def styles_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return colour, marker and dash of each method or planner, for Matplotlib."""
     listed = list(dict.fromkeys(names))
-    others = [name for name in listed if name not in COLOURS]
-    more = {name: MORE[i % len(MORE)] for i, name in enumerate(others)}
-    return {name: COLOURS.get(name, more.get(name, MORE[0])) for name in listed}
+    others = [name for name in listed if name not in USUAL]
+    place = {name: (*USUAL, *others).index(name) for name in listed}
+    return {
+        name: {
+            "color": OKABE_ITO[i % len(OKABE_ITO)],
+            "marker": MARKERS[i % len(MARKERS)],
+            "linestyle": ("-", "--", ":")[i // len(OKABE_ITO) % 3],
+        }
+        for name, i in place.items()
+    }
+
+
+def _optional(plot: Callable[_P, Path | None]) -> Callable[_P, Path | None]:
+    """Leave a plot out, and say so, where Matplotlib is missing."""
+
+    @functools.wraps(plot)
+    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Path | None:
+        if find_spec("matplotlib") is not None:
+            return plot(*args, **kwargs)
+        print("no plot: it needs Matplotlib (pip install matplotlib)")
+        return None
+
+    return drawn
 
 
 def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]:
@@ -85,6 +109,7 @@ def save_plot(figure: Figure, path: Path) -> Path:
     return drawn
 
 
+@_optional
 def plot_robustness(
     found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
     level: Mapping[str, float],
@@ -101,31 +126,48 @@ def plot_robustness(
         return None
     figure, axes = new_plot(7, 4.2)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
-    for (planner, colour), by in zip(colours_of(planners).items(), aside, strict=True):
+    ends = []
+    for (planner, style), by in zip(styles_of(planners).items(), aside, strict=True):
         means = np.array([mean_interval(found[planner, n], "score") for n in names])
         whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
+        x = np.array([level[n] for n in names]) + by
         axes.errorbar(
-            np.array([level[n] for n in names]) + by, means[:, 0], yerr=whiskers, fmt="o-",
-            label=label(planner), color=colour, markersize=4.5, elinewidth=1, capsize=2.5,
-        )  # fmt: skip
+            x, means[:, 0], yerr=whiskers, markersize=5, elinewidth=1, capsize=2.5, **style
+        )
+        ends.append((means[-1, 0], x[-1], label(planner), style["color"]))
+    _name_ends(axes, ends)
+    axes.set_xticks([level[n] for n in names])
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
-    axes.set_ylim(0, 1)
+    axes.set_ylim(0, 1.02)
     axes.grid(alpha=0.3)
-    axes.legend(framealpha=0)
     return save_plot(figure, path)
 
 
-def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Path) -> Path:
+def _name_ends(
+    axes: Axes, ends: Sequence[tuple[float, float, str, str]], gap: float = 0.045
+) -> None:
+    """Write names at the ends (y, x) of lines in [0, 1], each below the one above it."""
+    last = np.inf
+    for y, x, name, colour in sorted(ends, reverse=True):
+        last = min(y, last - gap)
+        axes.annotate(
+            name, (x, y), xytext=(x + 0.03, last), color=colour, fontsize=9, va="center",
+            arrowprops=None, annotation_clip=False,
+        )  # fmt: skip
+
+
+@_optional
+def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Path) -> Path | None:
     """Draw figures in [0, 1] by method and name as groups of bars with intervals."""
     figure, axes = new_plot(7, 4.2)
-    colours, width = colours_of(table), 0.8 / len(table)
+    styles, width = styles_of(table), 0.8 / len(table)
     names = list(next(iter(table.values())))
     for i, (method, by_name) in enumerate(table.items()):
         value, low, high = np.array(list(by_name.values())).T
         axes.bar(
             np.arange(len(names)) + (i - 0.5 * (len(table) - 1)) * width, value, width,
-            color=colours[method], yerr=[value - low, high - value], label=label_of(method),
+            color=styles[method]["color"], yerr=[value - low, high - value], label=label_of(method),
             error_kw={"linewidth": 1, "ecolor": "#000000"},
         )  # fmt: skip
     axes.set_xticks(np.arange(len(names)), names)
@@ -136,9 +178,10 @@ def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Pat
     return save_plot(figure, path)
 
 
+@_optional
 def plot_matrix(
     values: Mapping[str, Mapping[tuple[str, str], float]], ylabel: str, path: Path
-) -> Path:
+) -> Path | None:
     """Draw a figure in [0, 1] per panel: by row and column, with the number in each cell.
 
     Collisions are red, scores green.
@@ -162,6 +205,7 @@ def plot_matrix(
     return save_plot(figure, path)
 
 
+@_optional
 def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> Path | None:
     """Draw controllability against realism, every condition a point, with the Pareto front.
 
@@ -172,19 +216,24 @@ def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> P
     if not at:  # no road, no realism
         return None
     figure, axes = new_plot(7, 5.2)
-    for method, colour in colours_of(c.method for c in at).items():
+    for method, look in styles_of(c.method for c in at).items():
         for j, (line, names) in enumerate(_lines([c for c in at if c.method == method])):
             points = np.array([at[c] for c in line])
-            style: dict[str, Any] = {"color": colour, "linewidth": 1, "markersize": 4.5}
+            style = {
+                "color": look["color"],
+                "marker": look["marker"],
+                "linewidth": 1,
+                "markersize": 5,
+            }
             if j == 0:
-                axes.plot(*points.T, "o-", label=label_of(method), **style)
+                axes.plot(*points.T, "-", label=label_of(method), **style)
             else:
-                axes.plot(*points.T, "o:", markerfacecolor="none", **style)
+                axes.plot(*points.T, ":", markerfacecolor="none", **style)
             ends = {0: (-4, -9), len(line) - 1: (4, 4)}
             for end, offset in ends.items():
                 axes.annotate(
                     names[end], points[end], textcoords="offset points", xytext=offset,
-                    fontsize=8, color=colour,
+                    fontsize=8, color=look["color"],
                 )  # fmt: skip
     front = sorted(p for p in at.values() if not any(_dominates(other, p) for other in at.values()))
     axes.plot(*np.array(front).T, "--", color="#000000", linewidth=1, label="Pareto front")

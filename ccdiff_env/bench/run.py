@@ -201,12 +201,13 @@ class Run:
         episodes: Iterable[Mapping[str, Any]],
         files: Mapping[str, Table],
         *plots: Path | None,
+        maps: str = "",
     ) -> int:
         """Write the report, say its first part, and return the exit status.
 
         ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables,
         ``episodes.csv`` a row per episode; ``files`` are further tables by file name. The first
-        part is what was found.
+        part is what was found. ``maps`` is HTML of heat maps.
         """
         if not self._begun:
             self._begin()
@@ -233,6 +234,7 @@ class Run:
             plots=[plot for plot in plots if plot is not None],
             parts=texts,
             images=self._images,
+            maps=maps,
             command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
         )
         found, more, _ = first[1].partition("\n### ")

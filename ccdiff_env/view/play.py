@@ -24,6 +24,7 @@ from ccdiff_env.scenes.sources import DEFAULT, load
 from ccdiff_env.system.files import write_aside
 from ccdiff_env.system.tensors import tensor_bytes
 from ccdiff_env.system.terminal import say_page
+from ccdiff_env.traffic import KINDS, NETWORKS
 from ccdiff_env.view import page
 from ccdiff_env.view.link import TRAFFIC, top_speed_mps, world_config
 from ccdiff_env.view.outcome import AT_FAULT, COLLISIONS, STOPPED
@@ -126,7 +127,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "module": _packed(module),
         "weights": "\n".join(
             f'<script class="weights" type="text/plain">{_packed(each.read_bytes())}</script>'
-            for each in (shipped_weights(one_step=True), shipped_weights("tokens"))
+            for each in map(_weights, (name for name in TRAFFIC if name in NETWORKS))
         ),
         "ego": _packed(tensor_bytes(ego.tensors, {})),
         "engine": part("engine.js"),
@@ -134,6 +135,11 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "script": "\n".join(map(part, SCRIPTS)),
     }
     return page.filled_page(part("drive.html"), parts)
+
+
+def _weights(name: str) -> Path:
+    """File of the weights of a network, of one step where it denoises."""
+    return shipped_weights(name, one_step=KINDS[name].denoises)
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:

@@ -60,8 +60,11 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// How images show a kind of driver.
 fn drawn(kind: &str) -> DrawStyle {
-    let named = |name: &str| DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == name);
-    named(kind).or_else(|| named(of(kind)?.style)).unwrap_or(DrawStyle::Other)
+    let style = of(kind).map_or(kind, |kind| kind.style);
+    match NETWORKS.iter().find(|network| network.kind.name == kind) {
+        Some(network) if !network.denoises => DrawStyle::Network,
+        _ => DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == style).unwrap_or(DrawStyle::Other),
+    }
 }
 
 /// What legends call a kind of driver.

@@ -28,8 +28,8 @@ pub enum DrawStyle {
     ConstantVelocity = 6,
     /// Any other model.
     Other = 7,
-    /// The token policy.
-    Tokens = 8,
+    /// A network other than those that denoise as CCDiff does.
+    Network = 8,
 }
 
 impl DrawStyle {
@@ -43,7 +43,7 @@ impl DrawStyle {
         Self::Replay,
         Self::ConstantVelocity,
         Self::Other,
-        Self::Tokens,
+        Self::Network,
     ];
 
     /// The name used in Python and in legends.
@@ -57,7 +57,7 @@ impl DrawStyle {
             "replay",
             "constant_velocity",
             "other",
-            "tokens",
+            "network",
         ];
         names[self as usize]
     }
@@ -73,7 +73,7 @@ impl DrawStyle {
             "log",
             "constant velocity",
             "another model",
-            "tokens",
+            "network",
         ];
         titles[self as usize]
     }
@@ -94,7 +94,7 @@ impl DrawStyle {
             Self::Replay => Rgb(0x8C, 0x96, 0xA3),
             Self::ConstantVelocity => Rgb(0xC2, 0x6F, 0xA4),
             Self::Other => Rgb(0x7D, 0x6F, 0xD0),
-            Self::Tokens => Rgb(0x0B, 0x5E, 0x4B),
+            Self::Network => Rgb(0x0B, 0x5E, 0x4B),
         };
         theme.of(light)
     }
