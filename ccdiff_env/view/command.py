@@ -19,7 +19,6 @@ from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
-from ccdiff_env.view.export import export
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
@@ -118,8 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     play.add_argument(
         "--save",
         type=Path,
-        help="keep that episode in this file (.npz; .rrd: Rerun; .mcap: Foxglove; default: not "
-        "kept)",
+        help="keep that episode in this file (.npz; default: not kept)",
     )
     draw = parser.add_argument_group(
         "an image or a video instead of a page, as the suffix of --out also asks for"
@@ -259,10 +257,7 @@ def _played(args: argparse.Namespace) -> list[Titled]:
         parts.append((DRIVER_TITLES.get(traffic, traffic), guided, ego))
     titles, shared = factored(parts)
     if args.save is not None:
-        if args.save.suffix in (".rrd", ".mcap"):
-            export(runs[0], args.save)
-        else:
-            runs[0].save(args.save)
+        runs[0].save(args.save)
     return [Titled(run, title, shared) for run, title in zip(runs, titles, strict=True)]
 
 
