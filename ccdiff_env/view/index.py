@@ -148,8 +148,8 @@ def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = 
     line = f"{counted(len(entries), 'replay')}: the ego {', '.join(told)}" if told else ""
     line = f"{line or counted(len(entries), 'replay')}; others collide in {others}"
     up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
-    told = '<option value="story">by story</option>' if any(e.story for e in entries) else ""
-    tools = _TOOLS.replace("<option", f"{told}<option", 1)
+    story = '<option value="story">by story</option>' if any(e.story for e in entries) else ""
+    tools = _TOOLS.replace("<option", f"{story}<option", 1)
     body = f'{up}{tools}\n<div class="cards">\n{cards}\n</div>'
     return plain_html(title, line, style=part("index.css"), body=body)
 

@@ -105,16 +105,20 @@ class Video:
 
     def svg(self, at: float) -> str:
         """Draw a step as SVG; see :meth:`frame`."""
-        return str(self.frame(at, svg=True))
+        return str(self._drawn(at, svg=True))
 
-    def frame(self, at: float, *, svg: bool = False) -> Any:
-        """Draw a step, or a moment between two, as an image [H, W, 3] or as SVG.
+    def frame(self, at: float) -> render.Image:
+        """Draw a step, or a moment between two, as an image [H, W, 3].
 
         Raises
         ------
         ConfigError
             If the rollout has no such step.
         """
+        image: render.Image = self._drawn(at, svg=False)
+        return image
+
+    def _drawn(self, at: float, *, svg: bool) -> Any:
         run = self._rollout
         if not 0 <= at <= run.num_steps - 1:
             raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
