@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
+import shlex
 from html.parser import HTMLParser
 
 import pytest
@@ -15,6 +18,7 @@ from ccdiff_env.bench.plots import styles_of
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 from ccdiff_env.bench.traffic_report import Condition, choose_examples, examples_tables
 from ccdiff_env.system.table import document
+from ccdiff_env_cli import parse
 
 VAL = "embedded/val"
 
@@ -98,6 +102,15 @@ def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(pla
     assert (folder / "table.md").read_text(encoding="utf-8").count("](replays/") == 4
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "made by <code>" in page
+    # a heat map of each planner: cells lead to their replay, or say the command that plays it
+    assert page.count('<table class="heat">') == 2
+    cells = re.findall(r'<td style="--v:[0-9.]+" title="([^"]*)">(.*?)</td>', page)
+    assert len(cells) == 2 * 2 * 4
+    assert sum("replays/" in cell for _, cell in cells) == 4
+    for said, _ in cells:
+        words = shlex.split(html.unescape(said).partition("; ")[2])
+        assert words[:2] == ["ccdiff-env", "view"]
+        parse(words[1:])
     assert cli.main(command) == 0
     assert "differ" not in capsys.readouterr().out
 
