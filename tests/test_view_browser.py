@@ -52,7 +52,6 @@ def test_the_address_follows_what_is_shown_and_opens_it_again(visit):
     page = visit("one.html")
     page.click("#layer-graph")
     page.click("#layer-trails")
-    page.select_option("#colour", "speed")
     page.keyboard.press("f")
     page.evaluate("replay.seek(3.3)")
     page.until("location.hash.includes('t=3.3')")
@@ -60,7 +59,6 @@ def test_the_address_follows_what_is_shown_and_opens_it_again(visit):
     assert again.time() == pytest.approx(3.3)
     assert again.state("layers.graph") is True
     assert again.state("layers.trails") is False
-    assert again.state("colourMode") == "speed"
     assert again.state("camera.scale") == pytest.approx(page.state("camera.scale"), abs=0.05)
 
 

@@ -1,6 +1,5 @@
 // Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
 
-const FAST_MPS = 15; // colour scale of speeds ends here
 
 /** Draws the agents of one run at a fractional step. Coordinates are metres; y points north. */
 class Actors {
@@ -8,18 +7,15 @@ class Actors {
     this.run = run;
   }
 
-  /** Colour of an agent: by driver, or by speed in its pose. */
-  colour(agent, theme, pose) {
+  /** Colour of who drives an agent. */
+  colour(agent, theme) {
     const { driver, kind } = this.run.agents[agent];
-    if (this.mode === "speed" && pose && kind !== "static")
-      return speedColour(Math.hypot(pose.vx, pose.vy), theme);
     return COLOURS[theme][kind === "static" ? "static obstacle" : driver];
   }
 
   /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), picked agents. */
   draw(context, at, options) {
     const { layers, theme, pixel } = options;
-    this.mode = options.mode;
     const step = Math.floor(at + 1e-6);
     const poses = this.run.agents.map((_, agent) => this.run.pose(agent, at));
     if (layers.trails) this.trails(context, at, poses, theme, pixel);
@@ -50,7 +46,7 @@ class Actors {
       if (!pose || !run.valid(agent, first) && Math.hypot(pose.vx, pose.vy) < 0.3) return;
       if (run.valid(agent, first)
         && Math.hypot(pose.x - run.a.x[base + first], pose.y - run.a.y[base + first]) < 0.6) return;
-      context.strokeStyle = this.colour(agent, theme, pose);
+      context.strokeStyle = this.colour(agent, theme);
       for (let segment = 0; segment < LOOK.TRAIL_PARTS; segment++) {
         const from = step - Math.round(count * (LOOK.TRAIL_PARTS - segment) / LOOK.TRAIL_PARTS);
         const to = step - Math.round(count * (LOOK.TRAIL_PARTS - segment - 1) / LOOK.TRAIL_PARTS);
@@ -136,7 +132,7 @@ class Actors {
 
   body(context, agent, pose, { theme, pixel, hit, arrived }) {
     const { kind, length, width } = this.run.agents[agent];
-    const colours = COLOURS[theme], colour = this.colour(agent, theme, pose);
+    const colours = COLOURS[theme], colour = this.colour(agent, theme);
     context.save();
     context.translate(pose.x, pose.y);
     context.rotate(pose.heading);
@@ -304,14 +300,6 @@ class Actors {
     });
     return best;
   }
-}
-
-/** Grey where it stands, then from slow (cool) to fast (warm). */
-function speedColour(speed, theme) {
-  if (speed < 0.3) return theme === "dark" ? "#7f8b99" : "#8c96a3";
-  const share = Math.min(speed / FAST_MPS, 1);
-  const hue = 225 - 205 * share;
-  return `hsl(${hue.toFixed(0)} ${theme === "dark" ? "75% 62%" : "70% 46%"})`;
 }
 
 function box(context, length, width, radius) {

@@ -97,7 +97,6 @@ class Drive {
     Object.assign(this, { engine, rivals, settings: SETTINGS });
     this.camera = new Camera();
     this.theme = "light";
-    this.colourMode = "driver";
     this.layers = { trails: true, plans: false, graph: false, labels: true, lanes: true, ghost: false };
     this.headingUp = !matchMedia("(prefers-reduced-motion)").matches;
     this.focus = "ego";

@@ -41,7 +41,6 @@ const KEYS = [
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
   ["R", "loop", { r: (p) => toggleLoop(p) }],
   ["I, V", "save a picture, a video", { i: (p) => savePicture(p), v: (p) => window.MediaRecorder && saveClip(p, $("clip")) }],
-  ["C", "colour by driver, speed", { c: (p) => p.colourBy(COLOUR_MODES[(COLOUR_MODES.indexOf(p.colourMode) + 1) % 2]) }],
   ["D", "dark or light", { d: (p) => setTheme(p, p.theme === "dark" ? "light" : "dark") }],
   ["S", "panels", { s: (p) => togglePanels(p) }],
   ["?", "this help", { "?": () => $("help").showModal() }],
@@ -132,7 +131,7 @@ class Herald {
 
 /**
  * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
- * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), colour=speed, theme=dark, play=1,
+ * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), theme=dark, play=1,
  * loop=1, up=heading or up=north, embed=1 (map, time line and verdict alone).
  */
 function readAddress(player) {
@@ -147,7 +146,6 @@ function readAddress(player) {
   if (zoom >= low && zoom <= high) player.camera.scale = zoom;
   const run = Number(wishes.get("run")) - 1; // none: NaN
   if (player.panes[run] && run !== player.alone) { player.show(run); player.slid?.(); }
-  if (COLOUR_MODES.includes(wishes.get("colour"))) player.colourBy(wishes.get("colour"));
   if (wishes.has("up")) player.headUp(wishes.get("up") === "heading");
   if (wishes.has("loop")) player.loop = wishes.get("loop") === "1";
   document.body.classList.toggle("embed", wishes.get("embed") === "1");
@@ -169,7 +167,6 @@ function addressOf(player) {
   if (player.loop) wishes.set("loop", "1");
   if (document.body.classList.contains("embed")) wishes.set("embed", "1");
   wishes.set("zoom", player.camera.scale.toFixed(1));
-  wishes.set("colour", player.colourMode);
   return `#${wishes.toString().replaceAll("%2C", ",")}`;
 }
 
@@ -206,8 +203,6 @@ function wireControls(player) {
   for (const agent of player.runs[0].agents)
     if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
-  for (const mode of COLOUR_MODES) $("colour").append(new Option(`by ${mode}`, mode));
-  $("colour").addEventListener("change", () => player.colourBy($("colour").value));
   $("heading").addEventListener("click", () => player.toggleHeadingUp());
   $("fit").addEventListener("click", () => player.fit());
   $("loop").addEventListener("click", () => toggleLoop(player));
@@ -273,7 +268,6 @@ function showControls(player) {
   $("length").textContent = ` / ${(player.end - player.start).toFixed(1)} s`;
   $("rate").value = player.rate;
   $("follow").value = player.follow === null ? "" : player.follow;
-  $("colour").value = player.colourMode;
   $("heading").setAttribute("aria-pressed", player.headingUp);
   $("loop").setAttribute("aria-pressed", player.loop);
 

@@ -3,7 +3,6 @@
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
 const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
 const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
-const COLOUR_MODES = ["driver", "speed"];
 const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
@@ -48,7 +47,7 @@ class Pane {
     const at = this.run.stepAt(player.time);
     if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
     this.actors.draw(context, at, {
-      layers, theme, pixel, mode: player.colourMode,
+      layers, theme, pixel,
       focus: this.index(player.focus), hover: this.index(player.hover),
       pair: player.pair && player.pair.map((id) => this.index(id)),
     });
@@ -109,7 +108,6 @@ class Player {
     this.headingUp = false;
     this.loop = false;
     this.clip = null; // what records a clip, while it does
-    this.colourMode = "driver";
     this.layers = { ...LAYERS_AT_START };
     this.flags = { ego: true, guided: true, others: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
@@ -232,11 +230,6 @@ class Player {
 
   /** The first pane that is seen. */
   get shown() { return this.panes[this.alone ?? 0]; }
-
-  colourBy(mode) {
-    this.colourMode = mode;
-    this.touch();
-  }
 
   choose(id) {
     this.focus = id;

@@ -8,9 +8,9 @@ function setTheme(player, theme) {
   player.touch();
 }
 
-/** What the colours mean, in the mode that is chosen. */
+/** what the colours mean. */
 function showLegend(player) {
-  const key = `${player.theme} ${player.colourMode} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
+  const key = `${player.theme} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
   if ($("legend").dataset.key === key) return;
   $("legend").dataset.key = key;
   $("legend").replaceChildren(...legendOf(player).map(([colour, title, hollow]) => {
@@ -25,8 +25,6 @@ function showLegend(player) {
 
 function legendOf(player) {
   const agents = player.runs.flatMap((run) => run.agents), colours = COLOURS[player.theme];
-  if (player.colourMode === "speed")
-    return [0, 5, 10, FAST_MPS].map((v) => [speedColour(v, player.theme), `${v} m/s`]);
   const seen = new Set(agents.map((agent) => (agent.kind === "static" ? "static" : agent.driver)));
   const rows = Object.entries(SETTINGS.drivers).filter(([name]) => seen.has(name))
     .map(([name, title]) => [colours[name === "static" ? "static obstacle" : name], title]);
