@@ -319,8 +319,10 @@ def _stills() -> list[tuple[float, str, bytes]]:
     scene, found, moment = find_scene(STILL_SCENE), [], None
     for level in (1.0, 0.0, 2.0):
         run = play_scene(scene, driver="replay", ccdiff={"criticality": level})
-        video = Video(run, size=STILL_SIZE, span_m=36.0, captions=False)
-        moment = video.moment if moment is None else moment
+        if moment is None:
+            moment = Video(run).moment
+            centre_m = (float(run.position[0, moment, 0]), float(run.position[0, moment, 1]))
+        video = Video(run, size=STILL_SIZE, span_m=36.0, centre_m=centre_m, captions=False)
         image = pillow().fromarray(video.frame(min(moment, video.num_steps - 1)))
         file = io.BytesIO()
         image.quantize(96).save(file, format="PNG", optimize=True)
