@@ -54,8 +54,10 @@ def make(folder, generator="idm"):
 
 def manifest(folder, entries):
     return write_manifest(
-        folder, [entry["scenario"] for entry in entries], generator="idm", traffic=CRITICAL,
-        seed=6, weights="w", source=VAL, settings={},
+        ScenarioSet(
+            folder=folder, generator="idm", traffic=CRITICAL, seed=6, weights="w", source=VAL,
+            settings={}, scenarios=tuple(Scenario(**entry["scenario"]) for entry in entries),
+        )
     )  # fmt: skip
 
 

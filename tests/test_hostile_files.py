@@ -446,9 +446,12 @@ def made(tmp_path_factory):
         source=source, names=names, generator="idm", traffic="replay", seed=0,
         folder=str(folder), num_plans=1,
     )  # fmt: skip
+    scenarios = tuple(scenario_sets.Scenario(**row["scenario"]) for row in rows)
     path = scenario_sets.write_manifest(
-        folder, [row["scenario"] for row in rows], generator="idm", traffic="replay", seed=0,
-        weights="", source=source, settings={},
+        scenario_sets.ScenarioSet(
+            folder=folder, generator="idm", traffic="replay", seed=0, weights="", source=source,
+            settings={}, scenarios=scenarios,
+        )
     )  # fmt: skip
     return folder, json.loads(path.read_text())
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.intervals import grouped
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import (
     CHUNK,
@@ -25,6 +26,7 @@ from ccdiff_env.bench.planners import (
 )
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
+    Scenario,
     ScenarioSet,
     load_scenario_set,
     write_manifest,
@@ -34,6 +36,7 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import comfort_distance
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.system.version import __version__
 
 __all__ = [
     "RECORDED",
@@ -124,34 +127,27 @@ def write_sets(
     ``by_name`` and ``seconds`` are results and times of the jobs, ``weights`` the SHA-256 of those
     that drove.
     """
-    rows: dict[str, Rows] = {}
-    for job in jobs:
-        rows.setdefault(str(job.arguments["generator"]), []).extend(by_name[job.name])
     sets, realism = {}, {}
-    for job in jobs:
-        made = job.arguments
-        generator = str(made["generator"])
-        if generator in sets:
-            continue
-        settings = {
-            "ccdiff": dict(TRAFFIC[made["traffic"]].ccdiff),
-            "num_plans": made["num_plans"],
-            "draws": TRAFFIC[made["traffic"]].draws,
-            **OPTIONS,
-        }
+    done = grouped([{**job.arguments, "job": job.name} for job in jobs], "generator")
+    for (generator,), of in done.items():
+        made, traffic = of[0], TRAFFIC[of[0]["traffic"]]
+        rows = [row for job in of for row in by_name[job["job"]]]
+        settings = {"num_plans": made["num_plans"], "draws": traffic.draws, **OPTIONS}
         path = write_manifest(
-            Path(made["folder"]),
-            [row["scenario"] for row in rows[generator]],
-            generator=generator,
-            traffic=made["traffic"],
-            seed=made["seed"],
-            weights=weights,
-            source=made["source"],
-            settings=settings,
+            ScenarioSet(
+                folder=Path(made["folder"]),
+                generator=generator,
+                traffic=made["traffic"],
+                seed=made["seed"],
+                weights=weights,
+                source=made["source"],
+                settings={"ccdiff": dict(traffic.ccdiff), **settings},
+                scenarios=tuple(Scenario(**row["scenario"]) for row in rows),
+                version=__version__,
+            )
         )
         sets[generator] = load_scenario_set(path)
-        spent = sum(seconds[j.name] for j in jobs if j.arguments["generator"] == generator)
-        realism[generator] = _realism(rows[generator], spent)
+        realism[generator] = _realism(rows, sum(seconds[job["job"]] for job in of))
     return sets, realism
 
 

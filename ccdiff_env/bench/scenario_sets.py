@@ -37,7 +37,6 @@ from ccdiff_env.system.files import (
     reading,
     write_aside,
 )
-from ccdiff_env.system.version import __version__
 
 __all__ = [
     "Scenario",
@@ -278,31 +277,12 @@ def realism(rollout: Rollout) -> dict[str, Any]:
     }
 
 
-def write_manifest(
-    folder: Path,
-    scenarios: Sequence[Mapping[str, Any]],
-    *,
-    generator: str,
-    traffic: str,
-    seed: int,
-    weights: str,
-    source: str,
-    settings: Mapping[str, Any],
-) -> Path:
-    """Write the manifest of a set, see :class:`ScenarioSet`; returns its path."""
-    head = {
-        "format": FORMAT,
-        "version": __version__,
-        "generator": generator,
-        "traffic": traffic,
-        "seed": seed,
-        "weights": weights,
-        "source": source,
-        "settings": dict(settings),
-    }
-    path = folder / MANIFEST
-    manifest = {**head, "scenarios": [dict(scenario) for scenario in scenarios]}
-    write_aside(path, json.dumps(manifest, indent=1, allow_nan=False) + "\n")
+def write_manifest(made: ScenarioSet) -> Path:
+    """Write the manifest of a set into its folder; returns its path."""
+    fields = {"format": FORMAT, "version": made.version, **asdict(made)}
+    fields.pop("folder")
+    path = made.folder / MANIFEST
+    write_aside(path, json.dumps(fields, indent=1, allow_nan=False) + "\n")
     return path
 
 
