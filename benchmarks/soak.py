@@ -2,7 +2,7 @@
 
     python benchmarks/soak.py --minutes 60 --out runs/soak
 
-writes the resident memory of each round as ``memory.csv`` and ``memory.png``, and fails where the
+writes the resident memory of each round as ``memory.csv`` and ``memory.svg``, and fails where the
 last quarter needs over 5 % more than the second one.
 """
 
@@ -91,7 +91,7 @@ def main() -> int:
     axes.set_ylim(0, memory.max() * 1.2)
     axes.set_xlabel("minutes")
     axes.set_ylabel("resident memory, MiB")
-    save_plot(figure, args.out / "memory.png")
+    save_plot(figure, args.out / "memory")
     print(
         f"{len(rows)} rounds, {steps:,} world steps in {minutes[-1]:.1f} minutes: "
         f"{' '.join(f'{q:.0f}' for q in quarters)} MiB by quarter, growth {growth:+.1%}"

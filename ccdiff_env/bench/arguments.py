@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import TRAFFIC
@@ -24,6 +26,7 @@ __all__ = [
     "seeds_of",
 ]
 
+T = TypeVar("T")
 #: Help of an option that names planners.
 PLANNERS = f"comma-separated, of: {EGO_HELP.partition('of: ')[2]}"
 
@@ -92,23 +95,21 @@ def add_weights(parser: argparse.ArgumentParser) -> None:
 
 def seeds_of(text: str) -> list[int]:
     """Return seeds, each once."""
-    try:
-        return list(dict.fromkeys(int(part) for part in text.split(",")))
-    except ValueError:
-        raise ConfigError(f"--seeds is {text!r}, expected integers, comma-separated") from None
+    return list(dict.fromkeys(_listed("--seeds", text, int, "integers")))
 
 
 def counts(text: str) -> list[int | None]:
     """Return values of K; ``None`` for Full."""
-    try:
-        return [None if part == "Full" else int(part) for part in text.split(",")]
-    except ValueError:
-        raise ConfigError(f"K is {text!r}, expected numbers and Full, comma-separated") from None
+    return _listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
 
 
 def replan_steps(text: str) -> list[int]:
     """Return steps between plans from their seconds T."""
+    return _listed("--t", text, lambda t: round(10 * float(t)), "seconds")
+
+
+def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
     try:
-        return [round(10 * float(part)) for part in text.split(",")]
+        return [one(part) for part in text.split(",")]
     except (ValueError, OverflowError):
-        raise ConfigError(f"--t is {text!r}, expected seconds, comma-separated") from None
+        raise ConfigError(f"{option} is {text!r}, expected {what}, comma-separated") from None

@@ -135,12 +135,11 @@ def figures_table(found: Results) -> Table:
     parts = _parts(found)
     rows = [row for of in found.values() for row in of]
     table = figures(rows, ("planner", "traffic"), parts)
-    ends: TableRows = [
-        [planner, name, len(_scores(found, planner, traffic)[0]), heads[name], *[None] * rest]
-        for planner in planners
-        for rest, heads in [(len(parts) - 1, headlines(found, planner, traffic))]
-        for name in ("mean", "worst")
-    ]
+    ends: TableRows = []
+    for planner in planners:
+        heads, count = headlines(found, planner, traffic), len(_scores(found, planner, traffic)[0])
+        for name in ("mean", "worst"):
+            ends.append([planner, name, count, heads[name], *[None] * (len(parts) - 1)])
     return Table(table.heads, [*table.rows, *ends])
 
 

@@ -113,8 +113,6 @@ class Run:
         path = self.folder / "run.json"
         with reading("settings of a run", path):
             known = parsed_object(read_text(path)) if path.exists() else {}
-        if known:
-            known.setdefault("own_weights", {})
         changed = [k for k in settings if k in known and known[k] != settings[k]]
         if changed:
             raise ConfigError(
