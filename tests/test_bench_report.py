@@ -66,15 +66,18 @@ def test_markdown_of_reports_becomes_html():
 
 
 def test_pages_need_nothing_else(tmp_path):
-    image = tmp_path / "plot.png"
+    image, plot, page = (tmp_path / name for name in ("image.png", "plot.svg", "report.html"))
     image.write_bytes(b"\x89PNG")
-    page = tmp_path / "report.html"
-    plots = [image, tmp_path / "absent.png"]
-    write_report_page(page, title="A & B", line="{line}", plots=plots, parts={"T": "x", "E": " "})
+    plot.write_text('<?xml version="1.0"?>\n<svg width="1"><path d=""/></svg>')
+    images = [("An episode", "replays/a.html", image)]
+    write_report_page(
+        page, title="A & B", line="{line}", plots=[plot], parts={"T": "x", "E": " "}, images=images
+    )
     found = Parts(page.read_text(encoding="utf-8"))
-    assert found.links == ["#t"]
+    assert found.links == ["#t", "replays/a.html"]
     assert all(source.startswith("data:") for source in found.sources)
     assert len(found.sources) == 2
+    assert '<svg role="img" aria-label="plot" width="1">' in page.read_text(encoding="utf-8")
 
 
 def replays(folder):

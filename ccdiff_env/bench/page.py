@@ -59,7 +59,7 @@ def write_report_page(
         for head, text in shown.items()
     ]
     first, rest = _split_lead(sections[0] if sections else "")
-    drawn = "\n".join(_plot(plot) for plot in plots if plot.exists())
+    drawn = "\n".join(map(_plot, plots))
     cards = "\n".join(_card(*entry) for entry in images)
     body = "\n".join(
         [
@@ -91,22 +91,18 @@ def anchor(head: str) -> str:
 
 
 def _plot(path: Path) -> str:
-    drawn = path.with_suffix(".svg")
-    text = read_text(drawn) if drawn.exists() else ""
-    if "<svg" in text:
-        text = text[text.index("<svg") :]
-        return text.replace("<svg ", f'<svg role="img" aria-label="{html.escape(path.stem)}" ', 1)
-    return f'<img src="{_data(path)}" alt="{html.escape(path.stem)}">'
+    text = read_text(path)
+    named = f'<svg role="img" aria-label="{html.escape(path.stem)}" '
+    return text[text.index("<svg") :].replace("<svg ", named, 1)
 
 
 def _card(title: str, address: str, path: Path) -> str:
-    image = f'<img src="{_data(path)}" alt="">' if path.exists() else ""
+    image = ""
+    if path.exists():
+        data = base64.b64encode(read_bytes(path)).decode()
+        image = f'<img src="data:image/png;base64,{data}" alt="">'
     href = f' href="{html.escape(address)}"' if re.fullmatch(ADDRESS, address) else ""
     return f'<a class="card"{href}>{image}<span>{html.escape(title)}</span></a>'
-
-
-def _data(path: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(read_bytes(path)).decode()}"
 
 
 def _terms(text: str) -> str:
@@ -122,7 +118,7 @@ def markdown_html(text: str) -> str:
     """Return the HTML of what the reports write: headings, tables, paragraphs, links, emphasis.
 
     Headings become ``h3``. Nothing else of Markdown is known; all other text is escaped. Tables can
-    be sorted; numbers from 0 to 1 of those whose first head is one of :data:`HEAT` are coloured.
+    be sorted; numbers from 0 to 1 of those whose first head is ``score`` are coloured.
     """
     found: list[str] = []
     for block in re.split(r"\n\s*\n", text.strip()):
@@ -140,25 +136,21 @@ def markdown_html(text: str) -> str:
     return "\n".join(found)
 
 
-#: Heads of tables that are coloured, and the colour.
-HEAT = {"score": "good", "CS": "warm", "RS": "good"}
-
-
 def _table(lines: Sequence[str]) -> str:
     rows = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in lines]
-    heat = HEAT.get(rows[0][0])
+    heat = rows[0][0] == "score"
     head = "".join(f'<th scope="col">{_inline(cell)}</th>' for cell in rows[0])
     body = "\n".join(
         "<tr>" + "".join(_cell(cell, i, heat) for i, cell in enumerate(row)) + "</tr>"
         for row in rows[2:]
     )
-    kind = f"sorts {heat}" if heat else "sorts"
+    kind = "sorts good" if heat else "sorts"
     table = f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>'
     name = html.escape(rows[0][0] or "table", quote=True)
     return f'<div class="wide" role="region" aria-label="table: {name}" tabindex="0">{table}</div>'
 
 
-def _cell(text: str, column: int, heat: str | None) -> str:
+def _cell(text: str, column: int, heat: bool) -> str:
     if column == 0:
         return f'<th scope="row">{_inline(text)}</th>'
     number = re.match(r"\**\[?(\d\.\d+|1|0)\b", text)
