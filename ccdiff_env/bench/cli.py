@@ -169,12 +169,12 @@ def _scenarios(args: argparse.Namespace) -> int:
         {
             (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
             for planner in planners
-            for name, row in worst_scenes(avoidable, planner, args.replays)  # type: ignore[arg-type]
+            for name, row in worst_scenes(avoidable, planner, args.replays)
         },
         lambda key: f"{short_name(key[0])}, made against {short_name(key[1])}: {key[2]}",
     )
     heads, counted = report.sets_table(sets, realism)
-    worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")  # type: ignore[arg-type]
+    worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {

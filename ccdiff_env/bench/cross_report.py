@@ -75,8 +75,9 @@ def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> l
         [short_name(str(row[0])), row[1], *(_share(n, of) for n, of in counts), *row[5:9]]
         for row, counts in counted
     ]
-    titles = ("with a collision", "of them at fault", "of them avoidable")
-    columns = ["made against", "scenarios", *titles, *_REALISM, Column("cfd", "CFD", digits=1)]
+    columns: list[Column | str] = ["made against", "scenarios"]
+    columns += ["with a collision", "of them at fault", "of them avoidable"]
+    columns += [*_REALISM, Column("cfd", "CFD", digits=1)]
     what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
     blocks: list[Block] = [Table(columns, shown), what]
     for name, part in parts.items():

@@ -109,7 +109,7 @@ def _planners(args: argparse.Namespace) -> int:
         protocol_sha256=PROTOCOL.sha256,
     )
     rows = run.episodes(jobs, "planner", "traffic")
-    found: report.Results = grouped(rows, "planner", "traffic")  # type: ignore[assignment]
+    found: report.Results = grouped(rows, "planner", "traffic")
     job_of = {
         (job.arguments["planner"], job.arguments["traffic"], job.arguments["seed"], scene): job
         for job in jobs

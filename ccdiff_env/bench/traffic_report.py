@@ -306,7 +306,7 @@ def _distances(table: Summary) -> list[Block]:
     gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
     means = zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
     rows: TableRows = [[METHODS[method].label, *map(float, figures)] for method, *figures in means]
-    heads = ("method", *map(Column, ("CS", "RS", "GD", "IGD")))
+    heads: list[Column | str] = ["method", *map(Column, ("CS", "RS", "GD", "IGD"))]
     return [
         Table(heads, rows, "Distance to the Pareto front of control and realism"),
         f"Over {most} numbers of vehicles; less is better for GD and IGD.",

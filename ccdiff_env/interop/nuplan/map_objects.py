@@ -57,8 +57,8 @@ class Polyline(PolylineMapObject):
         super().__init__(name)
         self._line = line if isinstance(line, Centreline) else Centreline(line)
 
-    linestring: LineString = property(lambda self: self._line.shape)
-    length: float = property(lambda self: self._line.length_m)
+    linestring: Any = property(lambda self: self._line.shape)
+    length: Any = property(lambda self: self._line.length_m)
 
     @cached_property
     def discrete_path(self) -> list[StateSE2]:
@@ -90,13 +90,13 @@ class _Edge(LaneGraphEdgeMapObject):
     def _edges(self, numbers: list[int]) -> list[_Edge]:
         return [self._network.edges[i] for i in numbers]
 
-    polygon: Polygon = property(lambda self: self._road.surface)
-    baseline_path: Polyline = property(lambda self: self._baseline)
-    incoming_edges: list[_Edge] = property(lambda self: self._edges(self._road.before))
-    outgoing_edges: list[_Edge] = property(lambda self: self._edges(self._road.after))
-    parallel_edges: list[_Edge] = property(lambda self: self.parent.interior_edges)
-    speed_limit_mps: float | None = property(lambda self: self._road.speed_limit_mps)
-    stop_lines: list[StopLine] = property(lambda self: [])
+    polygon: Any = property(lambda self: self._road.surface)
+    baseline_path: Any = property(lambda self: self._baseline)
+    incoming_edges: Any = property(lambda self: self._edges(self._road.before))
+    outgoing_edges: Any = property(lambda self: self._edges(self._road.after))
+    parallel_edges: Any = property(lambda self: self.parent.interior_edges)
+    speed_limit_mps: Any = property(lambda self: self._road.speed_limit_mps)
+    stop_lines: Any = property(lambda self: [])
 
     @property
     def parent(self) -> Block:
@@ -152,7 +152,7 @@ class _Edge(LaneGraphEdgeMapObject):
 class MapLane(_Edge, Lane):
     """A lane."""
 
-    index: int = property(lambda self: self._place + 1)
+    index: Any = property(lambda self: self._place + 1)
 
 
 class MapConnector(_Edge, LaneConnector):
@@ -189,10 +189,10 @@ class Block(RoadBlockGraphEdgeMapObject):
         numbers = self._network.graph.neighbours(self._number, after=after)
         return [self._network.blocks[i] for i in numbers]
 
-    incoming_edges: list[Block] = property(lambda self: self._neighbours(False))
-    outgoing_edges: list[Block] = property(lambda self: self._neighbours(True))
-    parallel_edges: list[Block] = property(lambda self: [self])
-    children_stop_lines: list[StopLine] = property(lambda self: [])
+    incoming_edges: Any = property(lambda self: self._neighbours(False))
+    outgoing_edges: Any = property(lambda self: self._neighbours(True))
+    parallel_edges: Any = property(lambda self: [self])
+    children_stop_lines: Any = property(lambda self: [])
 
     def contains_point(self, point: Point2D) -> bool:
         return any(edge.contains_point(point) for edge in self.interior_edges)
@@ -213,7 +213,7 @@ class Area(PolygonMapObject):
         super().__init__(name)
         self._polygon = polygon
 
-    polygon: Polygon = property(lambda self: self._polygon)
+    polygon: Any = property(lambda self: self._polygon)
 
 
 class Crossing(Intersection):
