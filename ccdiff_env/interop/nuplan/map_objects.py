@@ -20,7 +20,7 @@ from nuplan.common.maps.abstract_map_objects import (
     StopLine,
 )
 from nuplan.common.maps.maps_datatypes import IntersectionType, LaneConnectorType, StopLineType
-from shapely import LineString, Point, Polygon
+from shapely import Point, Polygon
 
 from ccdiff_env.interop.nuplan.roads import Centreline, Road, RoadGraph, wrap
 
