@@ -73,7 +73,7 @@ class Polyline(PolylineMapObject):
 
     def get_curvature_at_arc_length(self, arc_length: float) -> float:
         low = max(arc_length - _CURVATURE_M, 0.0)
-        high = min(arc_length + _CURVATURE_M, self.length)
+        high = min(arc_length + _CURVATURE_M, self._line.length_m)
         turn = wrap(self._line.heading_at(high) - self._line.heading_at(low))
         return turn / max(high - low, 1e-3)
 
