@@ -18,10 +18,25 @@ from tools.embedded_city.scenes import LoggedScene
 
 Record = dict[str, Any]
 
-TABLES = """
-    category attribute visibility instance sensor calibrated_sensor ego_pose log scene sample
-    sample_data sample_annotation map
-""".split()
+#: Columns of the tables.
+COLUMNS = {
+    "category": "token name description",
+    "attribute": "token name description",
+    "visibility": "token level description",
+    "instance": "token category_token nbr_annotations first_annotation_token last_annotation_token",
+    "sensor": "token channel modality",
+    "calibrated_sensor": "token sensor_token translation rotation camera_intrinsic",
+    "ego_pose": "token timestamp rotation translation",
+    "log": "token logfile vehicle date_captured location",
+    "scene": "token log_token nbr_samples first_sample_token last_sample_token name description",
+    "sample": "token timestamp scene_token prev next",
+    "sample_data": "token sample_token ego_pose_token calibrated_sensor_token timestamp fileformat "
+    "is_key_frame height width filename prev next",
+    "sample_annotation": "token sample_token instance_token visibility_token attribute_tokens "
+    "translation size rotation prev next num_lidar_pts num_radar_pts",
+    "map": "token log_tokens category filename",
+}
+TABLES = list(COLUMNS)
 CATEGORIES = """
     human.pedestrian.adult human.pedestrian.child vehicle.car vehicle.motorcycle vehicle.bicycle
     vehicle.bus.rigid vehicle.truck vehicle.construction movable_object.barrier
@@ -47,40 +62,16 @@ def write_tables(scenes: Sequence[LoggedScene]) -> dict[str, list[Record]]:
     """Return the thirteen tables by name."""
     out: dict[str, list[Record]] = {name: [] for name in TABLES}
     for table, names in (("category", CATEGORIES), ("attribute", ATTRIBUTES)):
-        out[table] = [
-            {"token": token(table, i), "name": n, "description": ""} for i, n in enumerate(names)
-        ]
-    out["visibility"] = [
-        {"token": str(i + 1), "level": level, "description": ""}
-        for i, level in enumerate(VISIBILITIES)
-    ]
-    out["sensor"] = [{"token": token("sensor"), "channel": "LIDAR_TOP", "modality": "lidar"}]
-    out["calibrated_sensor"] = [
-        {
-            "token": token("calibrated_sensor"),
-            "sensor_token": token("sensor"),
-            "translation": [0.0, 0.0, 0.0],
-            "rotation": [1.0, 0.0, 0.0, 0.0],
-            "camera_intrinsic": [],
-        }
-    ]
-    out["log"] = [
-        {
-            "token": token("log"),
-            "logfile": "",
-            "vehicle": "",
-            "date_captured": "2020-09-13",
-            "location": LOCATION,
-        }
-    ]
-    out["map"] = [
-        {
-            "token": token("map"),
-            "log_tokens": [token("log")],
-            "category": "semantic_prior",
-            "filename": f"maps/{LOCATION}.png",
-        }
-    ]
+        for i, name in enumerate(names):
+            _add(out, table, token(table, i), name, "")
+    for i, level in enumerate(VISIBILITIES):
+        _add(out, "visibility", str(i + 1), level, "")
+    sensor, log = token("sensor"), token("log")
+    _add(out, "sensor", sensor, "LIDAR_TOP", "lidar")
+    place = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    _add(out, "calibrated_sensor", token("calibrated_sensor"), sensor, *place, [])
+    _add(out, "log", log, "", "", "2020-09-13", LOCATION)
+    _add(out, "map", token("map"), [log], "semantic_prior", f"maps/{LOCATION}.png")
     for number, scene in enumerate(scenes):
         _add_scene(out, number, scene)
         for track_number, track in enumerate(scene.tracks[1:]):
@@ -88,12 +79,16 @@ def write_tables(scenes: Sequence[LoggedScene]) -> dict[str, list[Record]]:
     return out
 
 
-def _chain(table: str, keys: Sequence[tuple[int, ...]], index: int) -> Record:
-    """Return the links of a record in a chain."""
-    return {
-        "prev": token(table, *keys[index - 1]) if index > 0 else "",
-        "next": token(table, *keys[index + 1]) if index + 1 < len(keys) else "",
-    }
+def _add(out: dict[str, list[Record]], table: str, *values: Any) -> None:
+    out[table].append(dict(zip(COLUMNS[table].split(), values, strict=True)))
+
+
+def _chain(table: str, keys: Sequence[tuple[int, ...]], index: int) -> tuple[str, str]:
+    """Return the tokens before and after a record of a chain."""
+    return (
+        token(table, *keys[index - 1]) if index > 0 else "",
+        token(table, *keys[index + 1]) if index + 1 < len(keys) else "",
+    )
 
 
 def _timestamp_us(scene: int, frame: int) -> int:
@@ -118,80 +113,35 @@ def _rear_axle(centre: Pose, rotation: Sequence[float]) -> list[float]:
 
 
 def _add_scene(out: dict[str, list[Record]], number: int, scene: LoggedScene) -> None:
-    keys = [(number, frame) for frame in range(len(scene.tracks[0].poses))]
-    out["scene"].append(
-        {
-            "token": token("scene", number),
-            "log_token": token("log"),
-            "nbr_samples": len(scene.tracks[0].poses),
-            "first_sample_token": token("sample", *keys[0]),
-            "last_sample_token": token("sample", *keys[-1]),
-            "name": scene.name,
-            "description": scene.kind.description,
-        }
-    )
-    for frame, (key, pose) in enumerate(zip(keys, scene.tracks[0].poses, strict=True)):
-        time = {"timestamp": _timestamp_us(number, frame)}
-        sample = {"token": token("sample", *key), **time, "scene_token": token("scene", number)}
-        out["sample"].append({**sample, **_chain("sample", keys, frame)})
+    poses, of = scene.tracks[0].poses, token("scene", number)
+    keys = [(number, frame) for frame in range(len(poses))]
+    ends = token("sample", *keys[0]), token("sample", *keys[-1])
+    _add(out, "scene", of, token("log"), len(poses), *ends, scene.name, scene.kind.description)
+    for frame, (key, pose) in enumerate(zip(keys, poses, strict=True)):
+        time_us = _timestamp_us(number, frame)
+        sample, ego_pose = token("sample", *key), token("ego_pose", *key)
+        _add(out, "sample", sample, time_us, of, *_chain("sample", keys, frame))
         rotation = _rotation(pose.yaw)
-        out["ego_pose"].append(
-            {
-                "token": token("ego_pose", *key),
-                **time,
-                "rotation": rotation,
-                "translation": _rear_axle(pose, rotation),
-            }
-        )
-        out["sample_data"].append(
-            {
-                "token": token("sample_data", *key),
-                "sample_token": token("sample", *key),
-                "ego_pose_token": token("ego_pose", *key),
-                "calibrated_sensor_token": token("calibrated_sensor"),
-                **time,
-                "fileformat": "pcd",
-                "is_key_frame": True,
-                "height": 0,
-                "width": 0,
-                "filename": f"samples/LIDAR_TOP/{scene.name}_{frame:02d}.pcd.bin",
-                **_chain("sample_data", keys, frame),
-            }
-        )
+        _add(out, "ego_pose", ego_pose, time_us, rotation, _rear_axle(pose, rotation))
+        file = "pcd", True, 0, 0, f"samples/LIDAR_TOP/{scene.name}_{frame:02d}.pcd.bin"
+        tokens = token("sample_data", *key), sample, ego_pose, token("calibrated_sensor")
+        _add(out, "sample_data", *tokens, time_us, *file, *_chain("sample_data", keys, frame))
 
 
 def _add_track(out: dict[str, list[Record]], scene: int, number: int, track: Track) -> None:
     keys = [(scene, number, track.first + i) for i in range(len(track.poses))]
-    instance = token("instance", scene, number)
-    out["instance"].append(
-        {
-            "token": instance,
-            "category_token": token("category", CATEGORIES.index(track.kind.category)),
-            "nbr_annotations": len(keys),
-            "first_annotation_token": token("sample_annotation", *keys[0]),
-            "last_annotation_token": token("sample_annotation", *keys[-1]),
-        }
-    )
-    kind = track.kind
+    instance, kind = token("instance", scene, number), track.kind
+    category = token("category", CATEGORIES.index(kind.category))
+    ends = token("sample_annotation", *keys[0]), token("sample_annotation", *keys[-1])
+    _add(out, "instance", instance, category, len(keys), *ends)
+    size = [kind.width, kind.length, kind.height]
     for i, (key, pose) in enumerate(zip(keys, track.poses, strict=True)):
-        attribute = _attribute(track, i)
-        out["sample_annotation"].append(
-            {
-                "token": token("sample_annotation", *key),
-                "sample_token": token("sample", scene, key[2]),
-                "instance_token": instance,
-                "visibility_token": "4",
-                "attribute_tokens": [token("attribute", ATTRIBUTES.index(attribute))]
-                if attribute
-                else [],
-                "translation": [pose.x, pose.y, round(kind.height / 2.0, 3)],
-                "size": [kind.width, kind.length, kind.height],
-                "rotation": _rotation(pose.yaw),
-                **_chain("sample_annotation", keys, i),
-                "num_lidar_pts": 20,
-                "num_radar_pts": 0,
-            }
-        )
+        name = _attribute(track, i)
+        attributes = [token("attribute", ATTRIBUTES.index(name))] if name else []
+        tokens = token("sample_annotation", *key), token("sample", scene, key[2]), instance
+        box = [pose.x, pose.y, round(kind.height / 2.0, 3)], size, _rotation(pose.yaw)
+        chain = _chain("sample_annotation", keys, i)
+        _add(out, "sample_annotation", *tokens, "4", attributes, *box, *chain, 20, 0)
 
 
 def _attribute(track: Track, index: int) -> str:
@@ -203,13 +153,8 @@ def _attribute(track: Track, index: int) -> str:
     if track.kind.is_walker:
         return "pedestrian.moving" if is_moving else "pedestrian.standing"
     if track.kind.is_driven:
-        return (
-            "vehicle.parked"
-            if track.is_parked
-            else "vehicle.moving"
-            if is_moving
-            else "vehicle.stopped"
-        )
+        moves = "moving" if is_moving else "stopped"
+        return "vehicle.parked" if track.is_parked else f"vehicle.{moves}"
     return ""
 
 
