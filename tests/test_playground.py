@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import numpy as np
 import pytest
 from browser_page import Page
 
-from ccdiff_env import EgoEnv
+from ccdiff_env import EgoEnv, cli
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
+from ccdiff_env.view import play
 from ccdiff_env.view.captions import driver_of
 from ccdiff_env.view.link import TRAFFIC, play_drive, read_drive, top_speed_mps, world_config
 from ccdiff_env.view.outcome import outcome
@@ -296,3 +298,16 @@ def test_a_verdict_has_the_words_of_replays(visit, traffic, drive):
 def test_a_broken_link_is_refused_by_what_is_wrong(link, said):
     with pytest.raises(ConfigError, match=said):
         read_drive(link)
+
+
+def test_the_verb_writes_a_page_of_scenes_of_ones_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(play, "MODULE", tmp_path / "playground.wasm")
+    out = tmp_path / "page.html"
+    assert cli.main(["play", "cut-in-04", "--out", str(out)]) == 2
+    assert "make playground" in capsys.readouterr().err
+    assert not out.exists()
+    play.MODULE.write_bytes(b"module")
+    assert cli.main(["play", "cut-in-04", "--out", str(out)]) == 0
+    text = out.read_text(encoding="utf-8")
+    assert re.findall(r'class="run" data-scene="([^"]*)"', text) == ["cut-in-04"]
+    assert 'src="' not in text
