@@ -215,7 +215,7 @@ def _save_gif(stack: Image, path: Path, fps: float) -> None:
     colours = [rgb for theme in THEMES for rgb in legend(theme).values()]
     stripes = np.repeat(np.array(colours, np.uint8), 8, axis=0)[:, None, :]
     images = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
-    palette = library.fromarray(np.concatenate(images)).quantize(256, method=0, dither=0)
+    palette = library.fromarray(np.concatenate(images)).quantize(128, method=0, dither=0)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0

@@ -115,10 +115,19 @@ class Video:
         ConfigError
             If the rollout has no such step.
         """
-        image: render.Image = self._drawn(at, svg=False)
+        image: render.Image = self._drawn(at)
         return image
 
-    def _drawn(self, at: float, *, svg: bool) -> Any:
+    def ended(self) -> render.Image:
+        """Draw the last step as that of a run which is over: fainter, but for what is written."""
+        written, plain = (self._drawn(self.num_steps - 1, bare=bare) for bare in (False, True))
+        share, ground = LOOK["ENDED_ALPHA"], np.array(render.legend(self.theme)["ground"])
+        faint = np.rint(plain * share + (1.0 - share) * ground).astype(np.uint8)
+        image: render.Image = np.where((written != plain).any(-1, keepdims=True), written, faint)
+        return image
+
+    def _drawn(self, at: float, *, svg: bool = False, bare: bool = False) -> Any:
+        captions = self._captions and not bare
         run = self._rollout
         if not 0 <= at <= run.num_steps - 1:
             raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
@@ -155,10 +164,10 @@ class Video:
             plans=list(self._planned(plan, selected=True)) if plan else (),
             arrows=self._arrows(plan, there) if plan and self._graph else (),
             collisions_m=self._marks(recent, step),
-            names=[self._names[i] for i in there] if self._captions else (),
-            caption=caption if self._captions else "",
-            scale_bar=self._captions,
-            legend=self._legend,
+            names=[self._names[i] for i in there] if captions else (),
+            caption=caption if captions else "",
+            scale_bar=captions,
+            legend=self._legend if captions else (),
             theme=self.theme,
         )
 
@@ -270,15 +279,8 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
 
 def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
     """Draw a step of each video side by side; videos that are over show their last, fainter."""
-    images = []
-    for video in videos:
-        last = video.num_steps - 1
-        image = video.frame(min(at, last))
-        if at > last + 1e-6:
-            share = LOOK["ENDED_ALPHA"]
-            ground = np.array(render.legend(video.theme)["ground"])
-            image = np.rint(image * share + (1.0 - share) * ground).astype(np.uint8)
-        images.append(image)
+    ended = [at > video.num_steps - 1 + 1e-6 for video in videos]
+    images = [v.ended() if over else v.frame(at) for v, over in zip(videos, ended, strict=True)]
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)
