@@ -302,10 +302,9 @@ def test_results_of_jobs_are_rows(tmp_path, capsys):
 
 
 def test_pages_run_their_own_script_alone(tmp_path):
-    (tmp_path / "a.png").write_bytes(b"x")
     (tmp_path / "a.svg").write_text("<svg onload='alert(1)'><script>alert(2)</script></svg>")
     write_report_page(
-        tmp_path / "r.html", title="t", line="l", plots=[tmp_path / "a.png"], parts={"x": "y"},
+        tmp_path / "r.html", title="t", line="l", plots=[tmp_path / "a.svg"], parts={"x": "y"},
         images=[(name, name, tmp_path / "none.png") for name in ADDRESSES],
     )  # fmt: skip
     report = (tmp_path / "r.html").read_text()
