@@ -228,3 +228,12 @@ def test_tables_of_results_are_those_that_were_kept(page):
 
     text = page.read_text(encoding="utf-8")
     assert rendered(text) == text, "python -m tools.results --render"
+
+
+@pytest.mark.parametrize("name", ["realism", "speed"])
+def test_charts_are_those_of_the_results_that_were_kept(name):
+    from tools.charts import CHARTS, MADE
+
+    made = (CHARTS / f"{name}.svg").read_text(encoding="utf-8")
+    assert MADE[name]() == made, "python -m tools.results --render"
+    assert "prefers-color-scheme:dark" in made

@@ -54,7 +54,9 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
         beside = f"realistic: {outcome(realistic).line}"
         entries.append(replace(entry(critical, name, page.name), story=story, beside=beside))
     index = folder / "index.html"
-    index.write_text(index_page("Gallery: the ego follows its log", entries, home=HOME), encoding="utf-8")
+    index.write_text(
+        index_page("Gallery: the ego follows its log", entries, home=HOME), encoding="utf-8"
+    )
     return index
 
 

@@ -27,6 +27,7 @@ import numpy as np
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
+from tools import charts
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results"
@@ -313,6 +314,7 @@ def main() -> None:
     args = parser.parse_args()
     for name in () if args.render else args.names or TABLES:
         record(name, args.scenes, args.workers, args.runs / name)
+    charts.write()
     for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
         old = page.read_text(encoding="utf-8")
         new = rendered(old)
