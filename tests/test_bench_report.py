@@ -273,3 +273,15 @@ def test_reports_of_traffic_and_scenarios_link_to_replays(tmp_path):
     assert len(links) >= 2  # one of the set, one of a cell at least
     for link in links:
         assert (tmp_path / "s" / link.partition("#")[0]).exists()
+
+
+def test_sorted_rows_keep_the_name_that_stood_above_them(browser, tmp_path):
+    path = tmp_path / "report.html"
+    table = "| method | FDE |\n|---|---|\n| A | 2 |\n| | 5 |\n| B | 3 |\n"
+    write_report_page(path, title="t", line="l", plots=[], parts={"T": table})
+    page = browser.new_page()
+    page.goto(path.as_uri())
+    page.click("thead th:nth-child(2) button")
+    rows = page.evaluate("[...document.querySelectorAll('tbody tr')].map((r) => r.innerText)")
+    page.close()
+    assert [row.split() for row in rows] == [["A", "5"], ["B", "3"], ["A", "2"]]
