@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import pytest
 
 from ccdiff_env import cli
+from ccdiff_env.bench import plots
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
@@ -285,3 +286,10 @@ def test_sorted_rows_keep_the_name_that_stood_above_them(browser, tmp_path):
     rows = page.evaluate("[...document.querySelectorAll('tbody tr')].map((r) => r.innerText)")
     page.close()
     assert [row.split() for row in rows] == [["A", "5"], ["B", "3"], ["A", "2"]]
+
+
+def test_without_matplotlib_a_plot_is_left_out_and_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(plots, "find_spec", lambda name: None)
+    assert plots.plot_matrix({"score": {("a", "b"): 0.5}}, "made against", tmp_path / "x") is None
+    assert "pip install matplotlib" in capsys.readouterr().out
+    assert not list(tmp_path.iterdir())

@@ -162,7 +162,7 @@ def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
     return found
 
 
-def plot(rows: Sequence[Row], path: Path) -> Path:
+def plot(rows: Sequence[Row], path: Path) -> Path | None:
     """Draw collisions and scores of every planner in every set."""
     cells = _cells(rows)
 
