@@ -153,7 +153,7 @@ def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(visit):
     top = top_speed_mps(embedded_scenes()["cut-in-04"])
     fastest = page.evaluate("Math.max(...drive.runs[0].a.vx.slice(0, drive.steps).map(Math.abs))")
     assert fastest < top + 0.5
-    page.until("drive.time < drive.ended - 1.5")
+    page.until("drive.time < drive.ended - 0.6")
     assert page.evaluate("drive.time >= drive.ended - 2.01")
 
 
@@ -187,7 +187,7 @@ def test_an_end_has_a_chip_and_says_why(visit):
 
 
 def test_an_ego_at_its_goal_stays_to_be_seen(visit):
-    page = visit("#scene=pedestrians-00&traffic=replay&drive=b150")
+    page = visit("#scene=pedestrians-00&traffic=replay&drive=c10a30b110")
     page.until("drive.outcome", 60)
     assert page.inner_text("#verdict").startswith("ego reached its goal")
     assert page.evaluate("drive.runs[0].pose(0, drive.steps) !== null")
