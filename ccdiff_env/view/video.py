@@ -84,6 +84,8 @@ class Video:
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._names = [short for short, _ in agent_titles(rollout.scene)]
         self._legend = _legend(rollout, self._drivers) if captions else []
+        if graph:
+            self._legend += [("causal arrow", "may influence")]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property
