@@ -218,7 +218,8 @@ def _realism(args: argparse.Namespace) -> int:
     )
     rows = run.episodes(jobs, "method")
     found = {method: of for (method,), of in grouped(rows, "method").items()}
-    bars = {m: {g: mean_interval(of, g) for g in GROUPS} for m, of in found.items()}
+    heads = {group: group.replace("_half_s", " at 0.5 s") for group in GROUPS}
+    bars = {m: {h: mean_interval(of, g) for g, h in heads.items()} for m, of in found.items()}
     return run.report(
         "Realism",
         tables(found, args.samples),
