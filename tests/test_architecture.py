@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -164,6 +165,7 @@ def test_no_crate_knows_its_siblings():
 EXTENSIONS = ("_native", "_models")
 
 
+@functools.cache
 def python_graph() -> dict[str, set[str]]:
     """Imports between the modules of the package, those in functions and for types included."""
     modules = {}
