@@ -340,10 +340,10 @@ def test_figures_of_the_road_are_not_available_without_one(roadless, tmp_path, c
     out = tmp_path / "planners"
     command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--out", str(out)]
     assert main([*command, *common]) == 0
-    lines = (out / "table.md").read_text().splitlines()
-    head, _, row = lines[lines.index("### Traffic: Log replay") + 2 :][:3]
-    cells = dict(zip(head.split("|"), row.split("|"), strict=True))
-    assert cells[" on road "] == " n/a "
+    head, row = (out / "figures.csv").read_text().splitlines()[:2]
+    cells = dict(zip(head.split(","), row.split(","), strict=True))
+    assert cells["on_road"] == ""
+    assert float(cells["score"]) > 0.0
     out = tmp_path / "traffic"
     command = ["bench", "traffic", "--methods", "constant_velocity", "--k", "2", "--out", str(out)]
     assert main([*command, *common]) == 0
