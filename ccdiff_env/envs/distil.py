@@ -13,6 +13,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,6 +23,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.models.training import LICENCE
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -40,12 +42,19 @@ __all__ = ["collect", "collisions", "fitted_dial", "save"]
 F32: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = dict[str, npt.NDArray[Any]]
 
-#: Bins of each axis, and steps for which a draw is held.
-BINS, HELD_STEPS = 21, 5
+#: Bins of each axis; steps for which a draw is held, and seconds of a step.
+BINS, HELD_STEPS, DT_S = 21, 5, 0.1
 #: Name of the entry that holds the header of weights.
 HEADER = "ccdiff_env"
 #: Steps of an episode; starts are spread by as many as the logs of nuScenes leave.
 STEPS, SPREAD = 100, 80
+#: Options of the teacher.
+TEACHER: Mapping[str, Any] = {
+    "denoising_steps": 5,
+    "follow_route": True,
+    "careful": True,
+    "criticality": 6.0,
+}
 #: Share of episodes without guidance; in the others the strength is drawn up to the most.
 UNGUIDED = 0.3
 #: Share of the vehicles that the student drives from the second round on, drawn at every plan.
@@ -68,10 +77,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "fit")
     parser.add_argument("--out", type=Path, default=Path("runs/swift"), help="folder of the run")
-    parser.add_argument("--denoising-steps", type=int, default=5, help="of the teacher")
-    parser.add_argument("--no-routes", action="store_true", help="the teacher knows no routes")
-    parser.add_argument("--no-care", action="store_true", help="the teacher is not careful")
-    parser.add_argument("--criticality", type=float, default=6.0, help="the teacher's, at most")
+    parser.add_argument(
+        "--teacher",
+        type=json.loads,
+        default=TEACHER,
+        help="options of CCDiff as JSON; up to its criticality strengths are drawn",
+    )
     parser.add_argument(
         "--episodes",
         type=int,
@@ -81,64 +92,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--updates", type=int, default=8000, help="gradient steps of a training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings, of which one is kept")
-    parser.add_argument(
-        "--temperature", type=float, default=0.8, help="that draws of the file shall have"
-    )
+    parser.add_argument("--temperature", type=float, default=0.8, help="of the draws of the file")
     parser.add_argument("--seed", type=int, default=0, help="of episodes and networks")
 
 
 def run(args: argparse.Namespace) -> int:
     """Collect, train, fit; print where the weights are. What a run in ``--out`` has is kept."""
-    try:
-        import torch
-    except ModuleNotFoundError as error:
-        raise MissingFeatureError(
-            f"distillation needs {error.name}: pip install 'ccdiff-env[models]'"
-        ) from None
-    torch.set_num_threads(1)
-    place = place_from(args)
-    scenes = scenes_from(args)
+    if find_spec("torch") is None:
+        raise MissingFeatureError("distillation needs torch: pip install 'ccdiff-env[models]'")
+    if not isinstance(args.teacher, Mapping):
+        raise ConfigError(f"--teacher is {args.teacher!r}, expected an object of JSON")
+    place, teacher = place_from(args), {**TEACHER, **args.teacher}
+    scenes, rounds = scenes_from(args), list[Labels]()
     args.out.mkdir(parents=True, exist_ok=True)
-    teacher: dict[str, Any] = {
-        "denoising_steps": args.denoising_steps,
-        "follow_route": not args.no_routes,
-        "careful": not args.no_care,
-        "criticality": args.criticality,
-    }
-    rounds: list[Labels] = []
-    pilot = args.out / "pilot.safetensors"
+
+    def trained(name: str, updates: int, seed: int) -> tuple[float, Path]:
+        file: Path = args.out / f"{name}.safetensors"
+        if not file.exists():
+            tensors, nats = train(rounds, updates, seed=seed)
+            save(file, tensors, [[0.0, 0.0], [1.0, 1.0]], {"nats": nats}, args.temperature)
+        return json.loads(read_tensors(file)[1][HEADER])["notes"]["nats"], file
+
+    student = None
     for i, episodes in enumerate(args.episodes):
         file = args.out / f"labels-{i}.npz"
         if not file.exists():
-            student = None if i == 0 else pilot
             found = collect(scenes, teacher, episodes, seed=args.seed + i, student=student)
             np.savez(file, **found)
         with np.load(file) as arrays:
             rounds.append(dict(arrays))
-        if i == 0 and not pilot.exists():
-            tensors, _ = train(rounds, args.updates // 2, seed=args.seed)
-            save(pilot, tensors, [[0.0, 0.0], [1.0, 1.0]], {}, args.temperature)
-    trained = []
-    for seed in range(args.seed, args.seed + args.seeds):
-        file = args.out / f"network-{seed}.safetensors"
-        if not file.exists():
-            tensors, nats = train(rounds, args.updates, seed=seed)
-            save(file, tensors, [[0.0, 0.0], [1.0, 1.0]], {"nats": nats}, args.temperature)
-        tensors, metadata = read_tensors(file)
-        trained.append((json.loads(metadata[HEADER])["notes"]["nats"], file, tensors))
-    nats, best, tensors = min(trained, key=lambda found: found[0])
-    fit = load(other_place(args))
-    dial, rates = fitted_dial(fit, best)
+        student = student or trained("pilot", args.updates // 2, args.seed)[1]
+    seeds = range(args.seed, args.seed + args.seeds)
+    networks = [trained(f"network-{seed}", args.updates, seed) for seed in seeds]
+    best = min(networks)[1]
+    dial, rates = fitted_dial(load(other_place(args)), best)
     notes = {
         "teacher": teacher,
         "data": title(place, coverage(place, len(scenes))),
         "labels": [len(found["bins"]) for found in rounds],
-        "nats": [found[0] for found in trained],
+        "nats": [nats for nats, _ in networks],
         "collisions": rates,
-        "licence": "CC-BY-NC-SA-4.0",
+        "licence": LICENCE,
     }
     out = args.out / f"{SWIFT}_fast.safetensors"
-    save(out, tensors, dial, notes)
+    save(out, read_tensors(best)[0], dial, notes)
     print(out)
     return 0
 
@@ -191,10 +188,10 @@ def collect(
         chosen = rng.choice(len(listed), count, replace=False)
         strengths = np.where(rng.random(count) < UNGUIDED, 0.0, rng.uniform(0.2, most, count))
         batch = SceneSet([listed[i] for i in chosen])
-        for labels in _episodes(batch, teacher, strengths, student, rng):
-            labels["scene"] = chosen[labels.pop("world")].astype(np.int32)
+        for i, labels in _episodes(batch, teacher, strengths, student, rng):
             for name, array in labels.items():
                 found.setdefault(name, []).append(array)
+            found.setdefault("scene", []).append(np.full(len(labels["c"]), chosen[i]))
         done = sum(map(len, found.get("bins", [])))
         _say(
             f"{first + count} of {episodes} episodes, {done} labels, "
@@ -209,8 +206,8 @@ def _episodes(
     strengths: npt.NDArray[np.float64],
     student: Path | None,
     rng: np.random.Generator,
-) -> Iterator[Labels]:
-    """Labels of each half second of an episode in every scene, one strength of guidance each."""
+) -> Iterator[tuple[int, Labels]]:
+    """World and labels of each half second of episodes, a strength of guidance for each scene."""
     count, driver = len(scenes), str(rng.choice(["idm", "replay", "external"], p=[0.45, 0.15, 0.4]))
     config = WorldConfig().with_options(
         start_spread_steps=SPREAD,
@@ -235,18 +232,18 @@ def _episodes(
         if step % HELD_STEPS:
             native.step(actions, out, running)
         else:
-            there = np.flatnonzero(running).tolist()
-            if student:
-                for i in there:
+            there, before = np.flatnonzero(running).tolist(), {}
+            for i in there:
+                if student:
                     _share(native, i, rng)
-            before = {i: (native.states(i), native.drivers(i)) for i in there}
-            seen = {i: _movers(native, i, *before[i]) for i in there}
-            rows = {i: native.swift_rows(i, seen[i]) for i in there}
+                states, names = native.states(i), native.drivers(i)
+                agents = [a for a in np.flatnonzero(states["active"]) if names[a] == "ccdiff"]
+                before[i] = states, agents, native.swift_rows(i, agents)
             native.step(actions, out, running)
             for i in there:
                 plan = native.explain(i, "ccdiff")
                 if plan is not None and plan["made_at"] == step and plan["follows_plan"].any():
-                    yield _labels(plan, before[i][0], seen[i], rows[i], float(strengths[i]), i)
+                    yield i, _labels(plan, *before[i], float(strengths[i]))
         running &= ~out.done
         if not running.any():
             break
@@ -255,19 +252,11 @@ def _episodes(
 def _share(native: _native.VecWorld, world_idx: int, rng: np.random.Generator) -> None:
     """Draw anew who of the vehicles is the student's, and who CCDiff's."""
     drivers = native.drivers(world_idx)
-    mine = [a for a, name in enumerate(drivers) if name in ("ccdiff", "student")]
+    mine = np.array([a for a, name in enumerate(drivers) if name in ("ccdiff", "student")], int)
     lent = rng.random(len(mine)) < STUDENT
-    for name, whose in (("student", lent), ("ccdiff", ~lent)):
-        agents = [a for a, is_so in zip(mine, whose, strict=True) if is_so]
-        if agents:
-            native.assign(world_idx, agents, name)
-
-
-def _movers(
-    native: _native.VecWorld, world_idx: int, states: Mapping[str, Any], drivers: Sequence[str]
-) -> list[int]:
-    """Vehicles of CCDiff that are there."""
-    return [a for a in np.flatnonzero(states["active"]).tolist() if drivers[a] == "ccdiff"]
+    for name, whose in (("student", mine[lent]), ("ccdiff", mine[~lent])):
+        if len(whose):
+            native.assign(world_idx, whose.tolist(), name)
 
 
 def _labels(
@@ -276,36 +265,25 @@ def _labels(
     agents: list[int],
     rows: Mapping[str, Any],
     strength: float,
-    world: int,
 ) -> Labels:
     """What the vehicles that follow a plan saw, and what it does in its first half second."""
-    at = {agent: row for row, agent in enumerate(agents)}
-    pairs = [
-        (at[agent], k)
-        for k, agent in enumerate(plan["agents"].tolist())
-        if plan["follows_plan"][k] and agent in at
-    ]
-    mine, planned = (np.array([pair[i] for pair in pairs], np.int64) for i in (0, 1))
-    a = np.array(agents, np.int64)[mine]
+    planned = np.flatnonzero(plan["follows_plan"])
+    a = plan["agents"][planned]
+    mine = np.searchsorted(agents, a)
     poses = plan["samples"][plan["selected_sample"][planned], planned, :HELD_STEPS]
-    dt = 0.1
-    turns = (np.diff(poses[..., 2]) + math.pi) % (2 * math.pi) - math.pi
-    middle = poses[:, -2, 2] + turns[:, -1] / 2
-    way = poses[:, -1, :2] - poses[:, -2, :2]
-    speed = (way[:, 0] * np.cos(middle) + way[:, 1] * np.sin(middle)) / dt
-    heading, velocity = states["heading"][a], states["velocity"][a]
-    before = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    turned = (poses[:, -1, 2] - heading + math.pi) % (2 * math.pi) - math.pi
-    change = np.stack([speed - before, turned / (HELD_STEPS * dt)], axis=-1)
-    bins = _native.swift_bins([(float(v), float(w)) for v, w in change])
+    heading, after = states["heading"][a], poses[:, -1, 2]
+    before = (states["velocity"][a] * np.stack([np.cos(heading), np.sin(heading)], -1)).sum(-1)
+    way = ((poses[:, -1] - poses[:, -2])[:, :2] * np.stack([np.cos(after), np.sin(after)], -1)).sum(
+        -1
+    )
+    turned = (after - heading + math.pi) % (2 * math.pi) - math.pi
+    change = np.stack([way / DT_S - before, turned / (HELD_STEPS * DT_S)], -1)
     return {
-        "own": rows["own"][mine],
-        "ego": rows["ego"][mine],
-        "others": rows["others"][mine].astype(np.float16),
-        "seen": rows["seen"][mine].astype(np.int8),
+        **{name: rows[name][mine] for name in ("own", "ego", "others", "seen")},
         "c": (strength * plan["guided"][planned]).astype(np.float32),
-        "bins": np.array(bins, np.int64).reshape(-1, 2),
-        "world": np.full(len(mine), world),
+        "bins": np.array(_native.swift_bins(list(map(tuple, change.tolist()))), np.int64).reshape(
+            -1, 2
+        ),
     }
 
 
@@ -322,6 +300,7 @@ def train(
     import torch
     from torch.nn import functional
 
+    torch.set_num_threads(1)
     torch.manual_seed(seed)
     data = {
         name: torch.from_numpy(np.concatenate([found[name] for found in rounds]))
@@ -356,7 +335,7 @@ def train(
         told = (c > 0).float()
         x = (own[rows] * sign - mean) / std
         e = ego[rows] * sign_of[:, : ego.shape[1]] * told
-        near = others[rows].float() * sign_of[:, None]
+        near = others[rows] * sign_of[:, None]
         who = torch.where(told > 0, near[..., WHO], near[..., WHO].clamp(max=0.0))
         near = torch.cat([near[..., :WHO], who[..., None]], -1)
         h = functional.relu(layers["others.1"](functional.relu(layers["others.0"](near))))
@@ -466,22 +445,16 @@ def fitted_dial(
     """
     if len(scenes) < 10:
         raise ConfigError(f"--fit-scenes: {len(scenes)} scenes, expected at least 10")
-    wanted = [
-        collisions(scenes, {"traffic": "ccdiff", "ccdiff": {"criticality": c}}, range(seeds // 2))
-        for c in FITTED
-    ]
-    _say(f"IDM collides in the teacher's traffic at {FITTED}: {wanted}")
+
+    def shares(options: Mapping[str, Any], levels: Sequence[float], draws: range) -> list[float]:
+        """Of collisions at some levels of criticality."""
+        found = [{**options, "ccdiff": {**options["ccdiff"], "criticality": c}} for c in levels]
+        return [collisions(scenes, one, draws) for one in found]
+
+    wanted = shares({"traffic": "ccdiff", "ccdiff": {}}, FITTED, range(seeds // 2))
     swift = {"traffic": SWIFT, "ccdiff": {"weights": str(weights)}}
-    had = [
-        collisions(
-            scenes,
-            {**swift, "ccdiff": {"weights": str(weights), "criticality": c}},
-            range(10, 10 + 2 * seeds),
-        )
-        for c in TRIED
-    ]
-    _say(f"IDM collides in swift traffic at {TRIED}: {had}")
-    rising = np.maximum.accumulate(had)
-    strengths = np.maximum.accumulate(np.interp(wanted, rising, TRIED)).tolist()
-    dial = [[0.0, 0.0], *([c, round(s, 3)] for c, s in zip(FITTED, strengths, strict=True))]
-    return dial, {"teacher": wanted, "student": had}
+    had = shares(swift, TRIED, range(10, 10 + 2 * seeds))
+    _say(f"IDM collides in the teacher's traffic at {FITTED}: {wanted}, here at {TRIED}: {had}")
+    strengths = np.maximum.accumulate(np.interp(wanted, np.maximum.accumulate(had), TRIED))
+    pairs = zip(FITTED, strengths.tolist(), strict=True)
+    return [[0.0, 0.0], *([c, round(s, 3)] for c, s in pairs)], {"teacher": wanted, "student": had}

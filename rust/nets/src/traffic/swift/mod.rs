@@ -195,7 +195,7 @@ impl Swift {
     }
 
     /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it touches nobody in
-    /// the next 1.5 s, all others doing as they have drawn; guided vehicles do not mind the ego.
+    /// the next 1.5 s, all others doing as they have drawn, else the slowest of them; guided vehicles do not mind the ego.
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
