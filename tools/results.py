@@ -119,6 +119,12 @@ TABLES: dict[str, Made] = {
             "score": Column("score", interval=False),
         },
     ),
+    "dial_planners": Made(
+        "bench planners --planners lane_idm,pdm,ego --seeds 0 --traffic "
+        "ccdiff,ccdiff-0.5,ccdiff-1,ccdiff-1.5,ccdiff-2",
+        ("planner", "traffic"),
+        {"collides %": Column("collision", digits=1, factor=100.0)},
+    ),
     "matrix": Made(
         "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
         "pdm_ccdiff,diffusion,ccdiff,ego,imitation --planners "
