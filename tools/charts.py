@@ -11,9 +11,8 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA, CHARTS = ROOT / "docs" / "results", ROOT / "docs" / "charts"
@@ -37,8 +36,7 @@ Figure = tuple[float, float, float]
 """A value and the ends of its interval; nan where there is none."""
 
 
-@dataclass(frozen=True)
-class Series:
+class Series(NamedTuple):
     """Figures under one name, a colour of :data:`COLOURS` and one of :data:`MARKERS`."""
 
     name: str
@@ -60,11 +58,10 @@ def _style() -> str:
     )
 
 
-def _svg(height: float, alt: str, body: Sequence[str], width: int = WIDTH) -> str:
-    said = html.escape(alt, quote=True)
+def _svg(height: float, alt: str, body: Sequence[str]) -> str:
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height:g}" role="img" '
-        f'aria-label="{said}">{_style()}\n' + "\n".join(body) + "\n</svg>\n"
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:g}" role="img" '
+        f'aria-label="{html.escape(alt)}">{_style()}\n' + "\n".join(body) + "\n</svg>\n"
     )
 
 
@@ -96,22 +93,10 @@ def rows_chart(
     log: bool = False,
     form: str = "{:g}",
 ) -> str:
-    """Return a chart with a dot and a whisker in each row.
+    """Return a chart with a dot and a whisker in each row: name, figure, colour, marker.
 
-    Parameters
-    ----------
-    title
-        What the figures are.
-    rows
-        Name, figure, colour, marker.
-    ticks
-        Values with a line; the first and the last are the ends.
-    line
-        A value to be marked, and its name.
-    log
-        Whether the axis is logarithmic.
-    form
-        How a figure is written.
+    Each of ``ticks`` has a line, the first and the last are the ends; ``line`` is a value to be
+    marked, and its name; ``form`` how figures are written.
     """
     scale = math.log10 if log else float
     low, high = scale(ticks[0]), scale(ticks[-1])
@@ -129,9 +114,7 @@ def rows_chart(
         ]
     if line:
         body += [
-            _line(
-                x(line[0]), top - 10, x(line[0]), bottom, "grey", f'{INK} stroke-dasharray="4 3"'
-            ),
+            _line(x(line[0]), top - 10, x(line[0]), bottom, "grey", f"{INK} stroke-dasharray='4'"),
             _text(x(line[0]), top - 14, line[1], "small", "middle"),
         ]
     for i, (name, (value, less, more), colour, marker) in enumerate(rows):
@@ -159,20 +142,8 @@ def lines_chart(
 ) -> str:
     """Return a chart of lines with whiskers, named at their ends, below images of some places.
 
-    Parameters
-    ----------
-    title, across
-        What the figures are, and what the places are.
-    places
-        Where each figure of a series stands.
-    series
-        The lines.
-    ticks
-        Values with a line; the first and the last are the ends.
-    note
-        What must be known of the figures, below the chart.
-    stills
-        Place, what is said below, and the image (PNG), of one width to height: 7 to 6.
+    Figures of a series stand at ``places``, which ``across`` names; nan leaves one out. ``stills``
+    are place, what is said below, and an image (PNG) of 7 to 6.
     """
     left, right, high = 34, 104, 210
     wide = WIDTH - left - right
@@ -227,9 +198,7 @@ def lines_chart(
         f"{one.name} {', '.join(f'{f[0]:.0f}' for f in figures)}"
         for one, figures in zip(series, known, strict=True)
     )
-    return _svg(
-        top + high + (64 if note else 44), f"{title} at {', '.join(map(str, places))}: {said}", body
-    )
+    return _svg(top + high + 64, f"{title} at {', '.join(map(str, places))}: {said}", body)
 
 
 def _apart(places: Sequence[float], gap: float) -> list[float]:
@@ -242,10 +211,9 @@ def _apart(places: Sequence[float], gap: float) -> list[float]:
     return found
 
 
-def kept(name: str) -> dict[str, Any]:
+def kept(name: str) -> Any:
     """Return what the run of a table kept."""
-    found: dict[str, Any] = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+    return json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def _figure(row: Mapping[str, Any], column: str, factor: float = 1.0) -> Figure:
@@ -305,13 +273,8 @@ def dial() -> str:
     rows = {(row["planner"], row["traffic"]): row for row in run["rows"]}
     none = {"collision": [None] * 3}
     series = [
-        Series(
-            title,
-            colour,
-            marker,
-            [_figure(rows.get((name, t), none), "collision", 100) for t in LEVELS],
-        )
-        for name, (title, colour, marker) in DIAL.items()
+        Series(*look, [_figure(rows.get((name, t), none), "collision", 100) for t in LEVELS])
+        for name, look in DIAL.items()
     ]
     return lines_chart(
         f"collisions of the planner, % of {run['scenes'].split()[0]} scenes",
