@@ -251,7 +251,8 @@ def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path):
     ("change", "named"),
     [
         (lambda t, h: t.pop("row.0.bias"), "row.0.bias"),
-        (lambda t, h: t.update({"somebody.weight": t["somebody.weight"][:1]}), "somebody"),
+        (lambda t, h: t.update({"head.2.weight": t["head.2.weight"][:1]}), "head.2.weight"),
+        (lambda t, h: t.update({"more": t["row.0.bias"]}), "more"),
         (lambda t, h: h.update(features=["x"]), "features"),
         (lambda t, h: h.update(strengths=[-1.0]), "strengths"),
         (lambda t, h: h.update(max_candidates=10**9), "strengths"),

@@ -46,10 +46,6 @@ METHODS = {
         weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
         return RewardConfig(form=self.form, **weights)
 ''',
-    "SelectionReward": """
-    def __post_init__(self) -> None:
-        check("SelectionReward", "reward", dataclasses.asdict(self))
-""",
 }
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 

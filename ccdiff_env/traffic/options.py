@@ -395,29 +395,6 @@ class WorldOptions:
     scene_order: SceneOrder = "random"
 
 
-#: Which collisions of the ego with vehicles that were adversaries in the episode count.
-CountedCollisions: TypeAlias = Literal["all", "ego_at_fault", "avoidable"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class SelectionReward:
-    """Reward of one decision about adversaries: collisions that count, less the cost of the
-    guidance.
-    """
-
-    #: Per collision that counts (in [0, 1000000]).
-    collision: float = 1.0
-    #: Which collisions count.
-    counts: CountedCollisions = "all"
-    #: Cost per standard deviation by which guidance moves the adversary's plan (``shift_sigmas``)
-    #: (in [0, 1000000]). Learning finds nobody worth it where it is high from the beginning: start
-    #: low, then raise it.
-    shift_cost: float = 0.03
-
-    def __post_init__(self) -> None:
-        check("SelectionReward", "reward", dataclasses.asdict(self))
-
-
 @dataclass(frozen=True, kw_only=True)
 class PythonOptions:
     """Options of a traffic model of one's own, written in Python:

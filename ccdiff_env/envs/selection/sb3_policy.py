@@ -18,63 +18,48 @@ from ccdiff_env.system.tensors import write_tensors
 
 __all__ = ["CandidatePolicy", "save_policy"]
 
-#: Features of a candidate behind the network.
+#: Hidden units of every layer, the same in ``rust/nets/src/traffic/adversary_policy.rs``.
 WIDTH = 64
 #: From this column on, rows say the same: what the ego does.
 EGO = FEATURES.index("ego_speed")
 
 
-class _Candidates(BaseFeaturesExtractor):
-    """From rows [B, R, F] to [B, (R + 1) W]: W features of each candidate, then those of nobody.
+class Scores(BaseFeaturesExtractor):
+    """From rows [B, R, F] to [B, R S + 2]: a score of each action, nobody last, and a value.
 
-    A candidate is its row beside the greatest of every feature over the candidates that are there,
-    which nobody has with the ego's columns.
+    Every candidate is seen beside the greatest of each hidden unit over all of them. Nobody is a
+    row that holds only what the ego does.
     """
 
-    def __init__(self, observation_space: spaces.Box) -> None:
+    def __init__(self, observation_space: spaces.Box, num_strengths: int) -> None:
         num_rows, num_features = observation_space.shape
-        super().__init__(observation_space, (num_rows + 1) * WIDTH)
+        super().__init__(observation_space, num_rows * num_strengths + 2)
+        self.num_strengths = num_strengths
         self.row = nn.Sequential(
             nn.Linear(num_features, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU()
         )
-        self.among = nn.Sequential(nn.Linear(2 * WIDTH, WIDTH), nn.ReLU())
-        self.nobody = nn.Sequential(nn.Linear(WIDTH + num_features - EGO, WIDTH), nn.ReLU())
+        self.head = nn.Sequential(
+            nn.Linear(2 * WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, num_strengths + 2)
+        )
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        found = self.row(rows) * rows[:, :, :1]
-        greatest = found.amax(dim=1, keepdim=True)
-        nobody = self.nobody(torch.cat([greatest, rows[:, :1, EGO:]], dim=-1))
-        found = self.among(torch.cat([found, greatest.expand_as(found)], dim=-1))
-        return torch.cat([found, nobody], dim=1).flatten(1)
+        nobody = torch.cat([torch.zeros_like(rows[:, :1, :EGO]), rows[:, :1, EGO:]], dim=-1)
+        found = self.row(torch.cat([rows, nobody], dim=1))
+        greatest = (found[:, :-1] * rows[:, :, :1]).amax(dim=1, keepdim=True)
+        out = self.head(torch.cat([found, greatest.expand_as(found)], dim=-1))
+        somebody = out[:, :-1, : self.num_strengths].flatten(1)
+        return torch.cat([somebody, out[:, -1, self.num_strengths :]], dim=1)
 
 
-class _Scores(nn.Module):
-    """Logits [B, R S + 1] of the candidates at each strength and of nobody."""
+class Columns(nn.Module):
+    """Some columns of what :class:`Scores` gives."""
 
-    def __init__(self, num_strengths: int) -> None:
+    def __init__(self, columns: slice) -> None:
         super().__init__()
-        self.somebody, self.nobody = nn.Linear(WIDTH, num_strengths), nn.Linear(WIDTH, 1)
-        for layer in (self.somebody, self.nobody):
-            nn.init.orthogonal_(layer.weight, 0.05)
-            nn.init.zeros_(layer.bias)
+        self.columns = columns
 
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        rows = features.reshape(len(features), -1, WIDTH)
-        scores = [self.somebody(rows[:, :-1]).flatten(1), self.nobody(rows[:, -1])]
-        return torch.cat(scores, dim=1)
-
-
-class _Value(nn.Module):
-    """Value [B, 1] of the candidates and of nobody."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.net = nn.Sequential(nn.Linear(2 * WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, 1))
-
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        rows = features.reshape(len(features), -1, WIDTH)
-        value: torch.Tensor = self.net(torch.cat([rows[:, :-1].amax(dim=1), rows[:, -1]], dim=-1))
-        return value
+    def forward(self, scores: torch.Tensor) -> torch.Tensor:
+        return scores[:, self.columns]
 
 
 class CandidatePolicy(MaskableActorCriticPolicy):
@@ -82,24 +67,26 @@ class CandidatePolicy(MaskableActorCriticPolicy):
 
     Parameters
     ----------
-    *args, **options
+    observation_space, action_space, lr_schedule, **options
         As stable-baselines3 hands them to policies.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        options["features_extractor_class"] = _Candidates
-        options["net_arch"] = {"pi": [], "vf": []}
-        options["share_features_extractor"] = False
-        super().__init__(*args, **options)
+    def __init__(
+        self, observation_space: spaces.Box, action_space: Any, lr_schedule: Any, **options: Any
+    ) -> None:
+        options["features_extractor_class"] = Scores
+        num_strengths = (int(action_space.n) - 1) // observation_space.shape[0]
+        options["features_extractor_kwargs"] = {"num_strengths": num_strengths}
+        options["net_arch"], options["share_features_extractor"] = [], False
+        super().__init__(observation_space, action_space, lr_schedule, **options)
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        rows: Any = self.observation_space.shape
-        actions: Any = self.action_space
-        heads: Any = _Scores((int(actions.n) - 1) // rows[0]), _Value()
+        for scores in (self.pi_features_extractor, self.vf_features_extractor):
+            last: Any = scores.head[-1]
+            nn.init.orthogonal_(last.weight, 0.05)
+        heads: Any = Columns(slice(-1)), Columns(slice(-1, None))
         self.action_net, self.value_net = heads
-        optimizer: Any = self.optimizer_class
-        self.optimizer = optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
 def save_policy(
@@ -122,18 +109,7 @@ def save_policy(
         Kept in the header.
     """
     policy = model.policy
-    parts = {
-        **{
-            name: getattr(policy.pi_features_extractor, name) for name in ("row", "among", "nobody")
-        },
-        "somebody": policy.action_net.somebody,
-        "nobody_score": policy.action_net.nobody,
-    }
-    tensors = {
-        f"{part}.{name}": value.detach().numpy()
-        for part, module in parts.items()
-        for name, value in module.state_dict().items()
-    }
+    tensors = policy.pi_features_extractor.state_dict()
     header = {
         "format": 1,
         "kind": "adversary_policy",
@@ -142,4 +118,5 @@ def save_policy(
         "strengths": list(strengths),
         "notes": dict(notes or {}),
     }
-    write_tensors(path, tensors, {"ccdiff_env": json.dumps(header)})
+    arrays = {name: value.numpy() for name, value in tensors.items()}
+    write_tensors(path, arrays, {"ccdiff_env": json.dumps(header)})

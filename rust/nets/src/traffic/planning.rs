@@ -185,7 +185,7 @@ impl PlannedTraffic {
             if let Some(policy) = traffic.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
                 let world = &d.request.world;
                 let plan = d.request.plan.map(|plan| &plan.record);
-                let seen = Candidates::new(world, plan, |a| d.request.drives(a), policy.max_candidates())?;
+                let seen = Candidates::new(world, plan, |a| d.request.drives(a), policy.max_candidates());
                 let (agent, strength) = policy.choose(&seen).unzip();
                 d.chosen = agent.into_iter().filter(|a| d.ranking.contains(a)).collect();
                 criticality *= strength.unwrap_or_default();

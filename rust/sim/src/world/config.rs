@@ -11,7 +11,6 @@ use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::world::differences::{self, Randomization};
 use crate::world::reward_columns::RewardConfig;
-use crate::world::selection_reward::SelectionReward;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::collections::BTreeMap;
 
@@ -248,7 +247,6 @@ pub const TABLES: &[&Table] = &[
     &RewardConfig::TABLE,
     &Randomization::TABLE,
     &IdmConfig::TABLE,
-    &SelectionReward::TABLE,
 ];
 
 fn check(ok: bool, field: &'static str, got: impl ToString, expected: &str) -> Result<()> {

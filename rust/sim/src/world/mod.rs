@@ -33,7 +33,6 @@ mod roles;
 mod rows;
 mod scenes;
 mod score_facts;
-mod selection_reward;
 mod snapshot;
 mod start;
 mod surroundings;
@@ -60,7 +59,6 @@ pub use reward_columns::{
 };
 pub use rng::Rng;
 pub use score_facts::ScoreFacts;
-pub use selection_reward::{CountedCollisions, SelectionReward};
 pub use start::{LEAST_WAY_M, Wanted};
 pub(crate) use surroundings::place_on_route;
 pub use tick::TickPhase;

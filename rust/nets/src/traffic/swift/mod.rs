@@ -162,7 +162,7 @@ impl Swift {
             guided = select_guided(&ranking, wanted, self.config.num_guided, |_| true);
             if let Some(policy) = self.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
                 let plan = request.plan.map(|plan| &plan.record);
-                let seen = Candidates::new(world, plan, |a| request.drives(a), policy.max_candidates())?;
+                let seen = Candidates::new(world, plan, |a| request.drives(a), policy.max_candidates());
                 let (agent, strength) = policy.choose(&seen).unzip();
                 guided = agent.into_iter().filter(|a| ranking.contains(a)).collect();
                 criticality *= strength.unwrap_or_default();
