@@ -209,6 +209,7 @@ def _episodes(
 ) -> Iterator[tuple[int, Labels]]:
     """World and labels of each half second of episodes, a strength of guidance for each scene."""
     count, driver = len(scenes), str(rng.choice(["idm", "replay", "external"], p=[0.45, 0.15, 0.4]))
+    more: dict[str, Any] = {"dynamics": "assisted"} if driver == "external" else {}
     config = WorldConfig().with_options(
         start_spread_steps=SPREAD,
         horizon_steps=STEPS,
@@ -216,7 +217,7 @@ def _episodes(
         traffic={"ccdiff": 1.0 - 1e-6, "student": 1e-6} if student else "ccdiff",
         policies={"student": Policy(SWIFT, CcdiffConfig(weights=str(student)))} if student else {},
         ccdiff=dict(teacher),
-        **{"dynamics": "assisted"} if driver == "external" else {},
+        **more,
     )
     worlds = Worlds(scenes, config, num_worlds=count, num_threads=1)
     out, native = worlds.arrays(), worlds.native
@@ -232,7 +233,8 @@ def _episodes(
         if step % HELD_STEPS:
             native.step(actions, out, running)
         else:
-            there, before = np.flatnonzero(running).tolist(), {}
+            there: list[int] = np.flatnonzero(running).tolist()
+            before: dict[int, tuple[Any, list[int], Any]] = {}
             for i in there:
                 if student:
                     _share(native, i, rng)
@@ -317,14 +319,12 @@ def train(
     mean = torch.where(mirrored < 0, torch.zeros_like(mean), mean)
     slots = torch.arange(others.shape[1])
 
-    def layer(inputs: int, outputs: int) -> Any:
-        return torch.nn.Linear(inputs, outputs)
-
     far = 32
     inputs = own.shape[1] + 2 * ego.shape[1] + 1 + far
-    sizes = ((others.shape[2], far), (far, far), (inputs, width), (width, width))
-    sizes += ((width, BINS), (width, 64), (64, BINS))
-    layers = dict(zip(LAYERS, (layer(*size) for size in sizes), strict=True))
+    sizes = [(others.shape[2], far), (far, far), (inputs, width), (width, width)]
+    sizes += [(width, BINS), (width, 64), (64, BINS)]
+    linear = (torch.nn.Linear(*size) for size in sizes)
+    layers: dict[str, Any] = dict(zip(LAYERS, linear, strict=True))
     by_speed = torch.nn.Parameter(0.1 * torch.randn(BINS, 64))
     weights = [by_speed, *(w for one in layers.values() for w in one.parameters())]
 
@@ -359,7 +359,7 @@ def train(
         if (update + 1) % 1000 == 0:
             _say(f"seed {seed}, update {update + 1} of {updates}, {loss.item():.3f} nats")
     with torch.no_grad():
-        parts = there.split(8192)
+        parts = torch.split(there, 8192)
         sums = [len(part) * losses(part, part < 0).item() for part in parts]
         nats = sum(sums) / max(len(there), 1)
         # the network of the file takes numbers as they are

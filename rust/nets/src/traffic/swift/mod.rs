@@ -119,7 +119,7 @@ impl Swift {
         let others =
             changed.as_object().into_iter().flatten().filter(|(name, _)| !TAKEN.contains(&name.as_str()));
         if let Some((name, value)) = others.into_iter().next() {
-            let expected = format!("its default: swift traffic takes {} alone", TAKEN.join(", ")).into();
+            let expected = format!("its default: swift traffic takes {} alone", TAKEN.join(", "));
             let field = format!("ccdiff.{name}").into();
             return Err(SimError::Config { field, got: value.to_string(), expected }.into());
         }
