@@ -82,9 +82,9 @@ class CandidatePolicy(MaskableActorCriticPolicy):
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
-        for scores in (self.pi_features_extractor, self.vf_features_extractor):
-            last: Any = scores.head[-1]
-            nn.init.orthogonal_(last.weight, 0.05)
+        both: Any = self.pi_features_extractor, self.vf_features_extractor
+        for scores in both:
+            nn.init.orthogonal_(scores.head[-1].weight, 0.05)
         heads: Any = Columns(slice(-1)), Columns(slice(-1, None))
         self.action_net, self.value_net = heads
 

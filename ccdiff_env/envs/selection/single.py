@@ -98,26 +98,18 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         return obs[0], {**self.worlds.reset_info(0, "full"), "agent_ids": self.agent_ids()}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Choose an adversary and advance until the next plan.
-
-        Parameters
-        ----------
-        action
-            Index of the space.
+        """Choose an adversary by an index of the space and advance until the next plan.
 
         Returns
         -------
         obs, reward, terminated, truncated, info
             ``info`` holds the info columns of the decision, ``adversary`` (id or ``None``),
-            ``agent_ids`` of the next rows and, at the end of an episode, ``metrics`` and
-            ``is_success``.
+            ``agent_ids`` of the next rows and, at the end, ``metrics`` and ``is_success``.
 
         Raises
         ------
-        ActionError
-            If the action does not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset and after the end of an episode.
+        ActionError, ResetNeededError
+            If the action does not fit, before the first reset and after the end of an episode.
         """
         rewards, table = self.vector.decide(self.vector.chosen([action]), all_running=True)
         info = {name: values[0] for name, values in table.items()}
