@@ -19,14 +19,14 @@ def numbers(file: str, constant: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.\d+", found[1])]
 
 
-def test_limits_of_reward_and_of_pdm_are_those_of_the_score():
-    file = "sim/src/world/reward.rs"
-    limits = [COMFORT[name] for name in ("acceleration", "lateral_acceleration", "jerk")]
-    assert numbers(file, "COMFORT_BOUNDS") == [bound for pair in limits for bound in pair]
-    assert numbers(file, "LEAST_TTC_S") == [TTC_BOUND_S]
-    # PDM-Closed: braking, acceleration, sideways, jerk; and jerk ahead, which is its own
-    expected = [*limits[0], limits[1][1], limits[2][1]]
-    assert numbers("sim/src/pdm/comfort.rs", "COMFORT")[:4] == expected
+def test_limits_of_rewards_and_of_pdm_are_those_of_the_score():
+    file = "sim/src/events/limits.rs"
+    units = ("_MPS2", "_MPS2", "_MPS3", "_MPS3", "_RADPS", "_RADPS2")
+    for (name, (low, high)), unit in zip(COMFORT.items(), units, strict=True):
+        found = numbers(file, name.upper() + unit)
+        assert found in ([low, high], [high])
+        assert len(found) == 2 or low == -high
+    assert numbers(file, "TTC_S") == [TTC_BOUND_S]
 
 
 def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():

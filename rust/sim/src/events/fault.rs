@@ -1,15 +1,12 @@
 //! Whom nuPlan's closed-loop metrics blame for a contact, and whom they expect to meet.
 
+use super::limits::{AHEAD_COS, STANDING_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
 
 /// Speed up to which an agent counts as stopped in a contact, metres per second.
 const STOPPED_MPS: Real = 0.05;
-/// Speed up to which an ego meets nobody, metres per second.
-const STANDING_MPS: Real = 5e-3;
-/// Cosine of the bearing from the rear axle above which somebody is ahead (30 degrees).
-const AHEAD_COS: Real = 0.866_025_4;
 /// How far the rear axle lies behind the middle of a box, as a share of its length: 1.39 of the 4.08 m of nuScenes' car.
 pub const REAR_AXLE_SHARE: Real = 0.34;
 /// Steps of time at which boxes are looked at, seconds.

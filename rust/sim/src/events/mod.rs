@@ -7,6 +7,7 @@ mod collision;
 mod fault;
 mod lane_facts;
 mod leader;
+pub mod limits;
 mod off_road;
 mod ttc;
 

@@ -2,23 +2,24 @@
 
 use super::proposals::Rollout;
 use crate::dynamics::KinState;
+use crate::events::limits;
 use crate::geom::Real;
-
-/// Lowest and highest acceleration, highest lateral one (m/s²), jerk and jerk ahead (m/s³).
-const COMFORT: (Real, Real, Real, Real, Real) = (-4.05, 2.4, 4.89, 8.37, 4.13);
-/// Highest yaw rate, rad/s, and yaw acceleration, rad/s².
-const TURNS: (Real, Real) = (0.95, 1.93);
 
 /// Whether a rollout that begins with an acceleration stays within all limits.
 pub(super) fn is_calm(rollout: &Rollout, acceleration_mps2: Real, dt_s: Real) -> bool {
     let ahead = || std::iter::once(acceleration_mps2).chain(rollout.actions.iter().map(|[a, _]| *a));
-    let (least, most, across, jerk, jerk_ahead) = COMFORT;
+    let [least, most] = limits::ACCELERATION_MPS2;
     let fit = Parabola::new(ahead());
     let sideways = |([_, rate], state): (&[Real; 2], &KinState)| (rate * state.speed_mps).abs();
     fit.values().all(|a| a > least && a < most)
-        && rollout.actions.iter().zip(&rollout.states).map(sideways).all(|a| a < across)
-        && fit.steepest() < jerk_ahead * dt_s
-        && Parabola::new(ahead().map(Real::abs)).steepest() < jerk * dt_s
+        && rollout
+            .actions
+            .iter()
+            .zip(&rollout.states)
+            .map(sideways)
+            .all(|a| a < limits::LATERAL_ACCELERATION_MPS2)
+        && fit.steepest() < limits::LONGITUDINAL_JERK_MPS3 * dt_s
+        && Parabola::new(ahead().map(Real::abs)).steepest() < limits::JERK_MPS3 * dt_s
         && turns_calmly(rollout, dt_s)
 }
 
@@ -27,6 +28,8 @@ pub(super) fn is_calm(rollout: &Rollout, acceleration_mps2: Real, dt_s: Real) ->
 fn turns_calmly(rollout: &Rollout, dt_s: Real) -> bool {
     let states = &rollout.states;
     let last = states.len().saturating_sub(5);
+    let (most_rate, most_change) =
+        (limits::YAW_RATE_RADPS * dt_s, limits::YAW_ACCELERATION_RADPS2 * dt_s * dt_s);
     states.windows(5).enumerate().all(|(i, five)| {
         let h = |k: usize| five[k].heading_rad - five[2].heading_rad;
         let rate = (2.0 * (h(4) - h(0)) + h(3) - h(1)) / 10.0;
@@ -36,7 +39,7 @@ fn turns_calmly(rollout: &Rollout, dt_s: Real) -> bool {
         let to = if i == last { 2 } else { 0 };
         (from..=to).all(|k| {
             let k = k as Real;
-            (rate + k * bend).abs() < TURNS.0 * dt_s && (bend + k * change).abs() < TURNS.1 * dt_s * dt_s
+            (rate + k * bend).abs() < most_rate && (bend + k * change).abs() < most_change
         })
     })
 }

@@ -5,14 +5,11 @@ use super::forecast::{AHEAD_S, Forecast, Other, STANDS_MPS};
 use super::proposals::{Proposal, Rollout};
 use super::{Plan, Scene};
 use crate::events::REAR_AXLE_SHARE;
+use crate::events::limits::{ACCELERATION_MPS2, AHEAD_COS, STANDING_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::LaneKind;
 use std::cell::OnceCell;
 
-/// Egos slower than this have no time to contact, m/s.
-const MOVES_MPS: Real = 5e-3;
-/// Cosine of the angle round the heading in which others are ahead; round its opposite they are behind.
-const AHEAD_COS: Real = 0.866_025_4;
 /// Less progress than this is none, metres.
 const LEAST_PROGRESS_M: Real = 0.1;
 /// What is left of the score where static obstacles are hit.
@@ -27,8 +24,7 @@ const LANE_REACH_M: Real = 5.0;
 /// An unavoidable contact within this time is braked for, s.
 const BRAKE_S: Real = 2.0;
 const BRAKE_MPS2: Real = -8.0;
-/// Braking below [`SLOW_MPS`] m/s.
-const SLOW_BRAKE_MPS2: Real = -4.05;
+/// Below this speed with the most that is comfortable, m/s.
 const SLOW_MPS: Real = 5.0;
 
 /// What the proposal does that is best in the mean over futures, or an emergency brake where most of them have a contact.
@@ -54,7 +50,7 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
     let hit = futures.iter().filter(|f| f.parts(best.0).contact.is_some_and(|t| t <= brake_steps)).count();
     let acceleration_mps2 = match 2 * hit > futures.len() {
-        true if first.states[0].speed_mps < SLOW_MPS => SLOW_BRAKE_MPS2,
+        true if first.states[0].speed_mps < SLOW_MPS => ACCELERATION_MPS2[0],
         true => BRAKE_MPS2,
         false => first.actions[0][0],
     };
@@ -216,7 +212,7 @@ impl Meets<'_> {
     /// alone. The first such contact with another who is elsewhere ends the matter.
     fn is_close(&self, steps: impl Iterator<Item = usize>) -> bool {
         let (scene, rollout) = (self.scene, self.rollout);
-        let mut moving = steps.filter(|t| rollout.states[*t].speed_mps >= MOVES_MPS);
+        let mut moving = steps.filter(|t| rollout.states[*t].speed_mps >= STANDING_MPS);
         let first = moving.find(|t| AHEAD_S.iter().any(|ahead_s| self.touch(*t, *ahead_s)));
         first.is_some_and(|t| {
             let cos = bearing_cos(scene, rollout, t, self.other.centre(t as Real * scene.dt_s));

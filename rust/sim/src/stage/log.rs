@@ -66,10 +66,10 @@ impl Log {
         step_idx < self.end_step[agent_idx]
     }
 
-    /// Whether the log has an agent again at a step, after a gap of at most some steps.
+    /// Whether the log has an agent again at a step, which it had last at most some steps ago.
     pub(crate) fn has_again(&self, agent_idx: usize, step_idx: usize, steps: usize) -> bool {
         let has = |t: usize| self.position(agent_idx, t).is_some();
-        let first = step_idx.saturating_sub(steps + 1);
+        let first = step_idx.saturating_sub(steps);
         has(step_idx) && step_idx > first && !has(step_idx - 1) && (first..step_idx).any(has)
     }
 

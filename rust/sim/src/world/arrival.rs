@@ -3,18 +3,16 @@
 //! An agent that follows its log is there whenever the log has it, also where its logged place overlaps others' there:
 //! such contacts are the log's. It waits only where its body would appear in somebody who is not where the log has it,
 //! which nobody could have foreseen: a driven ego, driven traffic, who was stopped by a contact. Who was lost from the log
-//! for a moment waits for nobody. Agents that others drive enter once, by the same rule.
+//! for no longer than loaders fill has not been away and waits for nobody. Agents that others drive enter once, by the same rule.
 
 use crate::geom::Real;
 use crate::policy::Driver;
-use crate::scene::{AgentKind, LEVEL_M};
+use crate::scene::{AgentKind, LEVEL_M, LONGEST_GAP_S};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Episode;
 use crate::world::tow;
 
-/// Who is lost from the log for this time has not been away: loaders fill gaps of up to as long. Seconds.
-const LOST_S: Real = 2.0;
 /// Agents nearer to their logged place are at it, metres.
 const AT_LOG_M: Real = 0.01;
 
@@ -31,7 +29,7 @@ pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfi
         let comes_back = e.drivers[a] == Driver::REPLAY && !e.halted[a] && !e.has_slot(a);
         if e.entered[a]
             && comes_back
-            && scene.log.has_again(a, e.step_idx, (LOST_S / config.dt_s).round() as usize)
+            && scene.log.has_again(a, e.step_idx, (LONGEST_GAP_S / config.dt_s) as usize)
         {
             e.enter(scene, a, config.dt_s);
         } else if if e.entered[a] { comes_back } else { config.late_arrivals } && place_is_free(e, scene, a) {

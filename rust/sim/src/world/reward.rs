@@ -1,6 +1,6 @@
 //! Reward of a step: what the entries of the table in [`reward_columns`] are made from.
 
-use crate::events::Contact;
+use crate::events::{Contact, limits};
 use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
@@ -13,12 +13,8 @@ const COMFORT_MPS2: Real = 4.0;
 const COMFORT_MPS3: Real = 10.0;
 /// A step costs no more discomfort than this.
 const MAX_DISCOMFORT: Real = 3.0;
-/// Limits of nuPlan's comfort, of single steps: braking and acceleration, sideways (m/s²), jerk (m/s³).
-const COMFORT_BOUNDS: [(Real, Real); 3] = [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37)];
 /// Speed above the limit at which progress is worth nothing, m/s.
 const SPEEDING_MPS: Real = 5.0;
-/// Times to contact below this halve the worth of progress, seconds.
-const LEAST_TTC_S: Real = 0.95;
 
 /// What a slot's reward is made from, besides its state.
 pub(crate) struct StepFacts {
@@ -79,13 +75,14 @@ pub(crate) fn score(
         log_distance_m: facts.log_distance_m,
     };
     if config.reward.form == RewardForm::Product {
-        let calm = [acceleration, lateral, jerk]
-            .iter()
-            .zip(COMFORT_BOUNDS)
-            .all(|(x, (low, high))| (low..=high).contains(x));
+        // of single steps, where nuPlan looks at smoothed motions
+        let [low, high] = limits::ACCELERATION_MPS2;
+        let calm = (low..=high).contains(&acceleration)
+            && lateral.abs() <= limits::LATERAL_ACCELERATION_MPS2
+            && jerk.abs() <= limits::JERK_MPS3;
         let half = |ok: bool| if ok { 1.0 } else { 0.5 };
         let over = step.speeding_mps() / SPEEDING_MPS;
-        let worth = half(calm) * half(facts.ttc_s >= LEAST_TTC_S) * (1.0 - over).max(0.0);
+        let worth = half(calm) * half(facts.ttc_s >= limits::TTC_S) * (1.0 - over).max(0.0);
         step.worth = worth * (1.0 - 0.5 * step.aside());
         step.contact_counts = facts.contact.is_some_and(|c| c.at_fault);
         step.soft = 0.0;
