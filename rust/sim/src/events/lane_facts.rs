@@ -27,8 +27,9 @@ pub fn lane_facts(
     let near = lanes.nearest_by_direction(point, cos, sin, max_distance_m);
     let wrong_way = near.any.is_some_and(|_| {
         let agrees = |lane_idx: usize| {
-            near.agreeing.is_some_and(|hit| hit.lane_idx as usize == lane_idx)
-                || lanes.on_lane(lane_idx, point, cos, sin).is_some_and(|hit| hit.agrees())
+            let is_it = |hit: &LaneHit| hit.lane_idx as usize == lane_idx;
+            let on_lane = || near.any.filter(is_it).or_else(|| lanes.on_lane(lane_idx, point, cos, sin));
+            near.agreeing.as_ref().is_some_and(is_it) || on_lane().is_some_and(|hit| hit.agrees())
         };
         lanes.all_against(map, point, (cos, sin), agrees)
     });

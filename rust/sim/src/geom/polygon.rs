@@ -21,9 +21,13 @@ pub(crate) fn ring_edges(ring: &[Point2]) -> impl Iterator<Item = (Point2, Point
     closing.into_iter().chain(ring.iter().copied()).zip(ring.iter().copied())
 }
 
-/// [`Polygon::contains`] of the edges of its rings, or of those that lie near the ray from the point to +x.
-pub(crate) fn even_odd(edges: impl Iterator<Item = (Point2, Point2)>, point: Point2) -> bool {
-    let mut inside = false;
+/// [`Polygon::contains`] of the edges of its rings; `inside` by those that are left out, which the ray from the point to +x
+/// may cross.
+pub(crate) fn even_odd(
+    mut inside: bool,
+    edges: impl Iterator<Item = (Point2, Point2)>,
+    point: Point2,
+) -> bool {
     for (a, b) in edges {
         let (a, b) = (a - point, b - point);
         if near_origin(a.x, a.y, b.x, b.y) {
@@ -53,7 +57,7 @@ impl Polygon {
     ///
     /// Linear in the number of points: for many queries build a [`super::Region`].
     pub fn contains(&self, point: Point2) -> bool {
-        even_odd(self.rings().flat_map(ring_edges), point)
+        even_odd(false, self.rings().flat_map(ring_edges), point)
     }
 
     /// Area of the outer ring minus that of the holes, square metres.

@@ -71,13 +71,35 @@ struct Surface {
     lane_idx: u32,
     /// It holds the whole cell.
     whole: bool,
-    /// Edges of its polygon that the ray to +x from a point of the cell may meet; `None` without a polygon.
-    edges: Option<Box<[(Point2, Point2)]>>,
+    /// Edges of its polygon near the cell, and beyond them; `None` without a polygon.
+    edges: Option<(Box<[(Point2, Point2)]>, Beyond)>,
     /// It is a lane, no connector.
     is_lane: bool,
     /// Its mean direction, and the cosine to that above which a heading agrees with all of the lane.
     direction: Vector2,
     agrees_above: Real,
+}
+
+/// The edges that the ray to +x from a point of a cell crosses beyond the cell: whether an odd number from its lower side, and
+/// the y at which that changes.
+#[derive(Debug, Clone, PartialEq)]
+struct Beyond {
+    is_odd: bool,
+    turns_m: Box<[Real]>,
+}
+
+impl Beyond {
+    /// From the y of both ends of each edge: of a line that goes on, those of its first and last point are left.
+    fn new(mut ends_m: Vec<Real>, low_m: Real, high_m: Real) -> Self {
+        ends_m.sort_by(Real::total_cmp);
+        let odd = ends_m.chunk_by(|a, b| a == b).filter(|same| same.len() % 2 == 1).map(|same| same[0]);
+        let (below, turns): (Vec<Real>, Vec<Real>) = odd.filter(|y| *y <= high_m).partition(|y| *y < low_m);
+        Self { is_odd: below.len() % 2 == 1, turns_m: turns.into() }
+    }
+
+    fn is_odd_at(&self, y_m: Real) -> bool {
+        self.turns_m.iter().fold(self.is_odd, |odd, turn_m| odd ^ (*turn_m <= y_m))
+    }
 }
 
 /// The nearest point of a lane's centre line.
@@ -164,7 +186,7 @@ impl LaneIndex {
     fn surface_holds(&self, map: &Map, surface: &Surface, point: Point2) -> bool {
         surface.whole
             || match &surface.edges {
-                Some(edges) => even_odd(edges.iter().copied(), point),
+                Some((near, beyond)) => even_odd(beyond.is_odd_at(point.y), near.iter().copied(), point),
                 None => self.holds(map, surface.lane_idx as usize, point),
             }
     }
@@ -243,13 +265,16 @@ impl LaneIndex {
             let agrees_above = if least > 0.0 { (1.0 - least * least).max(0.0).sqrt() + 1e-3 } else { 2.0 };
             let is_lane = map.lanes[lane_idx].kind == LaneKind::Lane;
             let polygon = &map.lanes[lane_idx].polygon;
-            let meets_ray = |(a, b): &(Point2, Point2)| {
-                a.y.min(b.y) <= centre.y + half_m
-                    && a.y.max(b.y) >= centre.y - half_m
-                    && a.x.max(b.x) >= centre.x - half_m
-            };
-            let edges = (polygon.exterior.len() >= 3)
-                .then(|| polygon.rings().flat_map(ring_edges).filter(meets_ray).collect());
+            let (low, high) = (centre - Vector2::new(half_m, half_m), centre + Vector2::new(half_m, half_m));
+            let edges = (polygon.exterior.len() >= 3).then(|| {
+                let (beyond, rest): (Vec<_>, Vec<_>) =
+                    polygon.rings().flat_map(ring_edges).partition(|(a, b)| a.x.min(b.x) > high.x);
+                let is_near = |(a, b): &(Point2, Point2)| {
+                    a.x.max(b.x) >= low.x && a.y.min(b.y) <= high.y && a.y.max(b.y) >= low.y
+                };
+                let ends_m = beyond.iter().flat_map(|(a, b)| [a.y, b.y]).collect();
+                (rest.into_iter().filter(is_near).collect(), Beyond::new(ends_m, low.y, high.y))
+            });
             Surface { lane_idx: lane_idx as u32, whole, edges, is_lane, direction, agrees_above }
         };
         found.map(surface).collect()
@@ -266,12 +291,13 @@ impl LaneIndex {
     ) -> bool {
         let Some(cell) = self.grid.cell(point) else { return false };
         let list = self.surfaces[cell].get_or_init(|| self.surfaces_in(map, cell));
-        let agrees_surely = |s: &&Surface| s.direction.x * cos + s.direction.y * sin > s.agrees_above;
+        let along = |s: &Surface| s.direction.x * cos + s.direction.y * sin;
+        let agrees_surely = |s: &&Surface| along(s) > s.agrees_above;
         let holds = |s: &Surface| self.surface_holds(map, s, point);
         let lanes = || list.iter().filter(|s| s.is_lane);
         let mut is_held = false;
         for s in lanes().filter(|s| !agrees_surely(s) && holds(s)) {
-            if agrees(s.lane_idx as usize) {
+            if along(s) > -s.agrees_above && agrees(s.lane_idx as usize) {
                 return false;
             }
             is_held = true;

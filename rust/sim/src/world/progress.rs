@@ -1,7 +1,7 @@
 //! Progress along the route, and when the goal is reached: the one account that rewards, info, metrics, observations and
 //! success are made from.
 
-use crate::geom::{Point2, Polyline, Real};
+use crate::geom::{Point2, Real};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
 use serde::{Deserialize, Serialize};
@@ -59,14 +59,14 @@ impl Progress {
         Self { start_s_m: 0.0, goal_s_m: 0.0, best_s_m: 0.0, goal, stops: false, reached: false }
     }
 
-    /// Takes account of a step that ended at a place along the route, and returns the new progress, metres. The last
-    /// metres of the way count when the goal is reached.
+    /// Takes account of a step that ended at a place along the route and so far from it, and returns the new progress,
+    /// metres. The last metres of the way count when the goal is reached.
     pub(crate) fn advance(
         &mut self,
         states: &AgentStates,
         agent_idx: usize,
-        route: &Polyline,
         s_m: Real,
+        from_route_m: Real,
         dt_s: Real,
     ) -> Real {
         let (position, moved) = (states.position(agent_idx), states.velocity(agent_idx) * dt_s);
@@ -82,7 +82,7 @@ impl Progress {
         }
         if self.reached {
             self.best_s_m = self.goal_s_m;
-        } else if (position - route.at(s_m).position).norm() <= CORRIDOR_M {
+        } else if from_route_m <= CORRIDOR_M {
             self.best_s_m = before_m.max(s_m.min(self.goal_s_m - self.radius_m()));
         }
         self.best_s_m - before_m
