@@ -144,6 +144,20 @@ def test_reversing_cars_and_unreliable_motion_are_not():
     assert turned(*driven) == [False] * 6
 
 
+@pytest.mark.parametrize("back", [range(50), range(60, 80), range(60, 61), range(30, 120)])
+def test_parts_of_a_track_that_are_the_other_way_round_are_turned(back):
+    place, heading, velocity = bend()
+    other_way = np.where(np.isin(np.arange(T), back), np.pi, 0.0)
+    with pytest.warns(UserWarning, match=r"other way round for \d+ steps"):
+        scene = made(line(8.0), (place, heading + other_way, velocity))
+    found = scene.tracks()["heading"][1]
+    np.testing.assert_allclose(np.cos(found - heading), 1.0, atol=1e-5)
+    # pedestrians turn round
+    kinds = ["vehicle", "pedestrian"]
+    walks = made(line(8.0), (place, heading + other_way, velocity), kinds=kinds)
+    assert (walks.tracks()["heading"][1] == (heading + other_way).astype(np.float32)).all()
+
+
 def test_nobody_drives_a_car_annotated_backwards_the_other_way():
     ahead = np.stack([100 + 8 * TIME, np.full(T, 3.5)], axis=1)
     with pytest.warns(UserWarning, match="against its heading"):

@@ -2,7 +2,7 @@
 //!
 //! What flows in: a scene as its data set has it. What flows out: the same scene, mended, and what was done to whom.
 
-use super::{AgentKind, Scene};
+use super::{AgentKind, Scene, Tracks};
 use crate::geom::{Real, Vector2, math};
 use std::f32::consts::PI;
 
@@ -12,6 +12,8 @@ pub const LONGEST_GAP_S: Real = 2.15;
 /// A track that is faster than this at a gap, or goes through it faster, is no track to go on with, m/s.
 const FASTEST_MPS: Real = 100.0;
 
+/// A box that turns farther than this in a step is annotated the other way round from there on, radians.
+const FLIP_RAD: Real = 0.75 * PI;
 /// Directions are compared this often, seconds.
 const LOOK_S: Real = 0.5;
 /// Slower motion says nothing about where a vehicle's front is, m/s.
@@ -48,10 +50,11 @@ pub struct Mended {
 }
 
 impl Scene {
-    /// Fills gaps of up to two seconds and turns vehicles whose boxes were annotated backwards.
+    /// Fills gaps of up to two seconds and turns boxes that were annotated backwards, all along or in a part of a track.
     pub fn mend(&mut self) -> Mended {
         let mut mended = Mended::default();
         for agent in 0..self.agents.len() {
+            mended.notes.extend(self.undo_flips(agent));
             self.fill_gaps(agent, &mut mended);
             if self.runs_backwards(agent) {
                 self.turn(agent);
@@ -62,6 +65,40 @@ impl Scene {
         let turned = mended.turned.iter().map(|agent| &self.agents[*agent].id);
         mended.notes.extend(turned.map(|id| format!("{id} runs against its heading, which was turned by π")));
         mended
+    }
+
+    /// Turns the parts of a track in which its box is the other way round: those of fewer steps in all.
+    fn undo_flips(&mut self, agent: usize) -> Option<String> {
+        if self.agents[agent].kind == AgentKind::Pedestrian {
+            return None;
+        }
+        let steps = self.at(agent, 0)..self.at(agent + 1, 0);
+        let (mut flipped, mut is_flipped) = (vec![false; steps.len()], false);
+        let flips = |at: usize, tracks: &Tracks| {
+            let turn_rad = math::wrap_angle(tracks.heading_rad[at] - tracks.heading_rad[at - 1]);
+            tracks.valid[at - 1] && tracks.valid[at] && turn_rad.abs() > FLIP_RAD
+        };
+        for at in steps.clone().skip(1) {
+            is_flipped ^= flips(at, &self.tracks);
+            flipped[at - steps.start] = is_flipped;
+        }
+        let there = |at: &usize| self.tracks.valid[*at];
+        let turned: Vec<usize> = steps.clone().filter(|at| flipped[at - steps.start]).filter(there).collect();
+        if turned.is_empty() {
+            return None;
+        }
+        let most = 2 * turned.len() > steps.clone().filter(there).count();
+        let odd: Vec<usize> =
+            steps.clone().filter(there).filter(|at| flipped[at - steps.start] != most).collect();
+        for at in &odd {
+            let heading_rad = &mut self.tracks.heading_rad[*at];
+            *heading_rad = math::wrap_angle(*heading_rad + PI);
+        }
+        Some(format!(
+            "{} is the other way round for {} steps, which were turned by π",
+            self.agents[agent].id,
+            odd.len()
+        ))
     }
 
     fn fill_gaps(&mut self, agent: usize, mended: &mut Mended) {
