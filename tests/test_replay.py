@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from array_scenes import STEPS, TIMES_S, agent, array_scene, played
+from array_scenes import STEPS, TIMES_S, agent, array_scene, played, wide_road
 
-from ccdiff_env import EgoEnv
+from ccdiff_env import EgoEnv, Scene
 
 EGO = agent("ego", 6.0 * TIMES_S)
 #: The log has lost somebody for a frame, for three, and for three seconds.
@@ -143,6 +143,19 @@ def test_no_acceleration_is_invented_where_agents_enter_or_come_back():
         assert info["acceleration"] == pytest.approx(1.0 if GAPS[step] else 0.0, abs=2e-2)
 
 
+def test_who_has_a_slot_waits_where_its_log_ends_without_braking_for_it():
+    x, logged = 6.0 * TIMES_S, np.arange(STEPS) < 100
+    env = EgoEnv(
+        scenes=[array_scene(agent("ego", x, valid=logged))],
+        driver="replay",
+        terminate_at_goal=False,
+    )
+    rows = list(played(env))
+    assert len(rows) == 100
+    assert max(abs(info["acceleration"]) for *_, info in rows) < 1e-2
+    assert rows[-1][1]["position"][0, 0] == pytest.approx(x[99])
+
+
 def test_episodes_start_with_the_accelerations_of_the_log():
     x = 2.0 * TIMES_S + 0.5 * TIMES_S**2
     env = EgoEnv(scenes=[array_scene(agent("ego", x))], driver="replay")
@@ -191,6 +204,40 @@ def test_long_steps_find_the_contacts_of_short_ones(dt_s, traffic):
     assert info["collision"] == 1.0
     assert step * dt_s == pytest.approx(at_s, abs=max(0.3, dt_s))
     assert info["metrics"]["collision"] == 1.0
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 0.5])
+def test_long_steps_find_the_gap_in_the_road_that_short_ones_find(dt_s):
+    times = np.arange(round(16.0 / dt_s)) * dt_s
+    ego = agent("ego", 20.0 * times, size=(1.5, 1.0, 1.0))
+    tracks = array_scene(ego, dt_s=dt_s)
+    ends = [(-200.0, 53.0), (57.0, 500.0)]  # the ego is at 50 m and at 60 m at the long steps
+    layers = wide_road()
+    layers["drivable_area"] = [
+        {"exterior": np.float32([[a, -20], [b, -20], [b, 20], [a, 20]]), "holes": []}
+        for a, b in ends
+    ]
+    named = {key: tracks.tracks()[key] for key in ("position", "heading", "velocity", "valid")}
+    scene = Scene.from_arrays(
+        "gap",
+        agent_ids=["ego"],
+        agent_types=["vehicle"],
+        sizes=tracks.sizes,
+        dt=dt_s,
+        map_layers=layers,
+        **named,
+    )
+    env = EgoEnv(
+        scenes=[scene],
+        dt_s=dt_s,
+        history_steps=round(1.0 / dt_s),
+        horizon_steps=round(6.0 / dt_s),
+        driver="replay",
+        on_off_road="ignore",
+    )
+    steps = [step for step, _, info in played(env) if info["off_road"]]
+    assert steps[0] * dt_s == pytest.approx(2.6, abs=dt_s)
+    assert steps[-1] * dt_s == pytest.approx(2.9, abs=dt_s)
 
 
 def test_long_steps_stop_traffic_where_it_touches():

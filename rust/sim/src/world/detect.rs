@@ -1,29 +1,38 @@
-//! Phase "events" of a tick: contacts of the agents with slots, and where these are beside route, lane and road.
+//! Phase "events" of a tick: contacts of the agents with slots, and where these are beside road, route and lane.
 
 use crate::events::Contact;
 use crate::geom::Real;
 use crate::world::config::WorldConfig;
-use crate::world::surroundings::{road_and_lane, straddles_lanes};
+use crate::world::episode::Slot;
+use crate::world::surroundings::{leave_road, route_and_lane, straddles_lanes};
 use crate::world::sweep::{parts, states_between};
 use crate::world::tick::World;
 
 impl World {
     /// Finds out what happened to the agents with slots. At the start of an episode contacts are taken as given.
     pub(super) fn find_events(&mut self, config: &WorldConfig, at_start: bool) {
-        self.find_contacts(at_start, config.dt_s);
+        self.look_between(at_start, config.dt_s);
         let e = &mut self.episode;
-        for slot in &mut e.slots {
+        self.scratch.from_route_m.resize(e.slots.len(), 0.0);
+        for (slot, from_route_m) in e.slots.iter_mut().zip(&mut self.scratch.from_route_m) {
             if let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) {
-                road_and_lane(&e.states, &self.scene, a, e.route_s_m[a], slot, config);
+                *from_route_m = route_and_lane(&e.states, &self.scene, a, e.route_s_m[a], slot, config);
             }
         }
     }
 
-    /// The first contact of each slot that is no initial one; initial ones are forgotten when the two have parted.
-    fn find_contacts(&mut self, at_start: bool, dt_s: Real) {
+    /// The first contact of each slot in the step that is no initial one, described where it begins, and whether it leaves
+    /// the road; initial contacts are forgotten when the two have parted.
+    fn look_between(&mut self, at_start: bool, dt_s: Real) {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();
         self.scratch.contacts.resize(e.slots.len(), None);
+        self.scratch.in_contact.clear();
+        self.scratch.in_contact.resize(e.slots.len(), false);
+        let there = |s: &&mut Slot| s.agent_idx.is_some_and(|a| e.states.active[a]);
+        for slot in e.slots.iter_mut().filter(there) {
+            (slot.off_road, slot.off_road_centroid) = (false, false);
+        }
         let present = |a: &usize| e.states.active[*a];
         self.scratch.present.clear();
         self.scratch
@@ -44,8 +53,10 @@ impl World {
             let touch = |i: u32, j: u32| pairs.contains(&(i.min(j), i.max(j)));
             let both_there = |i: u32, j: u32| states.active[i as usize] && states.active[j as usize];
             e.initial_contacts.retain(|(i, j)| touch(*i, *j) || !both_there(*i, *j));
-            for (slot, contact) in e.slots.iter().zip(&mut self.scratch.contacts) {
+            let found = self.scratch.contacts.iter_mut().zip(&mut self.scratch.in_contact);
+            for (slot, (contact, in_contact)) in e.slots.iter_mut().zip(found) {
                 let Some(a) = slot.agent_idx.filter(|a| states.active[*a]) else { continue };
+                leave_road(states, scene, a, slot);
                 for &(i, j) in pairs {
                     let (i, j) = (i as usize, j as usize);
                     let other = match a {
@@ -56,9 +67,11 @@ impl World {
                     let pair = (a as u32, other as u32);
                     if at_start {
                         e.initial_contacts.push(pair);
-                    } else if contact.is_none() && !e.initial_contacts.contains(&pair) {
+                    } else if !*in_contact && !e.initial_contacts.contains(&pair) {
+                        *in_contact = true;
                         let straddles = || straddles_lanes(states, scene, a);
-                        *contact = Some(Contact::between(states, &scene.footprints, a, other, straddles));
+                        let between = || Contact::between(states, &scene.footprints, a, other, straddles);
+                        *contact = (!slot.in_contact).then(between);
                     }
                 }
             }

@@ -63,7 +63,7 @@ impl World {
                 // an agent with a slot waits where its policy has no more way for it
                 (AgentMotion::Leave, Some(_)) => {
                     let pose = e.states.pose(a);
-                    e.set_pose(a, pose, Vector2::zeros(), config.dt_s);
+                    e.states.set_pose(a, pose, Vector2::zeros());
                 }
                 (_, None) if e.halted[a] && !log_ended => {
                     let pose = e.states.pose(a);

@@ -12,7 +12,8 @@ const LANE_REACH_M: Real = 5.0;
 
 /// Where an agent is beside its route and lanes.
 pub(crate) struct OnRoute {
-    /// Signed distance from the route, left positive, metres.
+    /// Distance from the route's place, and the part of it across the route, left positive, metres.
+    pub(crate) from_route_m: Real,
     pub(crate) distance_m: Real,
     /// Heading against the route, radians.
     pub(crate) heading_error_rad: Real,
@@ -34,6 +35,7 @@ pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usi
     let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
     let lane = lanes.map(|l| lane_facts(states, a, l, map, LANE_REACH_M)).unwrap_or_default();
     OnRoute {
+        from_route_m: d.norm(),
         distance_m: d.y * on_route.cos - d.x * on_route.sin,
         heading_error_rad: math::atan2(sin, cos),
         lane_distance_m: lane.lane.map(|l| l.distance_m),
@@ -49,26 +51,31 @@ pub(crate) fn straddles_lanes(states: &AgentStates, scene: &PreparedScene, a: us
     lanes.is_some_and(|lanes| events::straddles_lanes(lanes, &scene.scene.map, &corners()))
 }
 
-/// Tells a slot where its agent is beside route, lane and road.
-pub(crate) fn road_and_lane(
+/// Tells a slot where its agent is beside route and lane; returns the distance from the route's place, metres.
+pub(crate) fn route_and_lane(
     states: &AgentStates,
     scene: &PreparedScene,
     a: usize,
     route_s_m: Real,
     slot: &mut Slot,
     config: &WorldConfig,
-) {
+) -> Real {
     let place = place_on_route(states, scene, a, route_s_m);
     slot.route_distance_m = place.distance_m;
     slot.route_heading_error_rad = place.heading_error_rad;
     slot.lane_distance_m = place.lane_distance_m;
     slot.wrong_way = place.wrong_way;
     slot.speed_limit_mps = place.speed_limit_mps.unwrap_or(config.speed_limit_mps);
+    place.from_route_m
+}
+
+/// Tells a slot whether its agent is off the road, or was at an earlier part of the step.
+pub(crate) fn leave_road(states: &AgentStates, scene: &PreparedScene, a: usize, slot: &mut Slot) {
     if let Some(road) = &scene.at(states.elevation_m(a)).road {
         let off = off_road(states, a, &scene.footprints[a], road);
         slot.has_been_on_road |= !off.corner;
-        slot.off_road = off.corner && slot.has_been_on_road;
-        slot.off_road_centroid = off.centroid && slot.has_been_on_road;
+        slot.off_road |= off.corner && slot.has_been_on_road;
+        slot.off_road_centroid |= off.centroid && slot.has_been_on_road;
     }
 }
 

@@ -7,6 +7,7 @@ use crate::world::reward::{self, StepFacts};
 use crate::world::reward_columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
+use crate::world::tow;
 
 /// What the events of a step do to an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,19 +59,18 @@ impl World {
             let Some(a) = e.slots[c].agent_idx.filter(|_| e.slots[c].alive) else { continue };
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
-            let contact = self.scratch.contacts[c];
             let (log_distance_m, s_m) = (log_distance(e, &self.scene, a), e.route_s_m[a]);
             let slot = &mut e.slots[c];
             let had_reached = slot.progress.reached;
-            let route = &self.scene.routes[a].path;
+            let from_route_m = self.scratch.from_route_m[c];
             let facts = StepFacts {
-                contact: contact.filter(|_| !slot.in_contact),
+                contact: self.scratch.contacts[c],
                 ttc_s: self.scratch.least_times.of(a),
                 log_distance_m,
-                progress_m: slot.progress.advance(&e.states, a, route, s_m, config.dt_s),
+                progress_m: slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s),
                 reached: slot.progress.reached && !had_reached,
             };
-            slot.in_contact = contact.is_some();
+            slot.in_contact = self.scratch.in_contact[c];
             let reward = reward::score(&e.states, a, slot, &facts, config, columns);
             let outcome = Outcome::of(facts.contact.is_some(), slot.off_road, facts.reached, config);
             out.terminated[c] = outcome.ends;
@@ -89,6 +89,7 @@ impl World {
                 e.states.active[a] &= !outcome.leaves;
             }
         }
+        tow::leave(e, &self.scene);
         let done = e.slots.iter().all(|s| !s.alive);
         if done {
             self.end();

@@ -71,8 +71,11 @@ pub(super) struct Scratch {
     pub(super) actions: Vec<Action>,
     /// Agents with slots that are there.
     pub(super) present: Vec<u32>,
-    /// Contact of each slot in the step.
+    /// Contact of each slot that begins in the step, and whether there is any.
     pub(super) contacts: Vec<Option<Contact>>,
+    pub(super) in_contact: Vec<bool>,
+    /// Distance of each slot's agent from its place on the route, metres.
+    pub(super) from_route_m: Vec<Real>,
     /// The slot of each agent that has one.
     pub(super) slot_of: Vec<Option<u32>>,
     pub(super) collisions: Collisions,

@@ -18,15 +18,18 @@ pub(super) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
     }
 }
 
-/// Moves the towed behind those who tow them, who have moved; `before` holds the poses before the step. Who has nobody left
-/// to follow leaves.
+/// Takes the towed away whose leaders have left.
+pub(super) fn leave(e: &mut Episode, scene: &PreparedScene) {
+    for &(a, leader) in scene.hitches.iter().filter(|(a, _)| e.drivers[*a] == Driver::Towed) {
+        e.states.active[a] &= e.states.active[leader];
+    }
+}
+
+/// Moves the towed behind those who tow them, who have moved; `before` holds the poses before the step.
 pub(super) fn tow(e: &mut Episode, scene: &PreparedScene, before: &[Pose2], dt_s: Real) {
+    leave(e, scene);
     for &(a, leader) in &scene.hitches {
         if e.drivers[a] != Driver::Towed || !e.states.active[a] {
-            continue;
-        }
-        if !e.states.active[leader] {
-            e.states.active[a] = false;
             continue;
         }
         let (own, other) = (&scene.footprints[a], &scene.footprints[leader]);
