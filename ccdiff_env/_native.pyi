@@ -52,19 +52,6 @@ def causal_rank(
     seed: int,
     settings: tuple[float, int, int, int],
 ) -> tuple[list[int], int, bool]: ...
-def causal_key_agents(
-    ranking: str,
-    x: F32,
-    y: F32,
-    heading: F32,
-    speed: F32,
-    length: F32,
-    width: F32,
-    valid: Bool,
-    candidates: Bool,
-    ego_idx: int,
-    seed: int,
-) -> list[int]: ...
 def render_arrays(
     position_m: F32,
     heading_rad: F32,
@@ -228,6 +215,18 @@ class Scene:
     def towed(self) -> list[tuple[int, int]]:
         """Agents that others tow, and by whom: boxes that overlap in line and move together."""
 
+    def ranked_vehicles(self, step: int, ranking: str) -> list[int]:
+        """Rank the vehicles that are there at a step of the log, those that others tow left out.
+
+        The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
+        the step as well. Who is on another level is as far as can be.
+
+        Raises
+        ------
+        ConfigError
+            For a step beyond the log or another ranking.
+        """
+
     @property
     def agent_categories(self) -> list[str]:
         """The data set's own category of each agent."""
@@ -323,6 +322,7 @@ class Scene:
     def __eq__(self, other: object, /) -> bool: ...
     def __hash__(self) -> int: ...
 
+LEVEL_M: float
 EGO_AXLE_TO_CENTRE_M: float
 LINE_KINDS: list[str]
 ROUTE_SPACING_M: float

@@ -57,10 +57,6 @@ def ranked(valid):
     return _native.causal_rank("first", 2, valid, measure, measure, None, None, 0, (3.0, 1, 2, 9))
 
 
-def key_agents(valid, candidates):
-    return _native.causal_key_agents("nearest", *states(), *SIZES, valid, candidates, 0, 0)
-
-
 def drawn(collided):
     x, y, heading, _ = (part[0] for part in states())
     kinds = np.zeros(A, np.uint8)
@@ -90,8 +86,6 @@ CASES = {
     ),
     "causal_distance.valid": (lambda m: _native.causal_distance(*states()[:2], m), VALID),
     "causal_rank.valid": (ranked, SOME),
-    "causal_key_agents.valid": (lambda m: key_agents(m, SOME), VALID),
-    "causal_key_agents.candidates": (lambda m: key_agents(VALID, m), SOME),
     "render_arrays.collided": (drawn, SOME),
     "Trajectories.__new__.valid": (
         lambda m: motion(m).comfort("body", 1),

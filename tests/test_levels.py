@@ -11,7 +11,9 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet
+from ccdiff_env.bench.episode import relations
 from ccdiff_env.metrics import Motion
+from ccdiff_env.view.contacts import contacts
 from tests import overpass
 
 #: An ego on the bridge, and one that passes below it when the ego is there.
@@ -240,3 +242,21 @@ def test_flat_scenes_have_no_heights() -> None:
     env.reset(seed=0)
     assert "elevation_m" not in env.unwrapped.worlds.native.states(0)
     assert "elevation_m" not in scene.tracks()
+
+
+@pytest.mark.parametrize("lift", [0.0, 7.0])
+def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
+    ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=4.0))
+    scene = load(tmp_path, [*CROSSING, ahead], lift=lift)[0]
+    step, ids, apart = 35, scene.agent_ids, lift == 0.0
+    # the one that crosses is reached first, unless it is below
+    nearest = [ids[agent] for agent in scene.ranked_vehicles(step, "ttc")]
+    assert nearest == (["ego", "3", "2"] if apart else ["ego", "2", "3"])
+    agents = np.array([ids.index(name) for name in ("ego", "2", "3")])
+    history = relations(scene, agents, step)
+    for near in (history.ttc, history.distance):
+        assert near[-1, 0, 2] > 0
+        assert near[:, 1, ::2].any() != apart
+    rollout = play(SceneSet([scene]))["rollout"]
+    crosses = rollout.agent_ids.index("2")
+    assert any(crosses in a or crosses in b for a, b, _ in contacts(rollout)) != apart

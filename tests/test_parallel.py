@@ -15,7 +15,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, ren
 from pettingzoo.test.max_cycles_test import max_cycles_test
 
 import ccdiff_env
-from ccdiff_env import aec_env, errors, parallel_env
+from ccdiff_env import Scene, aec_env, errors, parallel_env
 from ccdiff_env.envs import key_agents
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.metrics import causal
@@ -144,25 +144,25 @@ def metres_of_others(scene, step):
     }
 
 
-def ranked_by_numpy(ranking, states, candidates, ego, seed):
-    """The order in NumPy, from measures of pairs over time [T, M, M]."""
+def ranked_by_numpy(ranking, states, candidates):
+    """The order behind agent 0 in NumPy, from measures of pairs over time [T, M, M]."""
     position, heading, speed, valid, size = states
     position, heading, speed, valid = (a.swapaxes(0, 1) for a in (position, heading, speed, valid))
     there = candidates & valid[-1]
-    there[ego] = False
+    there[0] = False
     chosen = np.flatnonzero(there)
-    metres = np.linalg.norm(position[-1] - position[-1, ego], axis=-1)
+    metres = np.linalg.norm(position[-1] - position[-1, 0], axis=-1)
     if ranking == "nearest":
         return chosen[np.argsort(metres[chosen], kind="stable")].tolist()
     contact = causal.ttc(position, heading, speed, size, valid, normalised=False)
     if ranking == "ttc":
-        return chosen[np.lexsort((metres[chosen], contact[-1, ego, chosen]))].tolist()
+        return chosen[np.lexsort((metres[chosen], contact[-1, 0, chosen]))].tolist()
     if ranking == "cliques":
         near = causal.distance(position, valid, normalised=True)
         pairs = {"ttc": causal.normalise_ttc(contact), "distance": near}
         every = causal.rank("cliques", top_k=len(there), valid=valid[-1], **pairs).agents
         return [i for i in every if there[i]]
-    return causal.rank(ranking, top_k=len(there), valid=there, seed=seed).agents
+    return causal.rank(ranking, top_k=len(there), valid=there).agents
 
 
 def test_rankings_of_any_states_are_those_of_numpy():
@@ -177,17 +177,23 @@ def test_rankings_of_any_states_are_those_of_numpy():
             rng.random(shape) < 0.8,
             np.full((num_agents, 2), (4.5, 2.0), np.float32),
         )
-        candidates, ego = rng.random(num_agents) < 0.8, int(rng.integers(num_agents))
-        names = ("position", "heading", "speed", "valid", "size")
+        position, heading, speed, valid, size = states
+        valid[0, -1] = True
+        candidates = rng.random(num_agents) < 0.8
+        scene = Scene.from_arrays(
+            "states",
+            agent_ids=["ego", *map(str, range(1, num_agents))],
+            agent_types=["vehicle", *np.where(candidates, "vehicle", "static")[1:]],
+            sizes=np.column_stack([size, size[:, 1]]),
+            position=position,
+            heading=heading,
+            velocity=np.stack([speed, 0.0 * speed], -1),
+            valid=valid,
+            mend=False,
+        )
         for ranking in key_agents.RANKINGS:
-            got = key_agents.rank_agents(
-                ranking,
-                **dict(zip(names, states, strict=True)),
-                candidates=candidates,
-                ego_idx=ego,
-                seed=3,
-            )
-            assert got == ranked_by_numpy(ranking, states, candidates.copy(), ego, 3)
+            got = scene.ranked_vehicles(num_steps - 1, ranking)
+            assert got == [0, *ranked_by_numpy(ranking, states, candidates)]
 
 
 def test_the_ranking_by_distance_is_that_of_brute_force(scenes):
@@ -195,10 +201,10 @@ def test_the_ranking_by_distance_is_that_of_brute_force(scenes):
     step = 30
     metres = metres_of_others(scene, step)
     there = list(metres)
-    got = key_agents.logged_vehicles(scene, step, "nearest")
+    got = scene.ranked_vehicles(step, "nearest")
     assert got == [0, *sorted(there, key=metres.__getitem__)]
     for ranking in key_agents.RANKINGS:
-        ranked = key_agents.logged_vehicles(scene, step, ranking)
+        ranked = scene.ranked_vehicles(step, ranking)
         assert sorted(ranked) == [0, *there]
         assert ranked[0] == 0
 
@@ -209,7 +215,7 @@ def test_the_ranking_by_contact_is_that_of_boxes_that_are_moved(scenes):
         metres = metres_of_others(scene, step)
         seconds = {i: contact_s(scene, step, i) for i in metres}
         contacts += np.isfinite(list(seconds.values())).sum()
-        got = key_agents.logged_vehicles(scene, step, "ttc")
+        got = scene.ranked_vehicles(step, "ttc")
         assert sorted(got[1:]) == sorted(metres)
         for before, after in itertools.pairwise(got[1:]):
             if np.isinf(seconds[before]):
@@ -354,7 +360,7 @@ def test_vehicles_are_ranked_at_the_start_that_was_drawn(ranking):
         worlds = env.unwrapped.worlds
         status = worlds.native.status(0)
         scene = worlds.scenes[status.scene_idx]
-        expected = key_agents.logged_vehicles(scene, status.step_idx, ranking)[:4]
+        expected = scene.ranked_vehicles(status.step_idx, ranking)[:4]
         assert worlds.native.slot_agents(0)[: len(expected)] == expected
         assert [infos[name]["agent_id"] for name in env.agents] == [
             scene.agent_ids[a] for a in expected
@@ -365,7 +371,7 @@ def test_vehicles_are_ranked_at_the_start_that_was_drawn(ranking):
         for e in range(3):
             status = rows.worlds.native.status(e)
             scene = rows.worlds.scenes[status.scene_idx]
-            expected = key_agents.logged_vehicles(scene, status.step_idx, ranking)[:4]
+            expected = scene.ranked_vehicles(status.step_idx, ranking)[:4]
             assert rows.worlds.native.slot_agents(e)[: len(expected)] == expected
             assert rows.active_masks().reshape(3, -1)[e].sum() == len(expected)
 

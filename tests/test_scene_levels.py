@@ -70,7 +70,7 @@ def test_a_scene_with_levels_is_told_of_and_kept(tmp_path: Path) -> None:
     first, second = (ccdiff_env.load_gpudrive(path, cache=tmp_path / "cache") for _ in range(2))
     assert (first.report.cache.hits, second.report.cache.hits) == (0, 1)
     assert first[0] == second[0] == Scene.from_bytes(first[0].to_bytes())
-    assert any("2 levels" in note for note in second.report.scenes[0].notes)
+    assert any("levels of roads" in note for note in second.report.scenes[0].notes)
     again = pickle.loads(pickle.dumps(first[0]))
     assert (again.tracks()["elevation_m"] == first[0].tracks()["elevation_m"]).all()
 
@@ -145,7 +145,7 @@ def test_scenarionet_files_hand_heights_on(scene: Scene, tmp_path: Path) -> None
     (tmp_path / "waymo.pkl").write_bytes(pickle.dumps(description, protocol=4))
     loaded = ccdiff_env.load_scenarionet(tmp_path / "waymo.pkl")
     other = loaded[0]
-    assert any("2 levels" in note for note in loaded.report.scenes[0].notes)
+    assert any("levels of roads" in note for note in loaded.report.scenes[0].notes)
     np.testing.assert_allclose(
         other.tracks()["elevation_m"], scene.tracks()["elevation_m"], atol=1e-5
     )

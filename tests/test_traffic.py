@@ -12,7 +12,6 @@ from traffic_play import FIELDS, Play
 
 import ccdiff_env
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.key_agents import logged_vehicles
 from ccdiff_env.errors import (
     CheckpointError,
     ConfigError,
@@ -161,7 +160,7 @@ def test_by_time_to_contact_those_who_meet_the_ego_soonest_come_first():
         play = Play([scene], ccdiff=guided)
         play.step()
         plan = play.native.explain(0)
-        order = logged_vehicles(scene, play.native.status(0).step_idx - 1, "ttc")
+        order = scene.ranked_vehicles(play.native.status(0).step_idx - 1, "ttc")
         expected = [agent for agent in order if agent in plan["ranking"]]
         assert plan["ranking"].tolist() == expected
 

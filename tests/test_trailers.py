@@ -8,7 +8,6 @@ from array_scenes import TIMES_S, agent, array_scene, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
-from ccdiff_env.envs.key_agents import logged_vehicles
 
 EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
 TRUCK = {"size": (6.0, 2.5, 3.2)}
@@ -87,10 +86,24 @@ def test_contacts_between_them_never_count_and_the_trailer_is_no_agent_of_its_ow
         assert np.hypot(*(states["position"][0] - states["position"][1])) == pytest.approx(
             8.0, abs=1.0
         )
-    assert logged_vehicles(scene, 30, "nearest") == [0]
+    assert scene.ranked_vehicles(30, "nearest") == [0]
     rows = ccdiff_env.parallel_env(scenes=[scene], agents="all", start_spread_steps=5)
     rows.reset(seed=0)
     assert rows.agents == ["ego"]
+
+
+def test_a_trailer_leaves_with_its_truck_at_the_goal():
+    env = ccdiff_env.parallel_env(
+        scenes=[array_scene(EGO, *hitched(8.0 * TIMES_S))], agents="all", traffic="idm"
+    )
+    env.reset(seed=0)
+    native, left = env.unwrapped.worlds.native, False
+    while env.agents:
+        env.step({name: np.float32([0.2, 0.0]) for name in env.agents})
+        there = native.states(0)["active"]
+        assert there[1] == there[2]
+        left |= not there[1]
+    assert left
 
 
 def test_a_truck_that_is_stopped_by_a_contact_stops_with_its_trailer():

@@ -44,9 +44,11 @@ def relations(scene: Scene, agents: npt.NDArray[np.int64], step: int) -> Relatio
         for name in ("position", "heading", "velocity", "valid")
     )
     speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    heights = tracks["elevation_m"][agents, past].T if "elevation_m" in tracks else None
+    sizes = scene.sizes[agents][:, :2]
     return Relations(
-        ttc=causal.ttc(position, heading, speed, scene.sizes[agents][:, :2], valid),
-        distance=causal.distance(position, valid, normalised=True),
+        ttc=causal.ttc(position, heading, speed, sizes, valid, elevation_m=heights),
+        distance=causal.distance(position, valid, elevation_m=heights, normalised=True),
     )
 
 

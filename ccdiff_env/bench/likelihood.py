@@ -174,7 +174,7 @@ def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.N
 def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict[str, F64]:
     """Features of the vehicles of an episode: [A, T'] or, of the whole episode, [A, 1]."""
     position, heading = states
-    valid, dt_s = motion.valid, episode.scene.dt
+    valid, dt_s, heights = motion.valid, episode.scene.dt, motion.elevation_m
     found = motion_features(position, heading, valid, dt_s)
     coarse = motion_features(
         position[:, ::STRIDE], heading[:, ::STRIDE], valid[:, ::STRIDE], STRIDE * dt_s
@@ -189,13 +189,17 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
         some = np.flatnonzero(there[:, k])
         if len(some) > 1:
             at, yaw = position[some, step], heading[some, step]
-            found["gap"][some, k] = box_gaps(at, yaw, sizes[some]).min(axis=1)
+            gaps = box_gaps(at, yaw, sizes[some])
+            if heights is not None:
+                gaps[causal.apart(heights[some, step])] = np.inf
+            found["gap"][some, k] = gaps.min(axis=1)
     seconds = causal.ttc(
         position[:, looks].swapaxes(0, 1),
         heading[:, looks].T,
         np.nan_to_num(found["speed"][:, looks]).T,
         sizes,
         there.T,
+        elevation_m=None if heights is None else heights[:, looks].T,
         normalised=False,
     )
     seconds[:, np.arange(len(sizes)), np.arange(len(sizes))] = np.inf
@@ -208,7 +212,7 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     left = np.nan if road is None else road.box.any(axis=1)
     found["off_road"] = np.where(present, left, np.nan)[:, None]
     found["edge"] = np.full(there.shape, np.nan)
-    if road is not None:
+    if road is not None and heights is None:  # else the nearest edge may be another level's
         at = np.asarray(position[:, looks][there], np.float32)
         found["edge"][there] = road_distance(episode.scene, at)
     return found

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.envs.key_agents import KeyRanking, logged_vehicles, ranking_named
+from ccdiff_env.envs.key_agents import KeyRanking, ranking_named
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 
@@ -94,7 +94,7 @@ class AgentSelection:
             if count is None and agents != "all":
                 chosen = [str(one) for one in agents if one in scene.agent_ids]  # type: ignore[union-attr]
             else:
-                ranked = logged_vehicles(scene, min(first, scene.num_steps - 1), ranking)
+                ranked = scene.ranked_vehicles(min(first, scene.num_steps - 1), ranking)
                 chosen = [scene.agent_ids[i] for i in ranked[:count]]
             if not chosen:
                 raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")

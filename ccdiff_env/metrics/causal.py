@@ -35,6 +35,7 @@ __all__ = [
     "CliqueCounts",
     "Graph",
     "Ranking",
+    "apart",
     "clique_counts",
     "distance",
     "graph",
@@ -79,6 +80,30 @@ def _states(
     return points, np.ascontiguousarray(there), single
 
 
+def apart(elevation_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """Return which pairs of agents are on different levels [..., M, M]: over 2.5 m apart in height.
+
+    Parameters
+    ----------
+    elevation_m : [..., M], metres, of the ground below the agents.
+    """
+    heights = np.asarray(elevation_m, dtype=np.float32)
+    gaps: npt.NDArray[np.float32] = np.abs(heights[..., :, None] - heights[..., None, :])
+    return gaps > _native.LEVEL_M
+
+
+def _part(
+    pairs: npt.NDArray[np.float32], elevation_m: npt.ArrayLike | None, none: float
+) -> npt.NDArray[np.float32]:
+    """Write into measures of pairs [T, M, M] what holds between levels."""
+    if elevation_m is not None:
+        heights, _ = _history("elevation_m", elevation_m, np.float32, 2)
+        if heights.shape != pairs.shape[:2]:
+            raise ShapeError(f"elevation_m has shape {heights.shape}, expected {pairs.shape[:2]}")
+        pairs[apart(heights)] = none
+    return pairs
+
+
 def ttc(
     position: npt.ArrayLike,
     heading: npt.ArrayLike,
@@ -86,6 +111,7 @@ def ttc(
     size: npt.ArrayLike,
     valid: npt.ArrayLike | None = None,
     *,
+    elevation_m: npt.ArrayLike | None = None,
     method: Literal["oriented", "released"] = "oriented",
     normalised: bool = True,
 ) -> npt.NDArray[np.float32]:
@@ -99,6 +125,8 @@ def ttc(
     speed : [M] or [T, M], metres per second along the heading.
     size : [M, 2], length and width, metres.
     valid : bool [M] or [T, M], optional; agents that are not valid meet nobody.
+    elevation_m : [M] or [T, M], metres, in scenes with levels; agents more than 2.5 m higher or
+        lower meet nobody.
     method : ``"oriented"`` sweeps oriented boxes at constant velocity and is symmetric;
         ``"released"`` repeats the arithmetic of the authors' release with its quirks. Over a
         history the released recipe uses the axes of each row's agent at the last step.
@@ -147,12 +175,17 @@ def ttc(
         there,
         method,
     )
+    seconds = _part(seconds, elevation_m, TTC_CAP_S)
     out = normalise_ttc(seconds) if normalised else seconds
     return out[0] if single else out
 
 
 def distance(
-    position: npt.ArrayLike, valid: npt.ArrayLike | None = None, *, normalised: bool = False
+    position: npt.ArrayLike,
+    valid: npt.ArrayLike | None = None,
+    *,
+    elevation_m: npt.ArrayLike | None = None,
+    normalised: bool = False,
 ) -> npt.NDArray[np.float32]:
     """Compute the distances of the centres of all pairs of agents.
 
@@ -160,16 +193,19 @@ def distance(
     ----------
     position : [M, 2] or [T, M, 2], metres.
     valid : bool [M] or [T, M], optional.
+    elevation_m : [M] or [T, M], metres, in scenes with levels.
     normalised : give (20 - d) / 20 clipped to [0, 1] in place of metres.
 
     Returns
     -------
-    float32 [M, M] or [T, M, M]. Pairs with an absent agent are infinitely far apart.
+    float32 [M, M] or [T, M, M]. Pairs with an absent agent, or on levels more than
+    2.5 m apart, are infinitely far apart.
     """
     points, there, single = _states(position, valid)
     metres: npt.NDArray[np.float32] = _native.causal_distance(
         np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1]), there
     )
+    metres = _part(metres, elevation_m, np.inf)
     out = normalise_distance(metres) if normalised else metres
     return out[0] if single else out
 

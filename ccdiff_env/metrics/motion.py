@@ -156,6 +156,8 @@ class Motion:
             raise SceneError("size has negative or unknown lengths, expected metres")
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
+        heights = None if elevation_m is None else _states("elevation_m", elevation_m, shape)
+        self.elevation_m: npt.NDArray[np.float32] | None = heights
         self._native = _native.Trajectories(
             dt_s,
             np.ascontiguousarray(points[..., 0]),
@@ -163,7 +165,7 @@ class Motion:
             headings,
             np.ascontiguousarray(there),
             sizes,
-            None if elevation_m is None else _states("elevation_m", elevation_m, shape),
+            heights,
         )
 
     def _mask(self, name: str, mask: npt.ArrayLike | None, default: bool) -> npt.NDArray[np.bool_]:

@@ -277,11 +277,6 @@ class _Features:
                 tracks=places,
                 heights=None if places is None else self._heights.of_layers(seeds[:, 2]),
             )
-            if bounds:
-                source.notes.append(
-                    f"{len(bounds) + 1} levels of roads: who is more than 2.5 m higher or lower is "
-                    "out of reach"
-                )
             self.has_levels = bool(bounds)
         else:  # its edges are the rings of the drivable area
             self.layers.update(self._own)
@@ -289,6 +284,11 @@ class _Features:
             for lane in () if self.has_levels else self.layers["lanes"]:
                 del lane["elevation_m"]
             self.road = "given" if self._own["drivable_area"] else "none"
+        if self.has_levels:
+            source.notes.append(
+                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks "
+                "see the roads of all levels"
+            )
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
 

@@ -41,6 +41,7 @@ def contacts(
             np.copysign(speed[t], forwards[t]),
             rollout.scene.sizes[:, :2],
             valid[t],
+            elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[:, t],
             normalised=False,
         )
         a, b = np.nonzero((seconds <= TTC_CAP_S) & upper)

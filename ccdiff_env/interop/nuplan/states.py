@@ -18,7 +18,7 @@ from nuplan.common.actor_state.tracked_objects_types import AGENT_TYPES, Tracked
 from nuplan.common.actor_state.vehicle_parameters import VehicleParameters
 from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
 
-from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M
+from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, LEVEL_M
 from ccdiff_env.interop.nuplan.roads import wrap
 
 __all__ = ["SceneStates", "vehicle_of"]
@@ -29,8 +29,6 @@ AXLE_TO_CENTRE = EGO_AXLE_TO_CENTRE_M / 4.084
 WHEEL_BASE = 2.588 / 4.084
 #: From the rear axle to the centre of gravity of nuPlan's own car, as a share of its length.
 _COG = 1.67 / 5.176
-#: How far apart levels of a scene are, m.
-_LEVEL_M = 2.5
 #: Slowest speed at which the yaw rate says where the wheels point, and their greatest angle, rad.
 _ROLLING_MPS = 0.3
 _WHEEL_RAD = 1.0
@@ -147,7 +145,7 @@ class SceneStates:
         found: list[Any] = []
         if "elevation_m" in states:
             above = states["elevation_m"] - states["elevation_m"][self.ego]
-            active = active & (np.abs(above) <= _LEVEL_M)
+            active = active & (np.abs(above) <= LEVEL_M)
         for i in np.flatnonzero(active).tolist():
             if i == self.ego:
                 continue

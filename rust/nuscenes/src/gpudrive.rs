@@ -365,10 +365,11 @@ impl Reader<'_> {
         if !bounds.is_empty() {
             let heights = states.map(|state| if state.2 { ground(state) } else { 0.0 });
             tracks.elevation_m = heights.collect();
-            let levels = bounds.len() + 1;
-            report.notes.push(format!(
-                "{levels} levels of roads: who is more than 2.5 m higher or lower is out of reach"
-            ));
+            report.notes.push(
+                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks see the roads of \
+                 all levels"
+                    .into(),
+            );
         }
         bounds
     }

@@ -5,7 +5,7 @@ use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{AgentFrame, AgentHistory, Ttc};
 use ccdiff_sim::causal::rank::{
-    CliqueSettings, GreedyOrder, KeyRanking, RankInput, Ranker, Ranking, clique_occurrences, greedy_order,
+    CliqueSettings, GreedyOrder, RankInput, Ranker, Ranking, clique_occurrences, greedy_order,
 };
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
@@ -22,8 +22,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(causal_graph, module)?)?;
     module.add_function(wrap_pyfunction!(causal_clique_occurrences, module)?)?;
     module.add_function(wrap_pyfunction!(causal_greedy_order, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_rank, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_key_agents, module)?)
+    module.add_function(wrap_pyfunction!(causal_rank, module)?)
 }
 
 fn unknown(what: &str, got: &str, expected: &str) -> PyErr {
@@ -197,37 +196,4 @@ fn causal_rank(
     };
     let Ranking { agents, num_named, exact } = py.detach(|| ranker.rank(&input, top_k)).map_err(from_sim)?;
     Ok((agents, num_named, exact))
-}
-
-/// Candidates [M] that matter to the ego, most important first, from states [T, M] and sizes [M].
-#[pyfunction]
-#[pyo3(signature = (ranking, x, y, heading, speed, length, width, valid, candidates, ego_idx, seed))]
-fn causal_key_agents(
-    py: Python<'_>,
-    ranking: &str,
-    x: States<'_>,
-    y: States<'_>,
-    heading: States<'_>,
-    speed: States<'_>,
-    length: Sizes<'_>,
-    width: Sizes<'_>,
-    valid: PyReadonlyArray2<'_, bool>,
-    candidates: PyReadonlyArray1<'_, bool>,
-    ego_idx: usize,
-    seed: u64,
-) -> PyResult<Vec<usize>> {
-    let ranking = match ranking {
-        "cliques" => KeyRanking::Cliques,
-        "nearest" => KeyRanking::Nearest,
-        "ttc" => KeyRanking::Ttc,
-        "first" => KeyRanking::First,
-        "random" => KeyRanking::Random { seed },
-        _ => {
-            let expected = "\"cliques\", \"nearest\", \"ttc\", \"first\" or \"random\"";
-            return Err(unknown("ranking", ranking, expected));
-        }
-    };
-    let (valid, candidates) = (flags(&valid)?, flags(&candidates)?);
-    let history = history([&x, &y, &heading, &speed], [&length, &width], &valid)?;
-    py.detach(|| ranking.rank(&history, &candidates, ego_idx)).map_err(from_sim)
 }

@@ -10,8 +10,10 @@ use ccdiff_nuscenes::{
 };
 use ccdiff_render::{LogView, render_log};
 use ccdiff_sim::geom::{Point2, Vector2};
-use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
-use ccdiff_sim::stage::PreparedScene;
+use ccdiff_sim::options;
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, LEVEL_M, Scene, Tracks};
+use ccdiff_sim::stage::{PreparedScene, hitches};
+use ccdiff_sim::world::{VehicleRanking, ranked_vehicles};
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
 };
@@ -25,6 +27,7 @@ use std::sync::{Arc, OnceLock};
 /// Adds the classes and functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<PyScene>()?;
+    module.add("LEVEL_M", LEVEL_M)?;
     module.add("EGO_AXLE_TO_CENTRE_M", EGO_AXLE_TO_CENTRE_M)?;
     module.add_function(wrap_pyfunction!(scene_map::complete_map, module)?)?;
     module.add_function(wrap_pyfunction!(load_gpudrive, module)?)?;
@@ -272,7 +275,17 @@ impl PyScene {
 
     #[getter]
     fn towed(&self) -> Vec<(usize, usize)> {
-        ccdiff_sim::stage::hitches(&self.scene)
+        hitches(&self.scene)
+    }
+
+    fn ranked_vehicles(&self, step: usize, ranking: &str) -> PyResult<Vec<usize>> {
+        if step >= self.scene.num_steps {
+            let expected = format!("below {}", self.scene.num_steps);
+            return Err(py::ConfigError::new_err(format!("step = {step}, expected {expected}")));
+        }
+        let ranking: VehicleRanking =
+            options::read("ranking", &serde_json::Value::from(ranking).to_string()).map_err(from_sim)?;
+        Ok(ranked_vehicles(&self.scene, &hitches(&self.scene), step, ranking))
     }
 
     #[getter]

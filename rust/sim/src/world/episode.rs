@@ -218,7 +218,7 @@ impl Episode {
         let mut first_unseen = 0;
         let vehicles = match config.controlled {
             Controlled::Vehicles if config.ranking != VehicleRanking::First => {
-                ranked_vehicles(scene, self.step_idx, config.ranking)
+                ranked_vehicles(log, &scene.hitches, self.step_idx, config.ranking)
             }
             _ => Vec::new(),
         };

@@ -48,12 +48,13 @@ pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, Candidates};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
-    WorldConfig,
+    VehicleRanking, WorldConfig,
 };
 pub use differences::{Drawn, Randomization};
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use inspect::WorldStatus;
 pub use map_queries::{LaneAhead, NearPiece};
+pub use ranked::ranked_vehicles;
 pub use reward_columns::{
     COLUMNS, COMPONENTS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S,
 };

@@ -3,18 +3,26 @@
 use crate::causal::measures::{AgentFrame, AgentHistory};
 use crate::causal::rank::KeyRanking;
 use crate::geom::Real;
-use crate::scene::{AgentKind, EGO_ID};
-use crate::stage::{PreparedScene, apart_in_log};
+use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::stage::apart_in_log;
 use crate::world::config::VehicleRanking;
 
 /// How far `cliques` look back, seconds.
 const LOOK_BACK_S: Real = 3.0;
 
-/// Vehicles that the log has at a step: the ego, else the first of them, then the others by a ranking.
-pub(super) fn ranked_vehicles(scene: &PreparedScene, step_idx: usize, ranking: VehicleRanking) -> Vec<usize> {
-    let (log, n) = (&scene.scene, scene.scene.num_agents());
+/// Vehicles that the log has at a step, those that others tow left out: the ego, else the first of them, then the others by
+/// a ranking.
+pub fn ranked_vehicles(
+    log: &Scene,
+    towed: &[(usize, usize)],
+    step_idx: usize,
+    ranking: VehicleRanking,
+) -> Vec<usize> {
+    let n = log.num_agents();
     let drives = |a: &usize| {
-        scene.kinds[*a] == AgentKind::Vehicle && !scene.is_towed(*a) && log.is_valid(*a, step_idx)
+        log.agents[*a].kind == AgentKind::Vehicle
+            && towed.iter().all(|(towed, _)| towed != a)
+            && log.is_valid(*a, step_idx)
     };
     let Some(ego) = log.agent_index(EGO_ID).filter(drives).or_else(|| (0..n).find(drives)) else {
         return Vec::new();
