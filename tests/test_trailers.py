@@ -106,6 +106,29 @@ def test_a_trailer_leaves_with_its_truck_at_the_goal():
     assert left
 
 
+@pytest.mark.parametrize("driver", ["external", "replay", "idm"])
+def test_what_its_trailer_touches_an_ego_has_touched(driver):
+    x = 8.0 * TIMES_S
+    truck, trailer = hitched(x)
+    # a post that appears between the truck's rear and the trailer's
+    shown = np.arange(160) >= 60
+    post = agent("post", x[60] - 8.0, 20.0, size=(0.4, 0.4, 1.0), kind="static", valid=shown)
+    scene = array_scene({**truck, "id": "ego"}, trailer, post)
+    env = EgoEnv(scenes=[scene], driver=driver, on_collision="ignore")
+    contacts = [
+        (step, info["collision_partner"])
+        for step, _, info in played(env, np.float32([0.0, 0.0]))
+        if info["collision"]
+    ]
+    assert contacts == []  # given: it is in the trailer when it appears
+    ahead = agent("post", x[60] - 4.0, 21.4, size=(0.4, 0.4, 1.0), kind="static")
+    wide = {**trailer, "size": (12.0, 3.2, 3.8)}  # the truck passes the post, its trailer does not
+    env = EgoEnv(scenes=[array_scene({**truck, "id": "ego"}, wide, ahead)], driver=driver)
+    *_, (_, _, info) = played(env, np.float32([0.0, 0.0]))
+    assert info["collision"] == 1.0
+    assert info["collision_partner"] == 3.0
+
+
 def test_a_truck_that_is_stopped_by_a_contact_stops_with_its_trailer():
     car = agent("car", 90.0, 20.0)
     env = EgoEnv(

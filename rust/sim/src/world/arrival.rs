@@ -38,7 +38,7 @@ pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfi
                 if e.states.active[j] && overlaps(e, scene, a, j) {
                     e.given_contacts.push((a.min(j) as u32, a.max(j) as u32));
                     for (slot, other) in [(a, j), (j, a)] {
-                        if e.has_slot(slot) {
+                        if e.has_slot(slot) || e.drivers[slot] == Driver::Towed {
                             e.initial_contacts.push((slot as u32, other as u32));
                         }
                     }

@@ -2,6 +2,7 @@
 
 use crate::events::Contact;
 use crate::geom::Real;
+use crate::policy::Driver;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
 use crate::world::surroundings::{leave_road, route_and_lane, straddles_lanes};
@@ -38,6 +39,12 @@ impl World {
         self.scratch
             .present
             .extend(e.slots.iter().filter_map(|s| s.agent_idx.filter(present)).map(|a| a as u32));
+        // contacts of what a slot's agent tows are its own
+        let is_towed = |a: usize| e.drivers[a] == Driver::Towed;
+        for a in scene.hitches.iter().map(|(a, _)| *a).filter(|a| is_towed(*a) && present(a)) {
+            let tows = |s: &Slot| s.agent_idx.is_some_and(|leader| e.states.hitched(leader, a));
+            self.scratch.present.extend(e.slots.iter().any(tows).then_some(a as u32));
+        }
         let parts = if at_start { 1 } else { parts(dt_s) };
         for part in 1..=parts {
             let (before, was_active) = (&self.scratch.before, &self.active_before);
@@ -57,20 +64,20 @@ impl World {
             for (slot, (contact, in_contact)) in e.slots.iter_mut().zip(found) {
                 let Some(a) = slot.agent_idx.filter(|a| states.active[*a]) else { continue };
                 leave_road(states, scene, a, slot);
+                let is_own = |i: usize| i == a || states.hitched(i, a) && is_towed(i);
                 for &(i, j) in pairs {
-                    let (i, j) = (i as usize, j as usize);
-                    let other = match a {
-                        a if a == i => j,
-                        a if a == j => i,
+                    let (own, other) = match (i as usize, j as usize) {
+                        (i, j) if is_own(i) => (i, j),
+                        (i, j) if is_own(j) => (j, i),
                         _ => continue,
                     };
-                    let pair = (a as u32, other as u32);
+                    let pair = (own as u32, other as u32);
                     if at_start {
                         e.initial_contacts.push(pair);
                     } else if !*in_contact && !e.initial_contacts.contains(&pair) {
                         *in_contact = true;
-                        let straddles = || straddles_lanes(states, scene, a);
-                        let between = || Contact::between(states, &scene.footprints, a, other, straddles);
+                        let straddles = || straddles_lanes(states, scene, own);
+                        let between = || Contact::between(states, &scene.footprints, own, other, straddles);
                         *contact = (!slot.in_contact).then(between);
                     }
                 }

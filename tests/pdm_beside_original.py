@@ -1,0 +1,73 @@
+"""The original PDM-Closed decides beside ours, which drives: how near their accelerations are.
+
+    CCDIFF_NUPLAN=<nuplan-devkit>:<tuplan_garage> PYTHONPATH=. \\
+        python tests/pdm_beside_original.py nuscenes:<dataroot>@v1.0-mini
+
+Leaders are found at every step, which the original has a switch for: its default lets every plan
+brake at first. Needs the packages of `pip install 'ccdiff-env[nuplan]'`.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import numpy as np
+
+import ccdiff_env
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.interop.nuplan import nuplan_planner
+from ccdiff_env.policies.rules import RULES
+from ccdiff_env.scenes import SceneSet
+
+#: Way ahead that both have a line for, m; how far our acceleration changes in a step, m/s².
+LEAST_LINE_M, MOST_CHANGE_MPS2 = 90.0, 0.8
+FOUND: list[tuple[float, float, float]] = []
+
+
+class Both:
+    """Ours drives, theirs is asked; the first decision of an episode makes theirs ready."""
+
+    def __init__(self, worlds):
+        self.worlds, self.ours = worlds, RULES["pdm"](worlds)
+        self.theirs = nuplan_planner("nuplan:pdm_closed_planner")
+
+    def reset(self, worlds, indices):
+        self.theirs.reset(worlds, indices)
+
+    def __call__(self, obs):
+        driven, native = self.ours(obs), self.worlds.native
+        for i in range(native.num_worlds):
+            if native.slot_alive(i)[0]:
+                known = i in self.theirs._drives
+                self.theirs._step(i)
+                self._compare(i, float(driven[i, 0]), known)
+        return driven
+
+    def _compare(self, i, ahead, known):
+        planner = self.theirs._drives[i][1]
+        generator, scorer = planner._generator, planner._scorer
+        generator._leading_agent_update = 1
+        best = int(np.argmax(scorer._aggregate_scores()))
+        way_m, speed_mps = generator._state_idm_array[best, :2, :2].T
+        if known and planner._centerline.length - way_m[0] > LEAST_LINE_M:
+            slot = self.worlds.native.slot_agents(i)[0]
+            before = self.worlds.native.states(i)["acceleration"][slot]
+            ours = ahead * (4.0 if ahead > 0 else 8.0)
+            FOUND.append((ours, 10 * (speed_mps[1] - speed_mps[0]), before))
+
+
+def main(source):
+    """Drive the scenes that have lanes in replayed traffic, and say how near decisions are."""
+    logging.disable(logging.WARNING)
+    scenes = [scene for scene in ccdiff_env.load(source) if scene.has_lanes]
+    drive(SceneSet(scenes), Both, TRAFFIC["replay"], seed=0)
+    ours, theirs, before = np.array(FOUND).T
+    wanted = np.clip(theirs, before - MOST_CHANGE_MPS2, before + MOST_CHANGE_MPS2)
+    for near in (0.2, 0.5):
+        print(f"{np.mean(np.abs(ours - wanted) <= near):.2f} within {near} m/s²", end=", ")
+    print(f"{len(ours)} decisions")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
