@@ -85,6 +85,13 @@ impl Grid {
         (column < self.num_columns && row < self.num_rows).then_some((column, row))
     }
 
+    /// The part of its cell that a point of the grid is in, one of 8 x 8, row by row.
+    #[inline]
+    pub(crate) fn part(&self, point: Point2) -> u32 {
+        let eighth = |from: Real, to: Real| ((to - from) * self.cells_per_m * 8.0) as u32 % 8;
+        eighth(self.min.y, point.y) * 8 + eighth(self.min.x, point.x)
+    }
+
     /// Lower left corner of a cell in f64.
     fn corner(&self, column: usize, row: usize) -> [f64; 2] {
         let cell_m = f64::from(self.cell_m);

@@ -4,9 +4,10 @@
 //! heading, for some point of the cell. A query looks at its cell's list and nothing else. Lists are made when they are
 //! first asked for. A second list of each cell holds the lanes whose surface reaches into it.
 
+use super::cell_border::{Border, Parts};
 use super::road_area::HALF_LANE_M;
 use super::{LaneKind, Map};
-use crate::geom::{Grid, Point2, Real, Vector2, even_odd, math, ring_edges};
+use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
 use crate::simd_dispatch::simd_dispatch;
 use std::sync::OnceLock;
 
@@ -25,7 +26,7 @@ const FAR_M: Real = 1e30;
 
 /// A straight segment of a centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Segment {
+pub(super) struct Segment {
     start: Point2,
     cos: Real,
     sin: Real,
@@ -69,37 +70,14 @@ pub struct LaneIndex {
 #[derive(Debug, Clone, PartialEq)]
 struct Surface {
     lane_idx: u32,
-    /// It holds the whole cell.
-    whole: bool,
-    /// Edges of its polygon near the cell, and beyond them; `None` without a polygon.
-    edges: Option<(Box<[(Point2, Point2)]>, Beyond)>,
     /// It is a lane, no connector.
     is_lane: bool,
     /// Its mean direction, and the cosine to that above which a heading agrees with all of the lane.
     direction: Vector2,
     agrees_above: Real,
-}
-
-/// The edges that the ray to +x from a point of a cell crosses beyond the cell: whether an odd number from its lower side, and
-/// the y at which that changes.
-#[derive(Debug, Clone, PartialEq)]
-struct Beyond {
-    is_odd: bool,
-    turns_m: Box<[Real]>,
-}
-
-impl Beyond {
-    /// From the y of both ends of each edge: of a line that goes on, those of its first and last point are left.
-    fn new(mut ends_m: Vec<Real>, low_m: Real, high_m: Real) -> Self {
-        ends_m.sort_by(Real::total_cmp);
-        let odd = ends_m.chunk_by(|a, b| a == b).filter(|same| same.len() % 2 == 1).map(|same| same[0]);
-        let (below, turns): (Vec<Real>, Vec<Real>) = odd.filter(|y| *y <= high_m).partition(|y| *y < low_m);
-        Self { is_odd: below.len() % 2 == 1, turns_m: turns.into() }
-    }
-
-    fn is_odd_at(&self, y_m: Real) -> bool {
-        self.turns_m.iter().fold(self.is_odd, |odd, turn_m| odd ^ (*turn_m <= y_m))
-    }
+    parts: Parts,
+    /// Its border in the cell; `None` without a polygon.
+    border: Option<Box<Border>>,
 }
 
 /// The nearest point of a lane's centre line.
@@ -184,11 +162,10 @@ impl LaneIndex {
 
     /// Whether the surface of a cell holds a point of the cell.
     fn surface_holds(&self, map: &Map, surface: &Surface, point: Point2) -> bool {
-        surface.whole
-            || match &surface.edges {
-                Some((near, beyond)) => even_odd(beyond.is_odd_at(point.y), near.iter().copied(), point),
-                None => self.holds(map, surface.lane_idx as usize, point),
-            }
+        surface.parts.at(self.grid.part(point)).unwrap_or_else(|| match &surface.border {
+            Some(border) => border.holds(point),
+            None => self.holds(map, surface.lane_idx as usize, point),
+        })
     }
 
     /// Whether a lane's surface holds a point.
@@ -241,22 +218,19 @@ impl LaneIndex {
     /// The lanes whose surfaces reach into a cell.
     fn surfaces_in(&self, map: &Map, cell: usize) -> Box<[Surface]> {
         let (centre, half_m) = self.middle(cell);
+        let (low, high) = (centre - Vector2::new(half_m, half_m), centre + Vector2::new(half_m, half_m));
         let meets = |lane_idx: usize| {
-            if self.of_lane(lane_idx).is_empty() {
-                return (false, false); // of another level
-            }
+            let is_near = |(least, most): (Point2, Point2)| {
+                most.x >= low.x && least.x <= high.x && most.y >= low.y && least.y <= high.y
+            };
             let polygon = &map.lanes[lane_idx].polygon;
-            if polygon.exterior.len() < 3 {
-                return (self.distance_sq(lane_idx, centre).sqrt() <= HALF_LANE_M + half_m, false);
-            }
-            let apart =
-                |(a, b): (Point2, Point2)| Segment::between(a, b).distance_sq(centre) > half_m * half_m;
-            let clear = polygon.rings().flat_map(ring_edges).all(apart);
-            let holds = polygon.contains(centre);
-            (!clear || holds, clear && holds)
+            // lanes of another level have no segments
+            !self.of_lane(lane_idx).is_empty()
+                && (polygon.exterior.len() < 3 || polygon.bounds().is_some_and(is_near))
+                && self.surface_distance_m(map, lane_idx, centre) <= half_m
         };
-        let found = (0..map.lanes.len()).map(|i| (i, meets(i))).filter(|(_, (meets, _))| *meets);
-        let surface = |(lane_idx, (_, whole)): (usize, (bool, bool))| {
+        let found = (0..map.lanes.len()).filter(|lane_idx| meets(*lane_idx));
+        let surface = |lane_idx: usize| {
             let along = |s: &Segment| Vector2::new(s.cos, s.sin);
             let sum: Vector2 = self.of_lane(lane_idx).iter().map(|s| along(s) * s.length_m).sum();
             let direction = sum / sum.norm().max(1e-9);
@@ -265,17 +239,16 @@ impl LaneIndex {
             let agrees_above = if least > 0.0 { (1.0 - least * least).max(0.0).sqrt() + 1e-3 } else { 2.0 };
             let is_lane = map.lanes[lane_idx].kind == LaneKind::Lane;
             let polygon = &map.lanes[lane_idx].polygon;
-            let (low, high) = (centre - Vector2::new(half_m, half_m), centre + Vector2::new(half_m, half_m));
-            let edges = (polygon.exterior.len() >= 3).then(|| {
-                let (beyond, rest): (Vec<_>, Vec<_>) =
-                    polygon.rings().flat_map(ring_edges).partition(|(a, b)| a.x.min(b.x) > high.x);
-                let is_near = |(a, b): &(Point2, Point2)| {
-                    a.x.max(b.x) >= low.x && a.y.min(b.y) <= high.y && a.y.max(b.y) >= low.y
-                };
-                let ends_m = beyond.iter().flat_map(|(a, b)| [a.y, b.y]).collect();
-                (rest.into_iter().filter(is_near).collect(), Beyond::new(ends_m, low.y, high.y))
-            });
-            Surface { lane_idx: lane_idx as u32, whole, edges, is_lane, direction, agrees_above }
+            let border = (polygon.exterior.len() >= 3).then(|| Box::new(Border::new(polygon, low, high)));
+            let look = |point: Point2| match &border {
+                Some(border) => (border.holds(point), border.distance_m(point)),
+                None => {
+                    let depth_m = HALF_LANE_M - self.distance_sq(lane_idx, point).sqrt();
+                    (depth_m > 0.0, depth_m.abs())
+                }
+            };
+            let parts = Parts::new(centre, self.grid.cell_m, look);
+            Surface { lane_idx: lane_idx as u32, is_lane, direction, agrees_above, parts, border }
         };
         found.map(surface).collect()
     }
@@ -454,7 +427,7 @@ simd_dispatch! {
 
 impl Segment {
     /// A segment of no lane.
-    fn between(start: Point2, end: Point2) -> Self {
+    pub(super) fn between(start: Point2, end: Point2) -> Self {
         let way = end - start;
         let length_m = math::hypot(way.x, way.y);
         let unit = if length_m > 0.0 { way / length_m } else { way };
@@ -473,7 +446,7 @@ impl Segment {
     }
 
     #[inline]
-    fn distance_sq(&self, point: Point2) -> Real {
+    pub(super) fn distance_sq(&self, point: Point2) -> Real {
         let along = self.along(point);
         let dx = point.x - self.start.x - along * self.cos;
         let dy = point.y - self.start.y - along * self.sin;

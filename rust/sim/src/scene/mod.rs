@@ -3,6 +3,7 @@
 //! What flows in: a loader's arrays (nuScenes, ScenarioNet, a recorded rollout). What flows out: the log that
 //! worlds start from, replay and compare with. Nothing here knows a data set.
 
+mod cell_border;
 mod contour;
 mod lane_index;
 mod lane_links;

@@ -71,14 +71,14 @@ impl Progress {
     ) -> Real {
         let (position, moved) = (states.position(agent_idx), states.velocity(agent_idx) * dt_s);
         let before_m = self.best_s_m;
-        if !self.stands() {
+        // routes may pass by the goal before they end there
+        let on_branch = (s_m - self.goal_s_m).abs() <= 2.0 * GOAL_M + moved.norm();
+        if on_branch && !self.reached && !self.stands() {
             // the nearest point of the way of this step
             let back = (position - self.goal).dot(&moved) / moved.norm_squared().max(1e-9);
             let nearest_m = (position - moved * back.clamp(0.0, 1.0) - self.goal).norm();
-            // routes may pass by the goal before they end there
-            let on_branch = (s_m - self.goal_s_m).abs() <= 2.0 * GOAL_M + moved.norm();
             let slow = states.speed_mps[agent_idx].abs() <= SLOW_MPS;
-            self.reached |= nearest_m <= self.radius_m() && on_branch && (slow || !self.stops);
+            self.reached = nearest_m <= self.radius_m() && (slow || !self.stops);
         }
         if self.reached {
             self.best_s_m = self.goal_s_m;
