@@ -29,11 +29,12 @@ from ccdiff_env.envs import (
 )
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.metrics import causal
+from ccdiff_env.record import counterfactual
 from ccdiff_env.record.bank import load_bank, record_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet
+from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet, map_queries
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.gpudrive import load_gpudrive
 from ccdiff_env.scenes.sources import load
@@ -57,6 +58,7 @@ __all__ = [
     "aec_env",
     "causal",
     "config",
+    "counterfactual",
     "embedded_scenes",
     "errors",
     "load",
@@ -65,6 +67,7 @@ __all__ = [
     "load_nuscenes",
     "load_scenarionet",
     "make_vec",
+    "map_queries",
     "metrics",
     "parallel_env",
     "record_bank",
