@@ -9,7 +9,7 @@ use crate::scene::AgentKind;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::{AgentStates, Footprint};
 
-/// From this many active agents on, candidates come from sort and sweep (see `benches/geometry.rs`).
+/// From this many active agents on, candidates come from sort and sweep.
 const SWEEP_FROM_AGENTS: usize = 80;
 /// From this many agents on, whose contacts are asked for, all pairs are looked for.
 const JOINT_FROM_AGENTS: usize = 4;

@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Drawn, Extent, Metrics, TickPhase, VecWorld, WorldConfig};
+use super::{ActionDecoder, Drawn, Extent, Metrics, VecWorld, WorldConfig};
 use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -394,10 +394,5 @@ impl VecWorld {
         let now = self.worlds[world_idx].episode.elapsed_steps;
         self.worlds[world_idx].observe(&self.config, extent, now, obs, bev, false);
         Ok(())
-    }
-
-    /// Names of the phases that [`VecWorld::step_in_phases`] reports.
-    pub fn phase_names() -> [&'static str; TickPhase::ALL.len()] {
-        ["decide", "move", "events", "reward", "observe"]
     }
 }

@@ -62,7 +62,6 @@ pub use rng::Rng;
 pub use score_facts::ScoreFacts;
 pub use start::{LEAST_WAY_M, Wanted};
 pub(crate) use surroundings::place_on_route;
-pub use tick::TickPhase;
 pub use traffic::{EXTERNAL, Traffic};
 
 use crate::error::{Result, SimError};
@@ -341,41 +340,11 @@ impl VecWorld {
                 return;
             }
             let next = |episode: &mut Episode| scenes.next(episode, order, num_worlds);
-            world.step(actions, held.clone(), &shared, next, &mut out, &mut |_| {});
+            world.step(actions, held.clone(), &shared, next, &mut out);
         };
         let width = self.decoder.width() * shared.extent.slots;
         let (worlds, order, extent) = (&mut self.worlds[..], &mut self.order[..], shared.extent);
         run(self.pool.as_ref(), Part { worlds, order, actions, width, out, extent }, &job);
-    }
-
-    /// [`VecWorld::step`] on the calling thread that calls `on_phase_end` after each phase of each world: for measuring what
-    /// each phase costs. Policies plan before the first of the steps alone.
-    ///
-    /// # Errors
-    /// As [`VecWorld::step`].
-    pub fn step_in_phases(
-        &mut self,
-        actions: &[Real],
-        mut out: StepBuffers<'_>,
-        on_phase_end: &mut impl FnMut(TickPhase),
-    ) -> Result<()> {
-        self.check_step(actions, None, &out)?;
-        self.plan(0, None, &out)?;
-        let shared = Shared {
-            config: &self.config,
-            decoder: &self.decoder,
-            policies: &self.policies,
-            extent: self.extent(),
-        };
-        let (num_worlds, order) = (self.worlds.len(), self.config.scene_order);
-        let width = self.decoder.width() * self.config.num_slots;
-        for (i, world) in self.worlds.iter_mut().enumerate() {
-            let next = |episode: &mut Episode| self.scenes.next(episode, order, num_worlds);
-            let actions = &actions[i * width..(i + 1) * width];
-            let mut out = out.world(i, shared.extent);
-            world.step(actions, 0..self.config.decision_steps, &shared, next, &mut out, on_phase_end);
-        }
-        Ok(())
     }
 
     fn check_step(&self, actions: &[Real], active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {

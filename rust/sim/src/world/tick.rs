@@ -20,27 +20,6 @@ use crate::world::tow;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Parts of a tick, for the cost split of the benchmark.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(usize)]
-pub enum TickPhase {
-    /// Actions decoded, background motions asked for.
-    Decide = 0,
-    /// Agents moved, entered, left.
-    Move = 1,
-    /// Collisions, road, lanes.
-    Events = 2,
-    /// Rewards, info columns, endings.
-    Reward = 3,
-    /// Observations written.
-    Observe = 4,
-}
-
-impl TickPhase {
-    /// All phases in order.
-    pub const ALL: [Self; 5] = [Self::Decide, Self::Move, Self::Events, Self::Reward, Self::Observe];
-}
-
 /// A world: its scene, its episode, what follows from these, and the memory its tick works in.
 pub(crate) struct World {
     pub(crate) idx: usize,
@@ -204,18 +183,12 @@ impl World {
         is_first: bool,
         shared: &Shared<'_>,
         out: &mut StepBuffers<'_>,
-        on_phase_end: &mut impl FnMut(TickPhase),
     ) -> bool {
         self.active_before.clone_from(&self.episode.states.active);
         self.decide(actions, shared);
-        on_phase_end(TickPhase::Decide);
         self.move_agents(shared);
-        on_phase_end(TickPhase::Move);
         self.find_events(shared.config, false);
-        on_phase_end(TickPhase::Events);
-        let done = self.reward(shared.config, is_first, out);
-        on_phase_end(TickPhase::Reward);
-        done
+        self.reward(shared.config, is_first, out)
     }
 
     /// Steps `held` of a decision: advance to the last of them or the episode's end, or the reset that NEXT_STEP owes;
@@ -227,7 +200,6 @@ impl World {
         shared: &Shared<'_>,
         next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
         out: &mut StepBuffers<'_>,
-        on_phase_end: &mut impl FnMut(TickPhase),
     ) {
         if held.start == 0 {
             out.clear_step();
@@ -240,7 +212,7 @@ impl World {
         let since = self.episode.elapsed_steps.saturating_sub(held.start);
         let goes_on = held.end < shared.config.decision_steps;
         for step in held.filter(|_| !reset_pending) {
-            out.done[0] = self.advance(actions, step == 0, shared, out, on_phase_end);
+            out.done[0] = self.advance(actions, step == 0, shared, out);
             if out.done[0] {
                 break;
             }
@@ -258,7 +230,6 @@ impl World {
         self.autoreset(reset_pending, since, shared, next_scene, out);
         if out.done[0] || out.was_reset[0] || !goes_on {
             self.finish(shared, since, out);
-            on_phase_end(TickPhase::Observe);
         }
     }
 
