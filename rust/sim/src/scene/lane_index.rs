@@ -59,11 +59,16 @@ struct Block {
 pub struct LaneIndex {
     grid: Grid,
     segments: Vec<Segment>,
-    cells: Vec<OnceLock<Box<[Block]>>>,
+    cells: Vec<Cell>,
     /// Number of the first segment of each lane, and that of all.
     first_segment: Vec<u32>,
-    /// Surfaces by cell.
-    surfaces: Vec<OnceLock<Box<[Surface]>>>,
+}
+
+/// What may matter in a cell, next to each other in memory.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Cell {
+    segments: OnceLock<Box<[Block]>>,
+    surfaces: OnceLock<Box<[Surface]>>,
 }
 
 /// A lane whose surface reaches into a cell.
@@ -147,15 +152,14 @@ impl LaneIndex {
             (Point2::new(min.x - REACH_M, min.y - REACH_M), Point2::new(max.x + REACH_M, max.y + REACH_M));
         let grid = Grid::new(min, max, CELL_M, MAX_CELLS);
         let num_cells = grid.num_columns * grid.num_rows;
-        let cells = (0..num_cells).map(|_| OnceLock::new()).collect();
-        let surfaces = (0..num_cells).map(|_| OnceLock::new()).collect();
-        Some(Self { grid, segments, cells, first_segment, surfaces })
+        let cells = vec![Cell::default(); num_cells];
+        Some(Self { grid, segments, cells, first_segment })
     }
 
     /// Lanes and connectors whose surface holds a point, in the order of the map. A lane without a polygon is 3.5 m wide.
     pub fn holding<'a>(&'a self, map: &'a Map, point: Point2) -> impl Iterator<Item = usize> + 'a {
         let list =
-            self.grid.cell(point).map(|c| &**self.surfaces[c].get_or_init(|| self.surfaces_in(map, c)));
+            self.grid.cell(point).map(|c| &**self.cells[c].surfaces.get_or_init(|| self.surfaces_in(map, c)));
         let holds = move |s: &&Surface| self.surface_holds(map, s, point);
         list.into_iter().flatten().filter(holds).map(|s| s.lane_idx as usize)
     }
@@ -263,7 +267,7 @@ impl LaneIndex {
         agrees: impl Fn(usize) -> bool,
     ) -> bool {
         let Some(cell) = self.grid.cell(point) else { return false };
-        let list = self.surfaces[cell].get_or_init(|| self.surfaces_in(map, cell));
+        let list = self.cells[cell].surfaces.get_or_init(|| self.surfaces_in(map, cell));
         let along = |s: &Surface| s.direction.x * cos + s.direction.y * sin;
         let agrees_surely = |s: &&Surface| along(s) > s.agrees_above;
         let holds = |s: &Surface| self.surface_holds(map, s, point);
@@ -308,7 +312,7 @@ impl LaneIndex {
         max_distance_m: Real,
     ) -> NearLanes {
         let Some(cell) = self.grid.cell(point) else { return NearLanes::default() };
-        let list = self.cells[cell].get_or_init(|| self.list(cell));
+        let list = self.cells[cell].segments.get_or_init(|| self.list(cell));
         let mut keys = [u64::MAX; 2];
         nearest_of(list, point, [cos, sin], &mut keys);
         let reach_m = max_distance_m.min(REACH_M);
@@ -330,10 +334,9 @@ impl LaneIndex {
 
     /// Bytes held on the heap.
     pub fn num_bytes(&self) -> usize {
-        let lists = self.cells.iter().filter_map(OnceLock::get);
+        let lists = self.cells.iter().filter_map(|cell| cell.segments.get());
         size_of_val(self.segments.as_slice())
             + size_of_val(self.cells.as_slice())
-            + size_of_val(self.surfaces.as_slice())
             + lists.map(|list| size_of_val::<[Block]>(list)).sum::<usize>()
     }
 
