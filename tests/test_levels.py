@@ -246,7 +246,7 @@ def test_flat_scenes_have_no_heights() -> None:
 
 @pytest.mark.parametrize("lift", [0.0, 7.0])
 def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
-    ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=4.0))
+    ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=8.0))
     scene = load(tmp_path, [*CROSSING, ahead], lift=lift)[0]
     step, ids, apart = 35, scene.agent_ids, lift == 0.0
     # the one that crosses is reached first, unless it is below

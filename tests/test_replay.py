@@ -236,8 +236,8 @@ def test_long_steps_find_the_gap_in_the_road_that_short_ones_find(dt_s):
         on_off_road="ignore",
     )
     steps = [step for step, _, info in played(env) if info["off_road"]]
-    assert steps[0] * dt_s == pytest.approx(2.6, abs=dt_s)
-    assert steps[-1] * dt_s == pytest.approx(2.9, abs=dt_s)
+    assert steps[0] * dt_s == pytest.approx(2.7, abs=dt_s)
+    assert steps[-1] * dt_s == pytest.approx(2.8, abs=dt_s)
 
 
 def test_long_steps_stop_traffic_where_it_touches():

@@ -106,7 +106,7 @@ def test_a_trailer_leaves_with_its_truck_at_the_goal():
     assert left
 
 
-@pytest.mark.parametrize("driver", ["external", "replay", "idm"])
+@pytest.mark.parametrize("driver", ["external", "replay"])
 def test_what_its_trailer_touches_an_ego_has_touched(driver):
     x = 8.0 * TIMES_S
     truck, trailer = hitched(x)
