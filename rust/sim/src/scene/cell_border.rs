@@ -1,6 +1,5 @@
 //! Which points of a cell of a grid a surface holds, found without most of the edges of its polygon.
 
-use super::lane_index::Segment;
 use crate::geom::{Point2, Polygon, Real, Vector2, even_odd, math, ring_edges};
 
 /// Parts of a cell, 8 x 8, that a surface holds whole, and parts with none of it; see `Grid::part`.
@@ -66,7 +65,11 @@ impl Border {
 
     /// Distance of a point of the cell to the edges near it, metres.
     pub(super) fn distance_m(&self, point: Point2) -> Real {
-        let edges = self.near.iter().map(|(a, b)| Segment::between(*a, *b).distance_sq(point));
-        edges.fold(Real::INFINITY, Real::min).sqrt()
+        let distance_sq = |(a, b): &(Point2, Point2)| {
+            let (way, to) = (b - a, point - a);
+            let share = to.dot(&way) / way.norm_squared().max(Real::MIN_POSITIVE);
+            (to - way * share.clamp(0.0, 1.0)).norm_squared()
+        };
+        self.near.iter().map(distance_sq).fold(Real::INFINITY, Real::min).sqrt()
     }
 }

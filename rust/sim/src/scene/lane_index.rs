@@ -26,7 +26,7 @@ const FAR_M: Real = 1e30;
 
 /// A straight segment of a centre line.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Segment {
+struct Segment {
     start: Point2,
     cos: Real,
     sin: Real,
@@ -430,7 +430,7 @@ simd_dispatch! {
 
 impl Segment {
     /// A segment of no lane.
-    pub(super) fn between(start: Point2, end: Point2) -> Self {
+    fn between(start: Point2, end: Point2) -> Self {
         let way = end - start;
         let length_m = math::hypot(way.x, way.y);
         let unit = if length_m > 0.0 { way / length_m } else { way };
@@ -449,7 +449,7 @@ impl Segment {
     }
 
     #[inline]
-    pub(super) fn distance_sq(&self, point: Point2) -> Real {
+    fn distance_sq(&self, point: Point2) -> Real {
         let along = self.along(point);
         let dx = point.x - self.start.x - along * self.cos;
         let dy = point.y - self.start.y - along * self.sin;
