@@ -57,15 +57,16 @@ def ranked(valid):
     return _native.causal_rank("first", 2, valid, measure, measure, None, None, 0, (3.0, 1, 2, 9))
 
 
-def drawn(collided):
+def drawn(**flags):
     x, y, heading, _ = (part[0] for part in states())
     kinds = np.zeros(A, np.uint8)
     return _native.render_arrays(
-        np.stack([x, y], 1), heading, np.stack(SIZES, 1), kinds, kinds, collided,
+        np.stack([x, y], 1), heading, np.stack(SIZES, 1), kinds, kinds,
+        flags.get("collided", SOME), flags.get("parked", SOME), flags.get("arrived", SOME),
         scene=None, size=(64, 64), span_m=30.0, centre_m=(0.0, 0.0), up_rad=0.0,
         route_m=np.zeros((0, 2), np.float32), trails=[], samples=[], plans=[], arrows=[],
         collisions_m=np.zeros((0, 2), np.float32), names=[], caption="", scale_bar=False,
-        legend=[], theme="light",
+        legend=[], theme="light", svg=False,
     )  # fmt: skip
 
 
@@ -86,7 +87,9 @@ CASES = {
     ),
     "causal_distance.valid": (lambda m: _native.causal_distance(*states()[:2], m), VALID),
     "causal_rank.valid": (ranked, SOME),
-    "render_arrays.collided": (drawn, SOME),
+    "render_arrays.collided": (lambda m: drawn(collided=m), SOME),
+    "render_arrays.parked": (lambda m: drawn(parked=m), SOME),
+    "render_arrays.arrived": (lambda m: drawn(arrived=m), SOME),
     "Trajectories.__new__.valid": (
         lambda m: motion(m).comfort("body", 1),
         np.ascontiguousarray(VALID.T),
