@@ -8,12 +8,11 @@ from typing import Any
 from ccdiff_env.config import unknown
 from ccdiff_env.errors import ConfigError
 
-__all__ = ["AGENT_OPTIONS", "EGO_OPTIONS", "SELECTION_OPTIONS", "reset_options"]
+__all__ = ["AGENT_OPTIONS", "EGO_OPTIONS", "reset_options"]
 
-#: What resets of one ego per world take, of several agents, and of the selection of adversaries.
+#: What resets of one ego per world take, and of several agents.
 EGO_OPTIONS = ("scene", "ego", "start", "style", "drivers")
 AGENT_OPTIONS = ("scene", "drivers")
-SELECTION_OPTIONS = ("scene",)
 
 
 def reset_options(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
