@@ -19,6 +19,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.interop.nuplan import nuplan_planner
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.worlds.worlds_view import behind
 
 #: Way ahead that both have a line for, m; how far our acceleration changes in a step, m/s².
 LEAST_LINE_M, MOST_CHANGE_MPS2 = 90.0, 0.8
@@ -40,7 +41,8 @@ class Both:
         for i in range(native.num_worlds):
             if native.slot_alive(i)[0]:
                 known = i in self.theirs._drives
-                self.theirs._step(i)
+                scene_idx = behind(self.worlds).native.status(i).scene_idx
+                self.theirs._step(i, scene_idx, behind(self.worlds).scenes[scene_idx])
                 self._compare(i, float(driven[i, 0]), known)
         return driven
 
