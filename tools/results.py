@@ -145,7 +145,7 @@ TABLES: dict[str, Made] = {
             "original": Column("value", digits=3),
             "pdm": Column("other", digits=3),
             "difference": Column("difference", digits=3, sign="+"),
-            "p": Column("p", digits=3),
+            "p": Column("p", digits=4),
         },
         where={"planner": "nuplan:pdm_closed_planner", "against": "pdm"},
         file="pairs.csv",
