@@ -8,6 +8,7 @@ from array_scenes import TIMES_S, agent, array_scene, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
+from ccdiff_env.record.episode import begin, play, recorders_of
 
 EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
 TRUCK = {"size": (6.0, 2.5, 3.2)}
@@ -41,6 +42,19 @@ def test_they_stay_hitched_whatever_drives(traffic, starts):
             assert np.hypot(*gap) == pytest.approx(8.0, abs=0.6)
             assert states["speed"][2] == pytest.approx(states["speed"][1], abs=0.5)
             assert abs(states["acceleration"][2] - states["acceleration"][1]) < 1.0
+
+
+def test_a_recording_says_that_the_trailer_is_towed(tmp_path):
+    scenes = ccdiff_env.SceneSet([array_scene(EGO, *hitched(20.0 + 8.0 * TIMES_S))])
+    config = ccdiff_env.WorldConfig(driver="replay", traffic="idm", autoreset="disabled")
+    worlds = begin(scenes, config, 0)
+    recorders = recorders_of(worlds, scenes.names)
+    for _ in play(worlds, recorders=recorders, most=5):
+        pass
+    rollout = recorders[0].rollout()
+    assert list(rollout.driver_names) == ["replay", "idm", "towed"]
+    rollout.save(tmp_path / "a.npz")
+    assert ccdiff_env.Rollout.load(tmp_path / "a.npz").driver_names == rollout.driver_names
 
 
 def test_a_towed_box_rolls_round_a_bend_like_a_trailer():

@@ -236,6 +236,8 @@ class Recorder:
         names = self._worlds.column_names if columns.size else ()
         config = self._worlds.config
         table = (("external", "external"), *self._worlds.native.policies)
+        if "towed" in self._drivers:
+            table += (("towed", "towed"),)
         drivers = [name for name, _ in table]
         return Rollout(
             scene=self._scene,
