@@ -117,7 +117,7 @@ def test_folders_and_patterns_are_read_when_looked_at(tmp_path):
         ccdiff_env.load_gpudrive(tmp_path / "none")
 
 
-@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench", "rollout"])
+@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench"])
 def test_files_open_everywhere(tmp_path, verb):
     save(tmp_path / "waymo_1.json")
     save(tmp_path / "waymo_2.json")
@@ -136,7 +136,6 @@ def test_files_open_everywhere(tmp_path, verb):
             "0",
             "--quiet",
         ],
-        "rollout": ["waymo_2", "--traffic", "ccdiff", "--out", out],
     }[verb]
     words = [*words, "--out", out] if verb == "bench" else words
     with warnings.catch_warnings():
