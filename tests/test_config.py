@@ -169,14 +169,6 @@ def test_configurations_are_frozen_and_hashable():
     assert ActionGrid(first=(1.0,), second=(0.0,)) == ActionGrid(first=(1.0,), second=(0.0,))
 
 
-def test_scaled_rewards_are_all_weights_times_the_factor():
-    weights, scaled = RewardConfig(), RewardConfig().scaled(0.2)
-    assert scaled.form == weights.form
-    for field in (f for f in dataclasses.fields(RewardConfig) if f.name != "form"):
-        expected = 0.2 * getattr(weights, field.name)
-        assert getattr(scaled, field.name) == pytest.approx(expected)
-
-
 def test_nested_dictionaries_are_the_fields_to_change():
     config = WorldConfig(reward={"collision": -3.0}, ccdiff={"num_samples": 2})
     assert config == WorldConfig().with_options(

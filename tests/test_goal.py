@@ -7,6 +7,7 @@ import pytest
 from array_scenes import STEPS, TIMES_S, agent, array_scene, played
 
 from ccdiff_env import EgoEnv
+from ccdiff_env.config import RewardConfig
 
 
 def driven(scene, path, **options):
@@ -45,7 +46,9 @@ def test_the_goal_is_reached_and_progress_counts_near_the_route_only(aside, reac
     np.testing.assert_allclose(goal, [130.0, 0.0], atol=1e-3)
     assert last["metrics"]["goal_reached"] == last["is_success"] == reaches
     assert sum(info["goal_reached"] for info in infos) == reaches
-    assert sum(info["reward_goal"] for info in infos) == pytest.approx(2.0 * reaches)
+    assert sum(info["reward_goal"] for info in infos) == pytest.approx(
+        RewardConfig().goal * reaches
+    )
     assert (last["route_completion"] == 1.0) == bool(reaches)
     for info in infos:
         assert not info["goal_reached"] or np.linalg.norm(info["at"] - goal) <= 5.0
@@ -53,7 +56,7 @@ def test_the_goal_is_reached_and_progress_counts_near_the_route_only(aside, reac
         assert last["metrics"]["progress"] <= 10.0
     # rewards, info and metrics are one account
     reward = sum(info["reward_progress"] for info in infos)
-    assert reward == pytest.approx(0.1 * last["progress"], rel=1e-4)
+    assert reward == pytest.approx(RewardConfig().progress * last["progress"], rel=1e-4)
     assert last["metrics"]["progress"] == pytest.approx(last["progress"])
     assert last["metrics"]["route_completion"] == last["route_completion"]
 
@@ -110,7 +113,7 @@ def test_who_goes_on_after_the_goal_stays_and_gets_nothing_twice():
     assert all(info["active"] for info in infos)
     assert infos[-1]["at"][0] == pytest.approx(x[130], abs=0.1)
     assert sum(info["goal_reached"] for info in infos) == 1
-    assert sum(info["reward_goal"] for info in infos) == pytest.approx(2.0)
+    assert sum(info["reward_goal"] for info in infos) == pytest.approx(RewardConfig().goal)
     first = next(i for i, info in enumerate(infos) if info["goal_reached"])
     assert all(info["route_completion"] == 1.0 for info in infos[first:])
     assert all(info["reward_progress"] == 0.0 for info in infos[first + 1 :])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet
+from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet, WorldConfig
 from ccdiff_env.bench.episode import relations
 from ccdiff_env.metrics import Motion
 from ccdiff_env.view.contacts import contacts
@@ -156,7 +156,8 @@ def test_lanes_and_lines_are_those_of_ones_own_level(tmp_path: Path) -> None:
     # leads east and is 1 m away
     turned = overpass.vehicle(1, lambda t: (40.0, 1.0, 0.0), heading=0.0)
     scenes = load(tmp_path, [turned, overpass.vehicle(2, overpass.on_bridge(0.0))])
-    rows = play(scenes)["seen"][0]
+    config = WorldConfig(observation={"num_map_segments": 64})
+    rows = play(scenes, config=config)["seen"][0]
     lines = rows["map"][rows["map_mask"] > 0]
     assert len(lines) > 20
     # all lines run along the road below, across the ego: x, y, then the cosine of the direction

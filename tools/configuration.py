@@ -34,19 +34,6 @@ PLAIN = (
 )
 #: Fields that classes of Python have in another form.
 OWN_FORM = {"WorldConfig": "policies", "PythonOptions": "model"}
-#: What a class has beside its fields.
-METHODS = {
-    "RewardConfig": '''
-    def scaled(self, factor: float) -> RewardConfig:
-        """Return all weights times a factor.
-
-        Learners whose value function shares features with the policy learn better from small
-        rewards: the loss of the value function grows with their square.
-        """
-        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
-        return RewardConfig(form=self.form, **weights)
-''',
-}
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 
 from __future__ import annotations
@@ -269,7 +256,7 @@ def _class(table: Table) -> str:
         if table["defaults"] is not None:
             line += f" = {_default(entry, table['defaults'][entry['name']])}"
         lines.append(line)
-    return "\n".join(lines) + "\n" + METHODS.get(table["name"], "")
+    return "\n".join(lines) + "\n"
 
 
 def classes(found: list[Table]) -> str:

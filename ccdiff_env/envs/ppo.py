@@ -23,7 +23,7 @@ from ccdiff_env.envs.clone import imitate
 from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError
 from ccdiff_env.policies import load
-from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.policies.ego import save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
@@ -40,15 +40,6 @@ GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
 CORRELATION = 0.7
 #: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
 HALF = torch.cpu._is_avx512_bf16_supported()
-REWARD = {
-    "progress": 0.02,
-    "collision": -2.5,
-    "off_road": -3.0,
-    "comfort": -0.004,
-    "speed_limit": -0.01,
-    "lane_keeping": -0.004,
-    "goal": 1.0,
-}
 #: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
 #: other way, and a decision after which contact is a second away; this grows from 0 at 1.6 s.
 AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
@@ -110,8 +101,9 @@ class Worlds:
         entries = {entry.name: entry for entry in self.envs[0].worlds.layout.entries}
         rows, mask = entries["agents"], entries["agents_mask"]
         self.mask = slice(mask.offset, mask.offset + mask.size)
-        ttc = OBSERVATION["agent_columns"].index("ttc")
-        self.ttc = rows.offset + ttc + rows.shape[1] * np.arange(rows.shape[0])
+        self.ttc = (
+            rows.offset + rows.columns.index("ttc") + rows.shape[1] * np.arange(rows.shape[0])
+        )
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
         self.episodes: list[Floats] = []
         begun = zip(self.envs, self.parts, strict=True)
@@ -237,13 +229,12 @@ def train(args: argparse.Namespace) -> None:
     if dynamics == "assisted":
         dynamics = {"assisted": {"base": args.base, "delta_mps2": DELTA_MPS2}}
     fitting: dict[str, Any] = {
-        "observation": OBSERVATION,
         "dynamics": policies[0].config.action.dynamics if policies else dynamics,
         "decision_steps": args.decision_steps,
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
     prices = PRICES if isinstance(config.action.dynamics, AssistedLimits) else {}
-    config = config.with_options(reward=REWARD | prices, style=args.style)
+    config = config.with_options(reward=prices, style=args.style)
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")

@@ -206,13 +206,13 @@ class ObservationConfig:
     """Choice of rows and columns of the observation."""
 
     #: Nearest agents that are seen, K rows (in [0, 512]).
-    num_neighbors: int = 16
+    num_neighbors: int = 12
     #: Points of the route ahead, P rows (in [0, 256]).
-    num_route_points: int = 20
+    num_route_points: int = 10
     #: Distance from one route point to the next (m, in (0, 1000]).
-    route_spacing_m: float = 2.0
-    #: Nearest segments of map lines, N rows (in [0, 256]).
-    num_map_segments: int = 64
+    route_spacing_m: float = 4.0
+    #: Nearest segments of map lines, N rows (in [0, 256]); egos learn faster without.
+    num_map_segments: int = 0
     #: Agents farther than this are not seen (m, in (0, 1000]).
     radius_m: float = 60.0
     #: Whether masks are part of the row.
@@ -241,31 +241,22 @@ class RewardConfig:
     #: How the reward is made.
     form: RewardForm = "sum"
     #: Per metre of new progress along the route (in [-1000000, 1000000]).
-    progress: float = 0.1
+    progress: float = 0.02
     #: At the step of a collision (in [-1000000, 1000000]).
-    collision: float = -10.0
+    collision: float = -2.5
     #: At each step with a corner off the road (in [-1000000, 1000000]).
-    off_road: float = -5.0
+    off_road: float = -3.0
     #: Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3,
     #: per step (in [-1000000, 1000000]).
     comfort: float = -0.004
     #: Per m/s above the speed limit, per step (in [-1000000, 1000000]).
-    speed_limit: float = -0.05
+    speed_limit: float = -0.01
     #: Per metre of distance from the route, at most 3, per step (in [-1000000, 1000000]).
-    lane_keeping: float = -0.02
+    lane_keeping: float = -0.004
     #: When the goal is reached (in [-1000000, 1000000]).
-    goal: float = 2.0
+    goal: float = 1.0
     #: Per m/s³ of jerk either way, at most 10, per step (in [-1000000, 1000000]).
     jerk: float = 0.0
-
-    def scaled(self, factor: float) -> RewardConfig:
-        """Return all weights times a factor.
-
-        Learners whose value function shares features with the policy learn better from small
-        rewards: the loss of the value function grows with their square.
-        """
-        weights = {n: factor * w for n, w in dataclasses.asdict(self).items() if n != "form"}
-        return RewardConfig(form=self.form, **weights)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ mod common;
 
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
-use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, SceneOrder, WorldConfig};
+use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, RewardConfig, SceneOrder, WorldConfig};
 use common::{Batch, actions, city};
 use std::sync::Arc;
 
@@ -25,8 +25,9 @@ fn the_replayed_ego_stays_on_its_log_and_reaches_its_goal() {
     assert!(batch.terminated[0] && !batch.truncated[0]);
     assert_eq!(batch.columns[Col::GoalReached as usize], 1.0);
     assert_eq!(batch.columns[Col::Success as usize], 1.0);
-    // 40 m at 0.1 a metre and the goal's bonus, no costs on a straight road at constant speed
-    assert!((total - (4.0 + 2.0)).abs() < 0.2, "{total}");
+    // 40 m of progress and the goal's bonus, no costs on a straight road at constant speed
+    let weights = RewardConfig::default();
+    assert!((total - (40.0 * weights.progress + weights.goal)).abs() < 0.04, "{total}");
 }
 
 #[test]

@@ -52,7 +52,7 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         e.state(|s| &s.yaw_rate_radps)
     }),
     entry("length", "m", 10.0, POSITIVE, "of the box", |e| 2.0 * e.footprint().half_length_m),
-    entry("width", "m", 4.0, POSITIVE, "of the box", |e| 2.0 * e.footprint().half_width_m),
+    on_request(entry("width", "m", 4.0, POSITIVE, "of the box", |e| 2.0 * e.footprint().half_width_m)),
     entry("last_action_0", "", 1.0, SIGNED, "first column of the last normalised action", |e| {
         e.view.facts.last_action[0]
     }),
@@ -67,22 +67,29 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     }),
     entry("route_sin", "", 1.0, SIGNED, "sine of the heading against the route", |e| e.route_turn().0),
     entry("route_cos", "", 1.0, SIGNED, "cosine of the heading against the route", |e| e.route_turn().1),
-    entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
+    on_request(entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
         flag(e.view.facts.lane_distance_m.is_some())
-    }),
-    entry("lane_distance", "m", 5.0, POSITIVE, "distance to the nearest lane centre, 0 without one", |e| {
-        e.view.facts.lane_distance_m.unwrap_or(0.0)
-    }),
+    })),
+    on_request(entry(
+        "lane_distance",
+        "m",
+        5.0,
+        POSITIVE,
+        "distance to the nearest lane centre, 0 without one",
+        |e| e.view.facts.lane_distance_m.unwrap_or(0.0),
+    )),
     entry("off_road", "", 1.0, POSITIVE, "1 if a corner of the box is off the road", |e| {
         flag(e.view.facts.off_road)
     }),
-    entry("collided", "", 1.0, POSITIVE, "1 while touching another agent", |e| flag(e.view.facts.collided)),
+    on_request(entry("collided", "", 1.0, POSITIVE, "1 while touching another agent", |e| {
+        flag(e.view.facts.collided)
+    })),
     entry("route_remaining", "m", 100.0, POSITIVE, "along the route to the goal", |e| {
         e.view.facts.route_remaining_m
     }),
-    entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
+    on_request(entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
         e.view.facts.time_remaining
-    }),
+    })),
     entry(
         "leader_gap",
         "m",
@@ -127,14 +134,14 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
     entry("speed", "m/s", 20.0, SIGNED, "along its own heading", Speed),
     entry("length", "m", 10.0, POSITIVE, "of the box", Fixed(|footprint, _| 2.0 * footprint.half_length_m)),
     entry("width", "m", 4.0, POSITIVE, "of the box", Fixed(|footprint, _| 2.0 * footprint.half_width_m)),
-    entry(
+    on_request(entry(
         "distance",
         "m",
         60.0,
         POSITIVE,
         "between centres",
         Pair(|all, to| all.each(to, |p| p.distance_m())),
-    ),
+    )),
     entry(
         "ttc",
         "s",
@@ -150,10 +157,38 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
         }),
     ),
     entry("is_vehicle", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Vehicle))),
-    entry("is_pedestrian", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Pedestrian))),
-    entry("is_cyclist", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Cyclist))),
-    entry("is_motorcycle", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Motorcycle))),
-    entry("is_static", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Static))),
+    on_request(entry(
+        "is_pedestrian",
+        "",
+        1.0,
+        POSITIVE,
+        "kind",
+        Fixed(|_, kind| flag(kind == AgentKind::Pedestrian)),
+    )),
+    on_request(entry(
+        "is_cyclist",
+        "",
+        1.0,
+        POSITIVE,
+        "kind",
+        Fixed(|_, kind| flag(kind == AgentKind::Cyclist)),
+    )),
+    on_request(entry(
+        "is_motorcycle",
+        "",
+        1.0,
+        POSITIVE,
+        "kind",
+        Fixed(|_, kind| flag(kind == AgentKind::Motorcycle)),
+    )),
+    on_request(entry(
+        "is_static",
+        "",
+        1.0,
+        POSITIVE,
+        "kind",
+        Fixed(|_, kind| flag(kind == AgentKind::Static)),
+    )),
     entry(
         "route_position",
         "m",

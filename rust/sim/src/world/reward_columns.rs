@@ -178,25 +178,25 @@ columns! {
     // weight, default, what it is, and the reward from the weight and the step
     rewards {
         /// Per metre of new progress along the route.
-        RewardProgress, progress = 0.1, "weighted reward of new progress along the route",
+        RewardProgress, progress = 0.02, "weighted reward of new progress along the route",
             |weight, s| weight * s.progress_m * s.worth;
         /// At the step of a collision.
-        RewardCollision, collision = -10.0, "weighted reward of the step of a collision",
+        RewardCollision, collision = -2.5, "weighted reward of the step of a collision",
             |weight, s| weight * flag(s.contact_counts);
         /// At each step with a corner off the road.
-        RewardOffRoad, off_road = -5.0, "weighted reward of a step with a corner off the road",
+        RewardOffRoad, off_road = -3.0, "weighted reward of a step with a corner off the road",
             |weight, s| weight * flag(s.off_road);
         /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
         RewardComfort, comfort = -0.004, "weighted reward of acceleration, jerk and lateral acceleration",
             |weight, s| weight * s.soft * s.discomfort;
         /// Per m/s above the speed limit, per step.
-        RewardSpeedLimit, speed_limit = -0.05, "weighted reward of speed above the limit",
+        RewardSpeedLimit, speed_limit = -0.01, "weighted reward of speed above the limit",
             |weight, s| weight * s.soft * s.speeding_mps();
         /// Per metre of distance from the route, at most 3, per step.
-        RewardLaneKeeping, lane_keeping = -0.02, "weighted reward of distance from the route",
+        RewardLaneKeeping, lane_keeping = -0.004, "weighted reward of distance from the route",
             |weight, s| weight * s.soft * s.aside_m();
         /// When the goal is reached.
-        RewardGoal, goal = 2.0, "weighted reward of reaching the goal",
+        RewardGoal, goal = 1.0, "weighted reward of reaching the goal",
             |weight, s| weight * flag(s.reached);
         /// Per m/s³ of jerk either way, at most 10, per step.
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
