@@ -19,6 +19,7 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.worlds.fit import STATISTICS
 
 try:
+    import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
@@ -26,15 +27,33 @@ except ModuleNotFoundError as error:
         "this needs stable-baselines3: pip install 'ccdiff-env[rl]'"
     ) from error
 
-#: Settings of PPO for some hundred worlds: large minibatches and few epochs, since small ones cost
-#: more than the worlds (docs/tasks.md).
+
+def falling_rate(left: float) -> float:
+    """Return the learning rate at a share of the training that is left, 5e-4 at first."""
+    return 5e-4 * max(left, 0.05)
+
+
+#: Settings of PPO for some hundred worlds with ``decision_steps=3`` under ``VecNormalize`` of the
+#: observations: large minibatches, few epochs and a short horizon, and little noise at first, since
+#: full noise leaves the road within a second.
 PPO_SETTINGS: dict[str, Any] = {
-    "n_steps": 32,
-    "batch_size": 4096,
-    "n_epochs": 3,
-    "learning_rate": 5e-4,
-    "gamma": 0.98,
+    "n_steps": 64,
+    "batch_size": 1024,
+    "n_epochs": 5,
+    "learning_rate": falling_rate,
+    "gamma": 0.96,
     "gae_lambda": 0.95,
+    "policy_kwargs": {"log_std_init": -1.7},
+}
+#: Settings of SAC for 32 worlds: one gradient step for every four decisions.
+SAC_SETTINGS: dict[str, Any] = {
+    "buffer_size": 200_000,
+    "learning_starts": 4_000,
+    "gradient_steps": 8,
+    "learning_rate": 5e-4,
+    "gamma": 0.96,
+    "ent_coef": "auto_0.02",
+    "policy_kwargs": {"net_arch": [128, 128]},
 }
 
 
@@ -74,6 +93,9 @@ class SB3VecEnv(VecEnv):
     ----------
     env : EgoVectorEnv
         Put into ``SAME_STEP`` autoreset mode, if it is in another one and has not been reset.
+    torch_threads : int or None
+        Threads of torch in this process. Networks of this size are slower with more than one,
+        which then take several times the processor time; ``None`` leaves torch's setting.
 
     Raises
     ------
@@ -81,7 +103,12 @@ class SB3VecEnv(VecEnv):
         If the environment is in another autoreset mode and has been reset, or is wrapped.
     """
 
-    def __init__(self, env: EgoVectorEnv | AgentVectorEnv | AdversarySelectionVectorEnv) -> None:
+    def __init__(
+        self,
+        env: EgoVectorEnv | AgentVectorEnv | AdversarySelectionVectorEnv,
+        *,
+        torch_threads: int | None = 1,
+    ) -> None:
         if isinstance(env, EgoVectorEnv) and not env.begun:
             env.set_autoreset_mode(AutoresetMode.SAME_STEP)
         if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
@@ -89,6 +116,8 @@ class SB3VecEnv(VecEnv):
                 f"autoreset_mode is {env.metadata['autoreset_mode']}, expected SAME_STEP: "
                 'make_vec(..., autoreset_mode="same_step")'
             )
+        if torch_threads is not None:
+            torch.set_num_threads(torch_threads)
         self.env = env
         self.render_mode = env.render_mode
         self._actions: np.ndarray[Any, Any] | None = None
@@ -207,20 +236,14 @@ class AgentSB3VecEnv(SB3VecEnv):
 
     Every info holds ``active``, whether the row's vehicle is driven by the next action. The end of
     a wait is a done without ``episode``, so that statistics count driven episodes only.
-
-    Parameters
-    ----------
-    env
-        The rows.
     """
 
-    def __init__(self, env: AgentVectorEnv) -> None:
-        super().__init__(env)
+    env: AgentVectorEnv
 
     def step_wait(self) -> Any:
         """Step all worlds; observations [E x C, ...], rewards, dones [E x C], infos."""
         obs, rewards, dones, infos = super().step_wait()
-        active = self.env.active_masks()  # type: ignore[union-attr]
+        active = self.env.active_masks()
         for i, info in enumerate(infos):
             info["active"] = bool(active[i])
             if dones[i] and not info["played"]:
@@ -229,16 +252,9 @@ class AgentSB3VecEnv(SB3VecEnv):
 
 
 class SelectionSB3VecEnv(SB3VecEnv):
-    """The worlds of an :class:`AdversarySelectionVectorEnv`, with masks for MaskablePPO.
+    """The worlds of an :class:`AdversarySelectionVectorEnv`, with masks for MaskablePPO."""
 
-    Parameters
-    ----------
-    env
-        The worlds.
-    """
-
-    def __init__(self, env: AdversarySelectionVectorEnv) -> None:
-        super().__init__(env)
+    env: AdversarySelectionVectorEnv
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
@@ -246,5 +262,5 @@ class SelectionSB3VecEnv(SB3VecEnv):
         """Call a method; ``action_masks`` gives the mask of each world."""
         if method_name != "action_masks":
             return super().env_method(method_name, *args, indices=indices, **kwargs)
-        masks = self.env.action_masks()  # type: ignore[union-attr]
+        masks = self.env.action_masks()
         return [masks[i] for i in self._get_indices(indices)]
