@@ -1,73 +1,148 @@
-"""Train a PPO ego with stable-baselines3 in a traffic of your choice, and evaluate it.
+"""Train an ego from nothing with stable-baselines3, and watch it learn on scenes it never drives.
 
-    python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --steps 300000
+    python examples/train_ego_sb3.py
+    python examples/train_ego_sb3.py --algorithm sac
+    python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --start runs/train_ego
 
---scenes names others than the embedded ones.
+The first takes two minutes of one core; the last continues in critical CCDiff traffic. Each draws
+the success rate on held-out scenes as ``curve.svg``, and compares the planner score with that of
+the untrained network, constant velocity and IDM.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import time
 from pathlib import Path
 
-from stable_baselines3 import PPO
+import numpy as np
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import Traffic, play
-from ccdiff_env.envs.sb3 import SB3VecEnv
+from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 
-FIGURES = ("score", "success", "collision", "no_at_fault_collision", "on_road", "progress")
+#: Algorithm, its settings, worlds, and decisions that take about two minutes of one core.
+ALGORITHMS = {
+    "ppo": (PPO, PPO_SETTINGS, 128, 1_000_000),
+    "sac": (SAC, SAC_SETTINGS, 32, 50_000),
+}
+FIGURES = ("score", "success", "collision", "on_road", "progress", "comfort")
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
-    parser.add_argument("--traffic", default="idm", help="replay, idm, constant_velocity or ccdiff")
-    parser.add_argument("--criticality", type=float, default=0.0, help="of ccdiff traffic")
-    parser.add_argument("--steps", type=int, default=200_000)
-    parser.add_argument("--worlds", type=int, default=32)
+    parser.add_argument("--algorithm", default="ppo", choices=ALGORITHMS)
+    parser.add_argument("--traffic", default="idm", help="who drives the other vehicles")
+    parser.add_argument("--criticality", type=float, default=0.0, help="of CCDiff traffic")
+    parser.add_argument("--dynamics", default="unicycle", help="what the actions mean")
+    parser.add_argument("--decisions", type=int, help="of training (default: two minutes)")
+    parser.add_argument("--start", type=Path, help="folder of a run to continue from")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
 
 
+def success_rate(model, env: VecNormalize) -> float:
+    """Share of successes in one episode of every world, without exploration noise."""
+    ended: list[float] = []
+
+    def note(seen: dict, _: dict) -> None:
+        if seen["done"]:
+            ended.append(seen["info"]["is_success"])
+
+    env.seed(0)
+    evaluate_policy(model, env, n_eval_episodes=env.num_envs, callback=note, warn=False)
+    return float(np.mean(ended))
+
+
+class Curve(BaseCallback):
+    """Evaluates ten times in a training: decisions, CPU seconds of training, success rate."""
+
+    def __init__(self, env: VecNormalize, decisions: int) -> None:
+        super().__init__()
+        self.env, self.decisions, self.every = env, decisions, max(decisions // 10, 1)
+        self.rows: list[tuple[int, float, float]] = []
+        self.evaluating_s, self.begin_s = 0.0, time.process_time()
+
+    def evaluate(self) -> None:
+        before = time.process_time()
+        rate, taken = success_rate(self.model, self.env), before - self.begin_s - self.evaluating_s
+        self.rows.append((self.num_timesteps, taken, rate))
+        print(f"{self.num_timesteps:9,d} {taken:5.0f} s {rate:5.0%}", "█" * round(40 * rate))
+        self.evaluating_s += time.process_time() - before
+
+    _on_training_start = evaluate
+
+    def _on_step(self) -> bool:
+        if len(self.rows) * self.every <= self.num_timesteps < self.decisions:
+            self.evaluate()
+        return True
+
+
+def draw(rows: list[tuple[int, float, float]], path: Path) -> None:
+    """Draw the success rate over CPU seconds."""
+    last = rows[-1][1]
+    points = " ".join(f"{50 + 430 * s / last:.1f},{250 - 230 * rate:.1f}" for _, s, rate in rows)
+    heights = {share: 250 - 230 * share for share in (0, 0.25, 0.5, 0.75, 1)}
+    lines = "".join(
+        f'<path d="M50 {y}h430" stroke="#ddd"/><text x="8" y="{y + 4}">{share:.0%}</text>'
+        for share, y in heights.items()
+    )
+    path.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" width="500" height="300" font-family="sans-serif" '
+        f'font-size="12"><rect width="500" height="300" fill="#fff"/>{lines}'
+        f'<polyline points="{points}" fill="none" stroke="#1f77b4" stroke-width="3"/>'
+        '<text x="50" y="285">held-out episodes that succeed, over CPU seconds of training</text>'
+        f'<text x="45" y="266">0</text><text x="455" y="266">{last:.0f} s</text></svg>\n'
+    )
+
+
 def main() -> None:
     args = arguments()
-    train, held_out = scenes_from(args), scenes_from(args, other=True)
+    algorithm, settings, worlds, decisions = ALGORITHMS[args.algorithm]
+    decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
+    tests = 8 * len(held_out)
     if args.smoke:
-        args.steps, args.worlds, held_out = 256, 4, held_out[:1]
-    critical = args.traffic == "ccdiff"
-    options = {"criticality": args.criticality, "denoising_steps": 1} if critical else {}
-    native = ccdiff_env.make_vec(
-        args.worlds,
-        scenes=train,
-        autoreset_mode="same_step",
-        info="end",
-        traffic=args.traffic,
-        ccdiff=options,
-    )
-    model = PPO(
-        "MlpPolicy",
-        SB3VecEnv(native),
-        n_steps=max(2048 // args.worlds, 16) if not args.smoke else 64,
-        batch_size=256,
-        gamma=0.98,
-        seed=args.seed,
-        verbose=0 if args.smoke else 1,
-        device="cpu",
-    )
-    model.learn(args.steps)
+        worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
+        settings = settings | ({"n_steps": 2, "batch_size": 8} if args.algorithm == "ppo" else {})
+    critical = {"criticality": args.criticality, "denoising_steps": 1}
+    options = {"traffic": args.traffic, "dynamics": args.dynamics, "decision_steps": 3}
+    options["ccdiff"] = critical if args.traffic == "ccdiff" else {}
+    train = options | {"scenes": scenes_from(args), "start_spread_steps": 50}
+    env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(worlds, **train)), norm_reward=False)
+    if args.start:
+        env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
+    test = options | {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
+    test_env = SB3VecEnv(ccdiff_env.make_vec(tests, **test))
+    test_env = VecNormalize(test_env, training=False, norm_reward=False)
+    test_env.obs_rms = env.obs_rms
+    model = algorithm("MlpPolicy", env, seed=args.seed, device="cpu", **settings)
+    if args.start:
+        model.set_parameters(args.start / "ego.zip", device="cpu")
     args.out.mkdir(parents=True, exist_ok=True)
-    model.save(args.out / "ego.zip")
-    print(f"{len(held_out)} held-out scenes, {args.traffic} traffic:")
-    rows = play(held_out, str(args.out / "ego.zip"), Traffic("", args.traffic, options))
-    for name in FIGURES:
-        print(f"  {name:22s} {mean_interval(rows, name)[0]:.3f}")
-    print(f"policy in {args.out / 'ego.zip'}")
+    save_policy(model, args.out / "untrained.zip")
+    print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
+    curve = Curve(test_env, decisions)
+    model.learn(decisions, callback=curve)
+    curve.evaluate()
+    save_policy(model, args.out / "ego.zip")
+    env.save(str(args.out / "normalize.pkl"))
+    draw(curve.rows, args.out / "curve.svg")
+    (args.out / "curve.json").write_text(json.dumps(curve.rows) + "\n")
+    print(f"\n{'planner':18s}" + "".join(map("{:>10s}".format, FIGURES)))
+    for planner in (f"{args.out}/untrained.zip", f"{args.out}/ego.zip", "constant_velocity", "idm"):
+        rows = play(held_out, planner, Traffic("", args.traffic, options["ccdiff"]))
+        means = (np.mean([row[name] for row in rows]) for name in FIGURES)
+        print(f"{Path(planner).stem:18s}" + "".join(f"{mean:10.2f}" for mean in means))
 
 
 if __name__ == "__main__":

@@ -28,11 +28,9 @@ BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 #: What is made smaller here than on the page.
 SMALLER = {
     "make_vec(64": "make_vec(2",
-    "make_vec(128": "make_vec(2",
-    "learn(200_000, progress_bar=True)": "learn(1)",
+    "make_vec(\n    128": "make_vec(\n    2",
     "AgentVectorEnv(16": "AgentVectorEnv(2",
-    "make_vec(\n    512": "make_vec(\n    2",
-    "**PPO_SETTINGS)": "**PPO_SETTINGS | {'batch_size': 64})",
+    "**PPO_SETTINGS)": "**PPO_SETTINGS | {'n_steps': 8, 'batch_size': 16})",
     "learn(1_000_000)": "learn(1)",
 }
 
