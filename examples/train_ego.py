@@ -1,22 +1,24 @@
-"""Train an ego against recorded critical traffic; compare it where it learned and elsewhere.
+"""Train the shipped ``ego``: three seeds, the best chosen on one split, reported on another.
 
     python examples/train_ego.py --dataroot <nuscenes> --split train --test-split val
 
-The recipe of the shipped ``ego``: banks of CCDiff traffic against PDM-Closed, then PPO that changes
-what PDM-Closed does. ``--dynamics unicycle`` imitates PDM-Closed first, and drives without it. The
-same command again goes on.
+Records banks of CCDiff traffic against PDM-Closed, then trains PPO that changes what PDM-Closed
+does. ``--dynamics unicycle`` imitates PDM-Closed first, and drives without it. The same command
+continues a run that was interrupted. The report never uses the scenes that chose.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ccdiff_env import cli
-from ccdiff_env.bench.intervals import LEAST_SCENES, permutation_p
+from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.jobs import results, run_jobs
 from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 from ccdiff_env.record.bank import record_bank
@@ -32,38 +34,41 @@ from ccdiff_env.system.table import Column, Table
 #: Criticalities of the banks.
 BANKS = (1.0, 2.0)
 #: The dial: ranges of factors of reward weights.
-DIAL = (
-    *("--style", "progress", "0.25", "2"),
-    *("--style", "collision", "0.5", "4"),
-    *("--style", "comfort", "0", "4"),
-)
+DIAL = {"progress": ("0.25", "2"), "collision": ("0.5", "4"), "comfort": ("0", "4")}
 RECIPES = {
-    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1", *DIAL),
+    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"),
     "unicycle": ("--dynamics", "unicycle", "--teacher", "pdm", "--noise", "0.15", "0.08"),
 }
-OTHERS = ["ego", "pdm", "idm"]
-FIGURES = {
-    "score": Column("score", head="score"),
-    "collision": Column("collision", head="collides %", digits=1, factor=100.0),
-}
+OTHERS = ["pdm", "lane_idm", "idm"]
+CHOOSING, REPORTED = ["ccdiff-1", "ccdiff-2"], ["replay", "idm", "ccdiff", "ccdiff-1", "ccdiff-2"]
+FIGURES = (
+    Column("score", digits=3),
+    Column("collision", head="collides %", digits=1, factor=100.0),
+    Column("no_at_fault_collision", head="not at fault", digits=3),
+    Column("comfort", digits=3),
+)
 
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
+    parser.add_argument(
+        "--choose-split", help="scenes that choose the seed (default: train_val; embedded: city)"
+    )
     parser.add_argument("--dynamics", default="assisted", choices=RECIPES, help="of the ego")
-    parser.add_argument("--decisions", default="1e6", help="of training")
-    parser.add_argument("--seed", default="0", help="of training")
+    parser.add_argument("--decisions", default="1e6", help="of each training")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings")
+    parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
 
 
-def driven(place, planners, traffic, folder: Path, workers: int):
-    """Rows of every planner in every traffic, the scenes in the same order."""
-    jobs = planner_jobs(str(place), planners, traffic)
+def driven(place, planners, traffic, draws: int, folder: Path, workers: int):
+    """Rows of every planner and traffic, the scenes in the same order in each draw."""
+    jobs = [j for k in range(draws) for j in planner_jobs(str(place), planners, traffic, seed=k)]
     run_jobs(jobs, folder, workers=workers)
     by_name, found = results(jobs, folder), {}
     for job in jobs:
@@ -72,44 +77,63 @@ def driven(place, planners, traffic, folder: Path, workers: int):
     return found
 
 
+def report(found, planners, traffic) -> tuple[Table, Table]:
+    """Figures of all planners, and scores of the first less the others, paired over scenes."""
+    rows, pairs = [], []
+    for planner, t in product(planners, traffic):
+        figures = [mean_interval(found[planner, t], c.name) for c in FIGURES]
+        rows.append([Path(planner).stem, TRAFFIC[t].label, *figures])
+    for other in planners[1:]:
+        for title, some in {"mean of all": traffic, **{t: [t] for t in traffic}}.items():
+            new, old = (
+                np.mean([[*scene_means(found[who, t], "score").values()] for t in some], axis=0)
+                for who in (planners[0], other)
+            )
+            pairs.append([other, title, *difference(new - old)])
+    heads = ["less", "traffic", Column("score", sign="+", digits=3), Column("p", digits=4)]
+    return Table(["planner", "traffic", *FIGURES], rows), Table(heads, pairs)
+
+
 def main() -> None:
     args = arguments()
     train, test = place_from(args), other_place(args)
-    traffic = ["replay", "ccdiff", "ccdiff-1", "ccdiff-2"]
+    choose = replace(train, split=args.choose_split or ("train_val" if train.path else "city"))
+    if str(choose) == str(test):
+        raise SystemExit(f"{test} cannot both choose and report: name another --choose-split")
+    if args.smoke:
+        args.seeds, args.draws, args.workers = 1, 1, 1
+        choose, test = replace(choose, limit=1), replace(test, limit=2)
     scenes = load(train)[: 2 if args.smoke else None]
     banks = [str(args.out / f"bank-{criticality:g}") for criticality in BANKS]
     for bank, criticality in zip(banks, BANKS, strict=True):
         record_bank(scenes, bank, ego="pdm", criticality=criticality, workers=args.workers)
-    words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", args.seed]
-    words += ["--threads", str(args.workers), "--out", str(args.out)]
-    words += [*RECIPES[args.dynamics], "--traffic", "replay", *["bank"] * 3, "--bank", *banks]
-    words += ["--resume"] * (args.out / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
-    if cli.main(["train-ego", *words]):
-        raise SystemExit(2)
-    if args.smoke:
-        test, traffic, args.workers = replace(test, limit=2), traffic[:1], 1
-    new = str(args.out / "ego.safetensors")
-    planners = [new, *OTHERS]
-    # as many scenes of training as there are others
-    places = {"trained": replace(train, limit=min(len(load(test)), len(load(train))))}
-    places["unseen"] = test
-    found = {
-        name: driven(place, planners, traffic, args.out / name, args.workers)
-        for name, place in places.items()
-    }
-    for figure, column in FIGURES.items():
-        heads = [replace(column, head=p) for p in ("new", *OTHERS)]
-        less = [replace(column, head="new - idm", sign="+"), Column("p", digits=4)]
-        rows = []
-        for name, by_key in found.items():
-            for t in traffic:
-                values = {p: np.array([row[figure] for row in by_key[p, t]]) for p in planners}
-                pairs = values[new] - values["idm"]
-                means = [float(v.mean()) for v in (*values.values(), pairs)]
-                p = permutation_p(pairs) if len(pairs) >= LEAST_SCENES else np.nan
-                rows.append([name, TRAFFIC[t].label, *means, p])
-        print(f"{Table(['scenes', 'traffic', *heads, *less], rows, column.title)}\n")
-    print(f"{len(load(test))} scenes of each; p of the permutation test of signs.")
+    files = []
+    for seed in range(args.seeds):
+        folder = args.out / f"seed-{seed}"
+        files.append(str(folder / "ego.safetensors"))
+        if (folder / "done").exists():
+            continue
+        words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", str(seed)]
+        words += ["--threads", str(args.workers), "--out", str(folder)]
+        if args.dynamics == "assisted":
+            words += [w for name, ends in DIAL.items() for w in ("--style", name, *ends)]
+        words += [*RECIPES[args.dynamics], "--traffic", "replay", *["bank"] * 3, "--bank", *banks]
+        words += ["--resume"] * (folder / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
+        if cli.main(["train-ego", *words]):
+            raise SystemExit(2)
+        (folder / "done").touch()
+    tried = driven(choose, files, CHOOSING, 1, args.out / "choose", args.workers)
+    chose = {f: float(np.mean([r["score"] for t in CHOOSING for r in tried[f, t]])) for f in files}
+    new = max(files, key=chose.__getitem__)
+    print(f"{new}: the best of {len(files)} on {choose}, {chose[new]:.3f}\n")
+    planners, traffic = [new, *OTHERS], REPORTED[: 1 if args.smoke else None]
+    found = driven(test, planners, traffic, args.draws, args.out / "test", args.workers)
+    figures, pairs = report(found, planners, traffic)
+    print(f"{figures}\n\n{pairs}\n\n{len(load(test))} scenes, {args.draws} episodes of each;")
+    print("95 % intervals; p of the permutation test of signs, paired over scenes.")
+    kept = {"trained_on": str(train), "chosen_on": str(choose), "scenes": str(test)}
+    kept |= {"choice": chose, "figures": figures.rows, "pairs": pairs.rows}
+    (args.out / "result.json").write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
