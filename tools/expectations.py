@@ -30,7 +30,7 @@ TRAININGS = {
         "unicycle",
         [
             *("--traffic", "ccdiff", "--criticality", "1"),
-            *("--decisions", "100000", "--start", "{out}/ppo"),
+            *("--decisions", "50000", "--start", "{out}/ppo"),
         ],
     ),
     "sac": ("SAC", "unicycle", ["--algorithm", "sac"]),
