@@ -38,7 +38,6 @@ HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Mapping
