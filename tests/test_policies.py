@@ -19,7 +19,7 @@ from ccdiff_env.errors import (
     DatasetNotFoundError,
     ShapeError,
 )
-from ccdiff_env.policies.ego import OBSERVATION, OPEN_OBSERVATION, load_ego, save_ego
+from ccdiff_env.policies.ego import OBSERVATION, save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
@@ -58,29 +58,6 @@ def test_numpy_gives_the_actions_of_torch(agent, path, scenes):
         np.testing.assert_allclose(actions, expected, atol=1e-5)
         obs = env.step(actions)[0]
     assert env.config.decision_steps == 3
-
-
-def test_a_network_of_poses_gives_those_of_torch_in_the_egos_frame(scenes, tmp_path):
-    options = {"observation": dict(OPEN_OBSERVATION)}
-    config = WorldConfig().with_options(**options)
-    env = ccdiff_env.make_vec(3, scenes=scenes, config=config)
-    torch.manual_seed(0)
-    made = ego_network.Agent(env.worlds.layout, (0.1,) * 24, 8)
-    obs, _ = env.reset(seed=0)
-    made.see(torch.from_numpy(obs))
-    save_ego(tmp_path / "own.safetensors", made.state_dict(), options, {})
-    policy = load_ego(tmp_path / "own.safetensors")
-    with torch.no_grad():
-        expected = made(made.normalised(torch.from_numpy(obs)))[0].numpy()
-    np.testing.assert_allclose(policy.act(obs), expected.reshape(3, 8, 3), atol=1e-5)
-    # straight ahead, one metre in the second half of the first second
-    policy.tensors["policy.4.weight"][:] = 0.0
-    policy.tensors["policy.4.bias"][:6] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]
-    speed = np.array([env.worlds.native.states(i)["speed"][0] for i in range(3)])
-    found = policy.drive(env.worlds)(obs)
-    wanted = 2.0 * (1.0 - speed)  # what covers a metre in a second
-    np.testing.assert_allclose(found[:, 0], np.clip(wanted / 8.0, -1.0, 1.0), atol=1e-5)
-    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-6)
 
 
 def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):

@@ -7,7 +7,6 @@ import ccdiff_env
 from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
 from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
-from ccdiff_env.policies import SHIPPED
 from ccdiff_env.policies.planners import Seat, ego_driver
 from ccdiff_env.policies.planning import (
     Tracker,
@@ -97,32 +96,6 @@ def test_proposals_that_meet_samples_are_driven_otherwise_and_no_worse(val):
     mean = {name: np.mean(scores) for name, scores in score.items()}
     assert mean["pdm_ccdiff"] > mean["pdm"] - 0.05
     assert mean["diffusion"] > mean["constant_velocity"]
-
-
-@pytest.mark.parametrize(("name", "most"), [("imitation", 200_000), ("pdm_open", 32_000)])
-def test_planners_that_copy_the_log_keep_to_the_road_and_say_what_they_have_seen(val, name, most):
-    policy = ccdiff_env.policies.load(name)
-    assert policy.about["licence"] == "CC-BY-NC-SA-4.0"
-    assert SHIPPED[name].stat().st_size < most
-    rows = {planner: play(val, planner, REPLAY) for planner in (name, "constant_velocity")}
-    on_road, score = (
-        {planner: np.mean([row[part] for row in found]) for planner, found in rows.items()}
-        for part in ("on_road", "score")
-    )
-    assert on_road[name] > 0.8
-    assert score[name] > score["constant_velocity"]
-
-
-def test_pdm_open_looks_at_its_centre_line_alone(val):
-    policy = ccdiff_env.policies.load("pdm_open")
-    worlds, out = begun(val[:1], **{"observation": policy.config.observation})
-    assert [entry.name for entry in worlds.layout.entries] == ["ego", "route", "route_mask"]
-    (plan,) = policy.act(out.obs[:, 0])
-    route = out.obs[0, 0, worlds.layout.entries[1].offset :][:48].reshape(12, 4)[:, :2] * 60.0
-    moving = plan[np.abs(plan[:, 0]) < 55.0]
-    away = np.abs(np.interp(moving[:, 0], route[:, 0], route[:, 1]) - moving[:, 1])
-    assert away.max() < 2.0
-    assert (np.diff(plan[:, 0]) > 0.0).all()
 
 
 def test_an_arbiter_changes_no_world_and_does_what_one_of_both_does(val):

@@ -57,8 +57,8 @@ class Made:
 
 _PLANNERS = Made(
     "bench planners --protocol planner-1.2 --level smoke --planners "
-    "lane_idm,pdm,ego,idm,imitation,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
-    "pdm_ccdiff,arbiter,pdm_open",
+    "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
+    "pdm_ccdiff,arbiter",
     ("planner",),
     {
         "mean": Column("mean"),
@@ -133,8 +133,8 @@ TABLES: dict[str, Made] = {
     ),
     "matrix": Made(
         "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
-        "pdm_ccdiff,diffusion,ccdiff,ego,imitation --planners "
-        "idm,lane_idm,constant_velocity,pdm,pdm_ccdiff,diffusion,ego,imitation",
+        "pdm_ccdiff,diffusion,ccdiff,ego --planners "
+        "idm,lane_idm,constant_velocity,pdm,pdm_ccdiff,diffusion,ego",
         ("planner",),
         {
             "collides": Column("collision", interval=False),

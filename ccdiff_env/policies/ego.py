@@ -13,7 +13,6 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
 from ccdiff_env.policies.holding import Held
-from ccdiff_env.policies.planning import Tracker
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import reading
 from ccdiff_env.system.tensors import write_tensors
@@ -65,16 +64,6 @@ OBSERVATION: Mapping[str, Any] = {
         "route_speed",
     ),
 }
-#: The ego's state on its centre line alone: nobody else (PDM-Open).
-OPEN_OBSERVATION: Mapping[str, Any] = {
-    **OBSERVATION,
-    "num_neighbors": 0,
-    "num_route_points": 12,
-    "route_spacing_m": 5.0,
-    "ego_columns": OBSERVATION["ego_columns"][:-2],
-}
-#: Seconds between poses of a network that plans, and how far ahead its plan is aimed at.
-POSE_S, REACH_S = 0.5, 1.0
 _LAYERS = (
     "encoder.0",
     "encoder.2",
@@ -95,8 +84,7 @@ class EgoPolicy:
     Parameters
     ----------
     tensors
-        Weights by name, and ``mean`` and ``std`` [D] of observations. The last layer gives an
-        action, or T poses of the ego in its own frame, :data:`POSE_S` apart, metres and radians.
+        Weights by name, and ``mean`` and ``std`` [D] of observations.
     options
         Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what its
         actions mean, for how many steps it holds them.
@@ -142,9 +130,6 @@ class EgoPolicy:
 
     def _check_shapes(self, width: int) -> None:
         expected: dict[str, tuple[int, ...]] = {"mean": (self.size,), "std": (self.size,)}
-        last = self.tensors.get(f"{_LAYERS[-1]}.bias", np.empty(0)).size
-        #: Poses T of a plan; 0: the network gives actions.
-        self.num_poses = last // 3 if last % 3 == 0 and last > width else 0
         before = self.shape[1] if self.shape else 0
         for name in _LAYERS if self.shape else _LAYERS[2:]:
             if name == "policy.0":
@@ -152,7 +137,7 @@ class EgoPolicy:
             weight = self.tensors.get(f"{name}.weight", np.empty((0, 0)))
             out = int(weight.shape[0]) if weight.ndim else 0
             if name == _LAYERS[-1]:
-                out = 3 * self.num_poses or width
+                out = width
             expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
             before = out
         for name, shape in expected.items():
@@ -183,9 +168,7 @@ class EgoPolicy:
             )
 
     def act(self, obs: npt.NDArray[Any]) -> F32:
-        """Return actions [N, A] in [-1, 1], or poses [N, T, 3], for flat observations [N, D].
-
-        Nothing is drawn. Poses are x, y, heading in the ego's frame, :data:`POSE_S` apart.
+        """Return actions [N, A] in [-1, 1] for flat observations [N, D]; nothing is drawn.
 
         Raises
         ------
@@ -207,18 +190,14 @@ class EgoPolicy:
             h = h @ t[f"{name}.weight"].T + t[f"{name}.bias"]
             if name != _LAYERS[-1]:
                 h = np.maximum(h, 0.0)
-        if self.num_poses:
-            poses: F32 = h.reshape(len(h), self.num_poses, 3)
-            return poses
         actions: F32 = np.clip(h, -1.0, 1.0).astype(np.float32)
         return actions
 
     def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
         """Return a function from observations [E, D] of worlds to actions [E, A].
 
-        Poses are followed by a :class:`~ccdiff_env.policies.planning.Tracker`. Worlds that do not
-        hold actions themselves are given every action for as many steps as the policy was trained
-        to hold it.
+        Worlds that do not hold actions themselves are given every action for as many steps as the
+        policy was trained to hold it.
 
         Raises
         ------
@@ -232,16 +211,10 @@ class EgoPolicy:
                 f"policy: trained with decision_steps={held}, the worlds have "
                 f"{worlds.config.decision_steps}; make them with its env_options"
             )
-        poses = self.num_poses > 0
-        follow = Tracker(worlds, REACH_S, pose_s=POSE_S, frame="ego") if poses else None
-
-        def decide(obs: npt.NDArray[Any]) -> F32:
-            return self.act(obs) if follow is None else follow(self.act(obs))
-
         if worlds.config.decision_steps == held:
-            return decide
+            return self.act
         holding = Held(worlds, held)
-        return lambda obs: holding(lambda _: decide(obs))
+        return lambda obs: holding(lambda _: self.act(obs))
 
 
 def save_ego(

@@ -127,8 +127,6 @@ class Tracker:
         Worlds of a planner, with continuous actions of the unicycle.
     reach_s
         How far ahead the trajectory is aimed at.
-    pose_s
-        Seconds between poses; a time step of the worlds by default.
     frame
         Frame of the poses: ``"scene"``, or ``"ego"``, that of who is driven, x ahead and y left.
 
@@ -143,7 +141,6 @@ class Tracker:
         worlds: Any,
         reach_s: float = 0.5,
         *,
-        pose_s: float | None = None,
         frame: str = "scene",
     ) -> None:
         if frame not in FRAMES:
@@ -152,14 +149,14 @@ class Tracker:
         if action.discrete or not isinstance(action.dynamics, UnicycleLimits):
             raise ConfigError("action: a tracker needs continuous actions of the unicycle")
         self._worlds, self._native = worlds, worlds.native
-        self._pose_s = pose_s or worlds.config.dt_s
-        self._reach = max(round(reach_s / self._pose_s), 1)
+        self._dt_s = worlds.config.dt_s
+        self._reach = max(round(reach_s / self._dt_s), 1)
         self._limits, self._frame = action, frame
 
     def __call__(self, trajectories: npt.ArrayLike) -> F32:
         """Return actions [E, 2] that follow trajectories [E, T, 3].
 
-        Pose t is where the first slot shall be after t + 1 times ``pose_s``. Worlds whose slot is
+        Pose t is where the first slot shall be after t + 1 steps. Worlds whose slot is
         empty get zeros.
 
         Raises
@@ -172,7 +169,7 @@ class Tracker:
         expect_shape("trajectories", wanted, (native.num_worlds, steps, 3))
         actions = np.zeros((native.num_worlds, 2), np.float32)
         aim = min(self._reach, wanted.shape[1])
-        limits, time_s = self._limits, aim * self._pose_s
+        limits, time_s = self._limits, aim * self._dt_s
         for i in range(native.num_worlds):
             agent = native.slot_agents(i)[0]
             if agent is None or not native.slot_alive(i)[0]:
@@ -212,7 +209,7 @@ class Tracker:
             states = native.states(i)
             own = self._frame == "ego"
             at = np.zeros(2) if own else np.asarray(states["position"][agent], np.float64)
-            most = NEAR_M + 2.0 * self._pose_s * max(abs(float(states["speed"][agent])), 10.0)
+            most = NEAR_M + 2.0 * self._dt_s * max(abs(float(states["speed"][agent])), 10.0)
             away = float(np.hypot(*(first[i] - at)))
             if away > most:
                 status = native.status(i)

@@ -21,12 +21,10 @@ PLANNER_TITLES = {
     "diffusion": "CCDiff with its route",
     "ego": "trained ego",
     "ego_replay": "ego trained in log replay",
-    "imitation": "imitation of the log",
     "lane_idm": "IDM on lanes",
     "noop": "no action",
     "pdm": "PDM-Closed",
     "pdm_ccdiff": "PDM with CCDiff's forecast",
-    "pdm_open": "PDM-Open",
 }
 
 

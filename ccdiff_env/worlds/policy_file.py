@@ -39,10 +39,8 @@ FORMAT = "ccdiff-env ego 1"
 FITTING = ("action", "bev", "decision_steps", "discrete", "dt_s", "dynamics", "grid", "observation")
 NO_STYLE: Mapping[str, Any] = MappingProxyType({})
 _DATA = Path(__file__).resolve().parents[1] / "data"
-_NAMES = ("ego", "ego_replay", "imitation", "pdm_open")
-#: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone; on what
-#: logged drivers did; on their next four seconds, without other agents.
-SHIPPED = {name: _DATA / f"{name}.safetensors" for name in _NAMES}
+#: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone.
+SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay")}
 
 #: Name of the shipped choice of adversaries.
 LEARNED = "learned"
