@@ -401,6 +401,14 @@ class WorldStatus:
         """Index of the ego; ``None`` in a scene without one."""
 
 @final
+class EgoNetwork:
+    """The network of an ego; weights by name, configurations as JSON."""
+
+    def __new__(cls, observation: str, action: str, tensors: dict[str, F32]) -> EgoNetwork: ...
+    def act(self, obs: F32) -> F32:
+        """Actions [N, W] in [-1, 1] for observations [N, D]."""
+
+@final
 class Planner:
     """A planner of the package: ``"pdm"``, ``"idm"`` or ``"plan"``, the last one with a network."""
 

@@ -1,4 +1,4 @@
-"""Ego policies in numpy: a network over the rows of the observation, with all that it needs."""
+"""Ego policies of files: a network over the rows of the observation, with all that it needs."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env._native import EgoNetwork
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ConfigError, DatasetError, ShapeError
+from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.policies.holding import Held
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import reading
@@ -111,41 +112,15 @@ class EgoPolicy:
         worlds = _worlds(self.config)
         self.check(worlds)
         self.size = worlds.layout.size
-        self.tensors = {name: tensors[name] for name in tensors}
-        entries = {entry.name: entry for entry in worlds.layout.entries}
-        #: Rows of other agents, if they are looked at: shape, and where they and their mask stand.
-        self.shape: tuple[int, ...] = ()
-        self.rows = self.mask = slice(self.size, self.size)
-        if "agents" in entries:
-            rows, mask = entries["agents"], entries["agents_mask"]
-            self.rows = slice(rows.offset, rows.offset + rows.size)
-            self.mask = slice(mask.offset, mask.offset + mask.size)
-            self.shape = rows.shape
-        self._check_shapes(worlds.native.action_width)
+        self.tensors = {name: np.ascontiguousarray(tensors[name]) for name in tensors}
+        whole = json.loads(self.config.to_json())
+        observation, action = (json.dumps(whole[name]) for name in ("observation", "action"))
+        self._network = EgoNetwork(observation, action, self.tensors)
 
     @property
     def env_options(self) -> dict[str, Any]:
         """Keywords of :func:`ccdiff_env.make_vec` that fit; others may stand beside them."""
         return {"config": self.config}
-
-    def _check_shapes(self, width: int) -> None:
-        expected: dict[str, tuple[int, ...]] = {"mean": (self.size,), "std": (self.size,)}
-        before = self.shape[1] if self.shape else 0
-        for name in _LAYERS if self.shape else _LAYERS[2:]:
-            if name == "policy.0":
-                before += self.size - (self.mask.stop - self.rows.start)
-            weight = self.tensors.get(f"{name}.weight", np.empty((0, 0)))
-            out = int(weight.shape[0]) if weight.ndim else 0
-            if name == _LAYERS[-1]:
-                out = width
-            expected[f"{name}.weight"], expected[f"{name}.bias"] = (out, before), (out,)
-            before = out
-        for name, shape in expected.items():
-            found = None if name not in self.tensors else self.tensors[name].shape
-            if found != shape:
-                raise DatasetError(f"policy: {name} has shape {found}, expected {shape}")
-        if not (self.tensors["std"] > 0.0).all():
-            raise DatasetError(f"policy: std is {self.tensors['std'].min()}, expected above 0")
 
     def check(self, worlds: Worlds) -> None:
         """Refuse worlds whose observations or actions are not those of the policy.
@@ -176,22 +151,9 @@ class EgoPolicy:
             If the observations have another width.
         """
         given = np.asarray(obs, np.float32)
-        if given.ndim != 2 or given.shape[1] != self.size:
+        if given.ndim != 2:
             raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self.size})")
-        t = self.tensors
-        x = np.clip((given - t["mean"]) / t["std"], -5.0, 5.0)
-        h = np.concatenate([x[:, : self.rows.start], x[:, self.mask.stop :]], axis=1)
-        if self.shape:
-            rows = x[:, self.rows].reshape(-1, *self.shape)
-            for name in _LAYERS[:2]:
-                rows = np.maximum(rows @ t[f"{name}.weight"].T + t[f"{name}.bias"], 0.0)
-            h = np.concatenate([h, (rows * given[:, self.mask, None]).max(axis=1)], axis=1)
-        for name in _LAYERS[2:]:
-            h = h @ t[f"{name}.weight"].T + t[f"{name}.bias"]
-            if name != _LAYERS[-1]:
-                h = np.maximum(h, 0.0)
-        actions: F32 = np.clip(h, -1.0, 1.0).astype(np.float32)
-        return actions
+        return self._network.act(given)
 
     def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
         """Return a function from observations [E, D] of worlds to actions [E, A].

@@ -1,6 +1,6 @@
 //! The policy of an ego as traffic: vehicles decide on what they would observe as the ego, and drive as it would.
 
-use super::network_of_ego::NetworkOfEgo;
+use super::network_of_ego::{NetworkOfEgo, Tensors};
 use crate::dynamics::Dynamics;
 use crate::error::{Result, SimError};
 use crate::events::off_road;
@@ -47,8 +47,8 @@ pub struct EgoParts {
     pub action: ActionConfig,
     /// Steps for which it holds an action.
     pub decision_steps: usize,
-    /// Weights by name: shape and numbers.
-    pub tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
+    /// Its weights.
+    pub tensors: Tensors,
 }
 
 /// Numbers that a vehicle remembers from one decision to the next: its action, and whether it has been on the road.

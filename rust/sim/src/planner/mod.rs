@@ -5,7 +5,7 @@ mod network;
 mod network_of_ego;
 
 pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
-pub use network_of_ego::NetworkOfEgo;
+pub use network_of_ego::{NetworkOfEgo, Tensors};
 
 use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
 use crate::error::{Result, SimError};

@@ -4,6 +4,7 @@
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::Layout;
+use crate::simd_dispatch::simd_dispatch;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -11,6 +12,9 @@ use std::ops::Range;
 const CLIP: Real = 5.0;
 /// The layer that gives the action.
 const LAST: &str = "policy.4";
+
+/// Weights by name: shape and numbers.
+pub type Tensors = BTreeMap<String, (Vec<usize>, Vec<Real>)>;
 
 /// Weights by input, and bias.
 #[derive(Debug)]
@@ -25,13 +29,35 @@ impl Linear {
         self.weight.len() / self.bias.len().max(1)
     }
 
-    /// Adds input after input, so that the sums are the same on every processor.
-    fn apply(&self, x: impl Iterator<Item = Real>, out: &mut Vec<Real>) {
+    fn apply(&self, x: &[Real], out: &mut Vec<Real>) {
         out.clear();
         out.extend_from_slice(&self.bias);
-        for (x, weights) in x.zip(self.weight.chunks_exact(self.bias.len())) {
-            if x != 0.0 {
-                out.iter_mut().zip(weights).for_each(|(o, w)| *o += x * w);
+        add_products(x, &self.weight, out);
+    }
+}
+
+/// Outputs whose sums are kept in registers.
+const BLOCK: usize = 32;
+
+simd_dispatch! {
+    /// Adds the products of inputs and weights [in, out], input after input: the sums are the same on every processor.
+    fn add_products(x: &[Real], weights: &[Real], out: &mut [Real]) {
+        let width = out.len();
+        let (blocks, rest) = out.as_chunks_mut::<BLOCK>();
+        for (b, block) in blocks.iter_mut().enumerate() {
+            let mut sums = *block;
+            for (x, row) in x.iter().zip(weights.chunks_exact(width)) {
+                let Some(row) = row[b * BLOCK..].first_chunk::<BLOCK>() else { continue };
+                for (sum, weight) in sums.iter_mut().zip(row) {
+                    *sum += x * weight;
+                }
+            }
+            *block = sums;
+        }
+        let start = width - rest.len();
+        for (x, row) in x.iter().zip(weights.chunks_exact(width)) {
+            for (sum, weight) in rest.iter_mut().zip(&row[start..]) {
+                *sum += x * weight;
             }
         }
     }
@@ -60,11 +86,7 @@ impl NetworkOfEgo {
     ///
     /// # Errors
     /// [`SimError::Config`] names the weights whose shape does not fit.
-    pub fn new(
-        layout: &Layout,
-        width: usize,
-        mut tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
-    ) -> Result<Self> {
+    pub fn new(layout: &Layout, width: usize, mut tensors: Tensors) -> Result<Self> {
         // of hidden layers the file says how wide they are
         let outputs: BTreeMap<String, usize> = tensors
             .iter()
@@ -75,7 +97,7 @@ impl NetworkOfEgo {
         let mut take = |name: &str, shape: &[usize]| match tensors.remove(name) {
             Some((found, numbers)) if found == shape && numbers.iter().all(|x| x.is_finite()) => Ok(numbers),
             found => Err(SimError::Config {
-                field: format!("egos.policy: {name}").into(),
+                field: format!("policy: {name}").into(),
                 got: found.map_or("nothing".into(), |(found, _)| format!("shape {found:?}")),
                 expected: format!("finite numbers of shape {shape:?}"),
             }),
@@ -89,7 +111,7 @@ impl NetworkOfEgo {
         let (mask, _) = place("agents_mask").unwrap_or_else(none);
         let (mean, std) = (take("mean", &[layout.size])?, take("std", &[layout.size])?);
         if let Some(least) = std.iter().find(|s| **s <= 0.0) {
-            let (field, got) = ("egos.policy: std".into(), least.to_string());
+            let (field, got) = ("policy: std".into(), least.to_string());
             return Err(SimError::Config { field, got, expected: "above 0".into() });
         }
         let mut layer = |name: &str, inputs: usize| {
@@ -115,6 +137,11 @@ impl NetworkOfEgo {
         Ok(Self { mean, std, agents, mask, encoder, policy, x, hidden })
     }
 
+    /// Numbers of a row, and of an action.
+    pub fn sizes(&self) -> [usize; 2] {
+        [self.mean.len(), self.policy.last().map_or(0, |l| l.bias.len())]
+    }
+
     /// The action for a row, -1 to 1.
     pub fn act(&mut self, row: &[Real]) -> Vec<Real> {
         let scaled = |((x, mean), std): ((&Real, &Real), &Real)| ((x - mean) / std).clamp(-CLIP, CLIP);
@@ -127,9 +154,9 @@ impl NetworkOfEgo {
             let mut greatest = vec![0.0 as Real; second.bias.len()];
             let agents = self.x[self.agents.clone()].chunks_exact(first.num_inputs());
             for (agent, _) in agents.zip(&row[self.mask.clone()]).filter(|(_, there)| **there > 0.0) {
-                first.apply(agent.iter().copied(), a);
+                first.apply(agent, a);
                 rectify(a);
-                second.apply(a.iter().copied(), b);
+                second.apply(a, b);
                 greatest.iter_mut().zip(b.iter()).for_each(|(g, x)| *g = g.max(*x));
             }
             features.extend(greatest);
@@ -138,7 +165,7 @@ impl NetworkOfEgo {
             if i > 0 {
                 rectify(&mut features);
             }
-            layer.apply(features.iter().copied(), a);
+            layer.apply(&features, a);
             std::mem::swap(&mut features, a);
         }
         features.iter().map(|x| x.clamp(-1.0, 1.0)).collect()
@@ -149,8 +176,6 @@ impl NetworkOfEgo {
 mod tests {
     use super::*;
     use crate::observe::ObservationConfig;
-
-    type Tensors = BTreeMap<String, (Vec<usize>, Vec<Real>)>;
 
     /// The ego's speed and one other agent's place ahead: 1 + 1 numbers and a mask.
     fn layout() -> Layout {
