@@ -117,23 +117,6 @@ def test_one_denoising_step_plans_with_and_without_guidance(scenes, ccdiff):
     assert (plan["shift_sigmas"][~plan["guided"]] == 0.0).all()
 
 
-def test_a_tied_plan_goes_on_with_the_motion_that_there_is(scenes):
-    changes = {}
-    for tied in (False, True):
-        play = Play(scenes[:1], ccdiff={"tie_first_knot": tied})
-        speeds = []
-        for _ in range(26):
-            play.step()
-            speeds.append(play.native.states(0)["speed"].copy())
-        plan = play.native.explain(0)
-        agents = plan["agents"][plan["follows_plan"]]
-        acceleration = np.diff(np.array(speeds)[:, agents], axis=0) / 0.1
-        # the steps 5, 10, ... are the first ones of a plan
-        changes[tied] = np.abs(np.diff(acceleration, axis=0))[3::5]
-    assert changes[True].max() < 0.02
-    assert changes[False].max() > 0.1
-
-
 @pytest.mark.parametrize(
     "ranking",
     ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "ttc", "list", "file"],

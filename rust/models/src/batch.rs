@@ -32,8 +32,6 @@ pub struct Batch {
     pub route: Option<Tensor>,
     /// Inputs of a network of tokens; empty for others.
     pub tokens: TokenBatch,
-    /// Physical first knots of plans that start with one, [R].
-    pub first_knots: Vec<Option<[f32; 2]>>,
     /// Seed of each row's own noise, [R]; `None`: noise of the world's seed.
     pub noise_seeds: Vec<Option<u64>>,
 }
@@ -160,7 +158,6 @@ impl Batch {
         Ok(Self {
             scene_sizes,
             tokens: TokenBatch::new(scenes, device),
-            first_knots: scenes.iter().flat_map(|s| s.first_action.iter().copied()).collect(),
             route: (!route.is_empty()).then(|| put(Tensor::from_slice(&route), &[r, -1])),
             noise_seeds: scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect(),
             history: put(
@@ -204,7 +201,6 @@ impl Batch {
         Self {
             scene_sizes: self.scene_sizes.clone(),
             tokens: self.tokens.shallow_clone(),
-            first_knots: self.first_knots.clone(),
             route: self.route.as_ref().map(Tensor::shallow_clone),
             noise_seeds: self.noise_seeds.clone(),
             history: self.history.shallow_clone(),

@@ -152,7 +152,6 @@ mod tests {
             is_edge: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
             edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
             image: None,
-            first_knots: vec![None; 2],
             route: None,
             noise_seeds: vec![None; 2],
             tokens: TokenBatch::default(),

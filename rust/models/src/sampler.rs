@@ -82,12 +82,8 @@ pub fn sample<D: Denoiser>(
         device,
         attention: None,
     };
-    let n = &config.normalisation;
-    let normalised =
-        |action: [f32; 2]| [0, 1].map(|c| (action[c] - n.action_mean[c] as f32) / n.action_std[c] as f32);
-    let first: Vec<_> = batch.first_knots.iter().map(|first| first.map(normalised)).collect();
     let num_knots = config.num_knots();
-    let draws = Draws { schedule, rows: batch.rows(), seeds, options, num_knots, first: &first };
+    let draws = Draws { schedule, rows: batch.rows(), seeds, options, num_knots };
     let knots = sampler::sample(&draws, &mut encoded, guide)?;
     let knots = Tensor::from_slice(&knots).view(encoded.size).to_device(device);
     Ok(Samples { knots, attention: encoded.attention })

@@ -9,7 +9,7 @@ use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
-    MapCollision, Objective, Optimiser, Rollout, Target, TargetSpeed, WorldGuidance, choose_samples,
+    MapCollision, Objective, Optimiser, OverSpeed, Rollout, Target, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::SampleOptions;
@@ -223,10 +223,8 @@ fn samples_are_chosen_by_signed_weights_and_shared_where_an_objective_is_joint()
 fn gradient_statistics_say_who_pulls_which_way() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [false; 3];
-    let config = config(vec![
-        approach(-10.0),
-        Objective::TargetSpeed(TargetSpeed { weight: 1.0, speed_mps: Some(12.0) }),
-    ]);
+    let config =
+        config(vec![approach(-10.0), Objective::OverSpeed(OverSpeed { weight: -1.0, limit_mps: Some(1.0) })]);
     let context = toy.context(&WorldGuidance::new(&who), &config);
     let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, true).unwrap();
     let mut knots = toy.still();

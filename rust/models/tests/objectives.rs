@@ -6,8 +6,8 @@ mod common;
 
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, Comfort, Goal, GuidanceConfig, GuidanceContext, KnotMap, MapCollision,
-    Objective, OverSpeed, Rollout, StateGradient, TargetDistance, TargetSpeed, WorldGuidance,
+    AgentCollision, Approach, GuidanceConfig, GuidanceContext, KnotMap, MapCollision, Objective, OverSpeed,
+    Rollout, StateGradient, TargetDistance, WorldGuidance,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::unicycle;
@@ -116,8 +116,6 @@ fn smooth_objectives() -> Vec<Objective> {
         Objective::AgentCollision(AgentCollision { num_disks: 3, buffer_m: 9.0, weight: 1.0 }),
         Objective::Approach(Approach::default()),
         Objective::OverSpeed(OverSpeed { weight: -1.0, limit_mps: Some(5.0) }),
-        Objective::TargetSpeed(TargetSpeed { weight: 1.0, speed_mps: Some(4.0) }),
-        Objective::Goal(Goal { weight: 1.0, at_step: Some(20) }),
         Objective::TargetDistance(TargetDistance::default()),
     ]
 }
@@ -125,16 +123,15 @@ fn smooth_objectives() -> Vec<Objective> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn gradients_of_objectives_are_their_differences(seed in 0u64..10_000, which in 0usize..7) {
+    fn gradients_of_objectives_are_their_differences(seed in 0u64..10_000, which in 0usize..5) {
         let toy = toy(&BOTH_WAYS, ModelConfig::fast());
         let all = vec![true; 4];
-        let goals: Vec<Option<Point2>> = (0..4).map(|k| Some(Point2::new(40.0 - 9.0 * k as f32, 20.0))).collect();
         let config = GuidanceConfig { discount: 0.97, ..GuidanceConfig::released() };
         let objective = smooth_objectives()[which];
         // one agent that moves is the target, which is not drawn itself
         let target = [true, false, false, false];
         let drawn = matches!(objective, Objective::TargetDistance(_));
-        let guide = WorldGuidance { goals: Some(&goals), collision_targets: drawn.then_some(&target), ..WorldGuidance::new(&all) };
+        let guide = WorldGuidance { collision_targets: drawn.then_some(&target), ..WorldGuidance::new(&all) };
         let s = toy.context(&guide, &config);
         let plan = toy.roll(&s, &actions(4, seed, 0.5));
         let gradient = evaluate(&objective, &s, &plan).1;
@@ -168,70 +165,6 @@ proptest! {
         let scale: f64 = terms.iter().map(|t| t.abs()).sum();
         prop_assert!((along - difference).abs() < 0.02 * scale + 3e-3, "{}: {along} {difference} of {scale}", objective.name());
     }
-}
-
-#[test]
-fn comfort_is_that_of_the_formula_and_its_gradient_the_difference() {
-    let toy = toy(&BOTH_WAYS, ModelConfig::fast());
-    let all = vec![true; 4];
-    let s = toy.context(&WorldGuidance::new(&all), &GuidanceConfig::released());
-    // jerk of 20 m/s³ either way, and a steady turn
-    let (push, turn) = (1.0f32, 0.5f32);
-    let given: Vec<f32> =
-        (0..4 * T).flat_map(|k| [if (k % T).is_multiple_of(2) { push } else { -push }, turn]).collect();
-    let comfort = Comfort { weight: 1.0, lateral_limit_mps2: 0.5, jerk_limit_mps3: 8.0 };
-    let objective = Objective::Comfort(comfort);
-    let plan = toy.roll(&s, &given);
-    let (losses, gradient) = evaluate(&objective, &s, &plan);
-    // far from the limits, all the time
-    let speeds = |agent: usize| &plan.speed_mps[agent * T..(agent + 1) * T];
-    let moving: Vec<usize> = (0..4).filter(|a| speeds(*a).iter().all(|v| *v > 2.0)).collect();
-    assert!(moving.len() >= 2);
-    for agent in &moving {
-        let (loss, speeds) = (losses[*agent], speeds(*agent));
-        let lateral: f32 = speeds.iter().map(|v| v * turn / 0.5 - 1.0).sum::<f32>() / T as f32;
-        let jerk = (2.0 * push / 0.1 / 8.0 - 1.0) * (T - 1) as f32 / T as f32;
-        assert!((loss - lateral - jerk).abs() < 1e-3 * loss, "{loss} {lateral} {jerk}");
-    }
-    let mut direction = Noise::new(3, 1).normals(2 * 4 * T);
-    for (k, v) in direction.iter_mut().enumerate() {
-        *v = if moving.contains(&(k / T % 4)) { *v } else { 0.0 };
-    }
-    let step = 1e-3f32;
-    let total = |by: f32| -> f64 {
-        let mut moved = plan.clone();
-        for k in 0..4 * T {
-            moved.speed_mps[k] += by * direction[k];
-            let heading = plan.sin[k].atan2(plan.cos[k]) + by * direction[4 * T + k];
-            (moved.sin[k], moved.cos[k]) = heading.sin_cos();
-        }
-        evaluate(&objective, &s, &moved).0.iter().map(|l| f64::from(*l)).sum()
-    };
-    let along: f64 = (0..4 * T)
-        .map(|k| gradient.speed[k] * direction[k] + gradient.heading[k] * direction[4 * T + k])
-        .map(f64::from)
-        .sum();
-    let difference = (total(step) - total(-step)) / (2.0 * f64::from(step));
-    assert!((along - difference).abs() < 5e-3 * difference.abs().max(1.0), "{along} {difference}");
-    // nothing within the limits
-    let calm = Objective::Comfort(Comfort { lateral_limit_mps2: 50.0, jerk_limit_mps3: 50.0, ..comfort });
-    assert!(evaluate(&calm, &s, &plan).0.iter().all(|loss| *loss == 0.0));
-}
-
-#[test]
-fn a_goal_without_a_step_pulls_at_the_step_that_comes_nearest() {
-    let toy = toy(&NEAR_MISS, ModelConfig::fast());
-    let all = vec![true; 3];
-    let config = GuidanceConfig::released();
-    // agent 0 drives from (32, 0) along x at 8 m/s: it passes x = 48 after 2 s
-    let goals = [Some(Point2::new(48.0, 3.0)), None, Some(Point2::new(f32::NAN, 0.0))];
-    let s = toy.context(&WorldGuidance { goals: Some(&goals), ..WorldGuidance::new(&all) }, &config);
-    let (losses, gradient) =
-        evaluate(&Objective::Goal(Goal::default()), &s, &toy.roll_knots(&s, &toy.still()));
-    assert!((losses[0] - 3.0).abs() < 1e-3 && losses[1..] == [0.0, 0.0]);
-    let pulled: Vec<usize> = (0..3 * T).filter(|k| gradient.y[*k] != 0.0).collect();
-    assert_eq!(pulled, [19]);
-    assert!((gradient.y[19] + 1.0).abs() < 1e-3 && gradient.x[19].abs() < 1e-2);
 }
 
 /// A road along x, 8 m to each side.

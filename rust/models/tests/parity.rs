@@ -81,7 +81,6 @@ fn plan(model: &mut TrajectoryModel, scene: &Scene, sampling: SampleOptions) -> 
         // one is not told
         window.routes = (0..8).map(|k| if k == 3 { Vec::new() } else { told(k) }).collect();
     }
-    window.first_action = (0..8).map(|k| (k % 3 == 0).then_some([0.5 * k as f32, 0.02])).collect();
     let bitmap = model.bitmap(scene).unwrap();
     let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 5, guide: None };
     let options = PlanOptions { attention: true, ..sampling.into() };

@@ -1,8 +1,6 @@
 //! What guidance seeks and how hard it pulls.
 
-use super::objective::{
-    AgentCollision, Approach, Comfort, Goal, MapCollision, Objective, OverSpeed, TargetDistance, TargetSpeed,
-};
+use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed, TargetDistance};
 use crate::error::{ModelError, Result};
 use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
@@ -61,10 +59,7 @@ pub const TABLES: &[&Table] = &[
     &AgentCollision::TABLE,
     &MapCollision::TABLE,
     &OverSpeed::TABLE,
-    &TargetSpeed::TABLE,
-    &Goal::TABLE,
     &Approach::TABLE,
-    &Comfort::TABLE,
     &TargetDistance::TABLE,
 ];
 
@@ -230,7 +225,10 @@ mod tests {
                 "guidance.objectives[0].reach_m",
             ),
             (
-                GuidanceConfig { objectives: vec![Objective::Goal(Goal::default()); 33], ..released() },
+                GuidanceConfig {
+                    objectives: vec![Objective::Approach(Approach::default()); 33],
+                    ..released()
+                },
                 "guidance.objectives is 33 objectives",
             ),
         ] {

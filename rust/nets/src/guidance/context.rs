@@ -1,9 +1,9 @@
-//! What guidance knows about one world: where its agents are, how large, who may be guided, road, goals.
+//! What guidance knows about one world: where its agents are, how large, who may be guided, road.
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::inputs::features::{SceneFeatures, Window};
-use ccdiff_sim::geom::{Point2, Pose2, Region};
+use ccdiff_sim::geom::{Pose2, Region};
 
 /// Agents at or below this speed now take no part in collision losses and are not moved by them (as released).
 pub const MOVING_MPS: f32 = 0.5;
@@ -21,10 +21,6 @@ pub struct WorldGuidance<'a> {
     pub roads: Option<&'a [Option<&'a Region>]>,
     /// If given, only contacts with one of these agents count, [A]: such as the ego.
     pub collision_targets: Option<&'a [bool]>,
-    /// Wanted positions, scene frame, [A].
-    pub goals: Option<&'a [Option<Point2>]>,
-    /// Wanted speeds, metres per second, [A].
-    pub target_speeds_mps: Option<&'a [Option<f32>]>,
     /// Speed limit of the scene, metres per second, for objectives without one of their own.
     pub speed_limit_mps: Option<f32>,
     /// Whether collision losses count who stands now as well: a draw may start.
@@ -40,8 +36,6 @@ impl<'a> WorldGuidance<'a> {
             road: None,
             roads: None,
             collision_targets: None,
-            goals: None,
-            target_speeds_mps: None,
             speed_limit_mps: None,
             starts: false,
         }
@@ -77,10 +71,6 @@ pub struct GuidanceContext<'a> {
     pub roads: Vec<Option<&'a Region>>,
     /// Which pairs of agents are on different levels, [M, M]; empty: none.
     pub apart: Vec<bool>,
-    /// Wanted positions, scene frame, [M].
-    pub goals: Vec<Option<Point2>>,
-    /// Wanted speeds, [M].
-    pub target_speed_mps: Vec<Option<f32>>,
     /// Speed limit.
     pub speed_limit_mps: Option<f32>,
     /// γ^t over their sum, [T].
@@ -105,8 +95,6 @@ impl<'a> GuidanceContext<'a> {
             ("guide guided", Some(guide.guided.len())),
             ("guide roads", guide.roads.map(<[_]>::len)),
             ("guide collision_targets", guide.collision_targets.map(<[_]>::len)),
-            ("guide goals", guide.goals.map(<[_]>::len)),
-            ("guide target_speeds_mps", guide.target_speeds_mps.map(<[_]>::len)),
         ] {
             if let Some(got) = got.filter(|got| *got != expected) {
                 let expected = format!("{expected} (one per agent of the window)");
@@ -114,7 +102,6 @@ impl<'a> GuidanceContext<'a> {
             }
         }
         let rows = &features.agents;
-        let finite = |p: &Point2| p.x.is_finite() && p.y.is_finite();
         Ok(Self {
             num_steps: model.horizon_steps,
             dt_s: model.dt_s as f32,
@@ -132,11 +119,6 @@ impl<'a> GuidanceContext<'a> {
                 true => Vec::new(),
                 false => rows.iter().flat_map(|i| rows.iter().map(|j| window.is_apart(*i, *j))).collect(),
             },
-            goals: rows.iter().map(|a| guide.goals.and_then(|g| g[*a]).filter(finite)).collect(),
-            target_speed_mps: rows
-                .iter()
-                .map(|a| guide.target_speeds_mps.and_then(|v| v[*a]).filter(|v| v.is_finite()))
-                .collect(),
             speed_limit_mps: guide.speed_limit_mps,
             step_weights: seen_weights(discount, seen_steps, model.horizon_steps),
         })

@@ -27,8 +27,7 @@ pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{
-    AgentCollision, Approach, Comfort, Evaluation, Goal, MapCollision, Objective, OverSpeed, TargetDistance,
-    TargetSpeed,
+    AgentCollision, Approach, Evaluation, MapCollision, Objective, OverSpeed, TargetDistance,
 };
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

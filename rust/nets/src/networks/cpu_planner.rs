@@ -150,11 +150,6 @@ impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
         let (network, config) = (&self.network, self.network.config());
         let (scene_sizes, noise_seeds) = sizes(scenes);
         let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
-        let n = &config.normalisation;
-        let normalised =
-            |action: [f32; 2]| [0, 1].map(|c| (action[c] - n.action_mean[c] as f32) / n.action_std[c] as f32);
-        let first: Vec<Option<[f32; 2]>> =
-            scenes.iter().flat_map(|s| s.first_action.iter().map(|a| a.map(normalised))).collect();
         let num_knots = config.num_knots();
         let encode = |alone| network.encode(&Inputs { scenes, alone }, false);
         let mut encoded = Encoded {
@@ -165,8 +160,7 @@ impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
             attention: Vec::new(),
         };
         let sampling = options.sampling;
-        let draws =
-            Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots, first: &first };
+        let draws = Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots };
         let knots = sampler::sample(&draws, &mut encoded, guide)?;
         let slots = N::slots(&encoded.with_graph).filter(|_| options.attention);
         let attention = slots.map(|pairs| {

@@ -114,8 +114,6 @@ pub struct Draws<'a> {
     pub options: SampleOptions,
     /// Knots of a plan.
     pub num_knots: usize,
-    /// Normalised first knots of plans that start with one, [R].
-    pub first: &'a [Option<[f32; 2]>],
 }
 
 /// From a noisy plan and the clean one predicted from it to the mean of the next one.
@@ -145,20 +143,14 @@ pub fn sample(
     network: &mut dyn Predict,
     mut guide: Option<&mut Guidance<'_>>,
 ) -> Result<Vec<f32>> {
-    let Draws { schedule, rows, seeds, num_knots, first, .. } = *draws;
+    let Draws { schedule, rows, seeds, num_knots, .. } = *draws;
     let options = draws.options.validated()?;
     rows.check_seeds(seeds)?;
     let normal = |stream: u64| rows.noise(seeds, stream, options.num_samples, num_knots * 2);
     let w = options.guidance_weight;
     let mut clean = |x: &[f32], k: usize| {
         let cond = network.predict(x, k, false);
-        let mut x0 = if w > 1.0 { joined(&network.predict(x, k, true), 1.0 - w, &cond, w) } else { cond };
-        for (plan, start) in x0.chunks_exact_mut(num_knots * 2).zip(first.iter().cycle()) {
-            if let Some(start) = start {
-                plan[..2].copy_from_slice(start);
-            }
-        }
-        x0
+        if w > 1.0 { joined(&network.predict(x, k, true), 1.0 - w, &cond, w) } else { cond }
     };
     let mut mean = |x: &[f32], step: &StepCoefficients| -> Result<Vec<f32>> {
         let x0 = clean(x, step.k);

@@ -107,7 +107,7 @@ impl PlannedTraffic {
         let still: Vec<bool> = memory.parked.iter().zip(world.halted).map(stands).collect();
         let mut planned =
             PlannedAgents::new(request, &still, self.model.history_steps, self.config.plan_radius_m)?;
-        self.tie(request, &memory, &mut planned);
+        self.keep_noise(&memory, &mut planned);
         if self.config.follow_route {
             planned.tell_routes(world, &self.model.route_points_m);
         }
@@ -143,21 +143,12 @@ impl PlannedTraffic {
         self.config.rerank || request.plan.is_none()
     }
 
-    /// Tells the plans of vehicles where they go on from: the noise of the plan before, and its motion now.
-    fn tie(&self, request: &PlanRequest<'_>, memory: &Memory, planned: &mut PlannedAgents) {
-        let (states, window) = (request.world.states, &mut planned.window);
+    /// Hands the vehicles the noise that they keep for the episode.
+    fn keep_noise(&self, memory: &Memory, planned: &mut PlannedAgents) {
         if self.config.keep_noise {
             let of = |a: &usize| Noise::new(memory.noise_seed, *a as u64).block(0);
             let seeds = planned.agents.iter().map(of).map(|w| u64::from(w[0]) << 32 | u64::from(w[1]));
-            window.noise_seed = seeds.collect();
-        }
-        let followed = |a: &usize| {
-            let record = &request.plan?.record;
-            let row = record.agents.iter().position(|b| b == a).filter(|row| record.follows_plan[*row]);
-            row.map(|_| [states.acceleration_mps2[*a], states.yaw_rate_radps[*a]])
-        };
-        if self.config.tie_first_knot {
-            window.first_action = planned.agents.iter().map(followed).collect();
+            planned.window.noise_seed = seeds.collect();
         }
     }
 
@@ -191,10 +182,7 @@ impl PlannedTraffic {
                 criticality *= strength.unwrap_or_default();
             }
             d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
-            let is_guided = |a: &usize| {
-                d.chosen.contains(a) || (!config.mask_guidance && d.planned.is_controlled_by_policy(*a))
-            };
-            d.guided = d.planned.agents.iter().map(is_guided).collect();
+            d.guided = d.planned.agents.iter().map(|a| d.chosen.contains(a)).collect();
             Ok(())
         };
         match &self.pool {

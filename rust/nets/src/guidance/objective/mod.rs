@@ -3,22 +3,16 @@
 
 mod agent_collision;
 mod approach;
-mod comfort;
 mod disks;
-mod goal;
 mod map_collision;
 mod over_speed;
 mod target_distance;
-mod target_speed;
 
 pub use agent_collision::AgentCollision;
 pub use approach::Approach;
-pub use comfort::Comfort;
-pub use goal::Goal;
 pub use map_collision::MapCollision;
 pub use over_speed::OverSpeed;
 pub use target_distance::TargetDistance;
-pub use target_speed::TargetSpeed;
 
 use super::context::GuidanceContext;
 use super::rollout::{Rollout, StateGradient};
@@ -36,14 +30,8 @@ choices! {
         MapCollision(MapCollision) = "map_collision",
         /// Speed above a limit.
         OverSpeed(OverSpeed) = "over_speed",
-        /// Distance from a wanted speed.
-        TargetSpeed(TargetSpeed) = "target_speed",
-        /// Distance from a wanted position.
-        Goal(Goal) = "goal",
         /// Closeness of vehicles, with a gradient before contact (ours).
         Approach(Approach) = "approach",
-        /// Lateral acceleration and jerk above their limits (ours).
-        Comfort(Comfort) = "comfort",
         /// Distance of the likeliest attacker to the target, as STRIVE seeks it.
         TargetDistance(TargetDistance) = "target_distance",
     }
@@ -56,10 +44,7 @@ impl Objective {
             Self::AgentCollision(o) => o.weight,
             Self::MapCollision(o) => o.weight,
             Self::OverSpeed(o) => o.weight,
-            Self::TargetSpeed(o) => o.weight,
-            Self::Goal(o) => o.weight,
             Self::Approach(o) => o.weight,
-            Self::Comfort(o) => o.weight,
             Self::TargetDistance(o) => o.weight,
         }
     }
@@ -90,11 +75,8 @@ impl Objective {
             Self::AgentCollision(o) => o.evaluate(context, plan, out),
             Self::MapCollision(o) => o.evaluate(context, plan, out),
             Self::OverSpeed(o) => o.evaluate(context, plan, out),
-            Self::TargetSpeed(o) => o.evaluate(context, plan, out),
-            Self::Goal(o) => o.evaluate(context, plan, out),
             Self::Approach(o) => o.evaluate(context, plan, out),
             Self::TargetDistance(o) => o.evaluate(context, plan, out),
-            Self::Comfort(o) => o.evaluate(context, plan, out),
         }
     }
 }

@@ -77,7 +77,6 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         }
     }
     let mut features = SceneFeatures {
-        first_action: agents.iter().map(|a| window.first_action.get(*a).copied().flatten()).collect(),
         noise_seed: agents.iter().map(|a| window.noise_seed.get(*a).copied()).collect(),
         route: routes(window, &agents, &poses, config.route_points_m.len())?,
         agents,

@@ -31,8 +31,6 @@ pub struct SceneFeatures {
     pub graph: CausalGraph,
     /// Times to contact now, seconds, [M, M].
     pub ttc_s: Vec<f32>,
-    /// Action that the plan starts with, [M].
-    pub first_action: Vec<Option<[f32; 2]>>,
     /// Seed of the agent's own noise, [M].
     pub noise_seed: Vec<Option<u64>>,
     /// Whether the agent's route is told (0 or 1), then places ahead on it in the agent's frame, x and y, [M, 1 + 2 P]; zero

@@ -25,8 +25,6 @@ pub struct Window {
     pub length_m: Vec<f32>,
     /// Width, metres, [A].
     pub width_m: Vec<f32>,
-    /// Acceleration (m/s²) and yaw rate (rad/s) that an agent's plan starts with, [A]; empty, or `None`: any.
-    pub first_action: Vec<Option<[f32; 2]>>,
     /// Seed of each agent's own noise, [A]; empty: noise of the world's seed.
     pub noise_seed: Vec<u64>,
     /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
@@ -91,7 +89,6 @@ impl Window {
             ("window speed_mps", self.speed_mps.len(), entries),
             ("window valid", self.valid.len(), entries),
             ("window width_m", self.width_m.len(), agents),
-            ("window first_action", self.first_action.len().max(agents), agents),
             ("window noise_seed", self.noise_seed.len().max(agents), agents),
             ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
             ("window apart", self.apart.len().max(agents * agents), agents * agents),

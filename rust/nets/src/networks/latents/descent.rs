@@ -126,8 +126,6 @@ mod tests {
             road: None,
             roads: Vec::new(),
             apart: Vec::new(),
-            goals: vec![None; 2],
-            target_speed_mps: vec![None; 2],
             speed_limit_mps: None,
             step_weights: vec![1.0 / 52.0; 52],
         }
