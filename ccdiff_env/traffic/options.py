@@ -464,8 +464,6 @@ class CcdiffConfig:
     #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (in
     #: (0, 100]); 1 for other networks. Below 1 likely plans are drawn more often.
     temperature: float = 1.0
-    #: Whether a plan starts with the acceleration and yaw rate that its vehicle has now.
-    tie_first_knot: bool = False
     #: Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the
     #: same). Speeds after 3 s are then spread as those of the log (docs/results.md#calibration).
     keep_noise: bool = False
@@ -498,8 +496,6 @@ class CcdiffConfig:
     #: Whether plans without guidance are moved off contacts and onto the road, at the cost of the
     #: gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
     careful: bool = False
-    #: Whether only the K vehicles are moved by guidance (the mask ρ); else all (ablation).
-    mask_guidance: bool = True
     #: Contacts with whom count in the collision objectives.
     collision_targets: CollisionTargets = "ego"
     #: Ids of the agents with whom contacts count, in place of ``collision_targets``; empty: those.
