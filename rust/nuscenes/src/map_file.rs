@@ -4,7 +4,7 @@ use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::index::TokenIndex;
-use crate::record::{Members, Record, Source, Text, elements, plain_string};
+use crate::record::{Record, Source, Text, elements, members, parse, plain_string};
 use crate::report::MapReport;
 use crate::stream::BYTE_ORDER_MARK;
 use crate::token::Token;
@@ -12,7 +12,6 @@ use ccdiff_sim::scene::LaneKind;
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
@@ -157,14 +156,14 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
 
 /// The layers of a map file as they are written.
 struct MapText<'a> {
-    layers: BTreeMap<&'a [u8], Text<'a>>,
+    layers: BTreeMap<String, Text<'a>>,
 }
 
 impl<'a> MapText<'a> {
     fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
         let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
         let source = Source { path, offset: (bytes.len() - text.len()) as u64 };
-        Ok(Self { layers: members(text, source)? })
+        Ok(Self { layers: members((text, source))? })
     }
 
     /// The records of a layer made into something, in parallel; nothing where there is no such layer.
@@ -176,47 +175,23 @@ impl<'a> MapText<'a> {
     ) -> Result<Vec<T>>
     where
         T: Send,
-        F: Fn(&mut Record<'a, N>) -> Result<T> + Sync,
+        F: Fn(&Record<'a, N>) -> Result<T> + Sync,
     {
-        let Some((text, source)) = self.layers.get(layer.as_bytes()) else { return Ok(Vec::new()) };
-        let parse = |range: Range<usize>| {
-            let source = Source { offset: source.offset + range.start as u64, ..*source };
-            make(&mut Record::new(&text[range], names, source))
-        };
-        elements(text, *source)?.into_par_iter().with_min_len(256).map(parse).collect()
+        let Some(layer) = self.layers.get(layer) else { return Ok(Vec::new()) };
+        let parse = |(text, source): Text<'a>| make(&Record::new(text, names, source)?);
+        elements(*layer)?.into_par_iter().with_min_len(256).map(parse).collect()
     }
 
     /// The members of a layer that is an object by token.
-    fn by_token(&self, layer: &str) -> Result<BTreeMap<&'a [u8], Text<'a>>> {
-        match self.layers.get(layer.as_bytes()) {
-            Some((text, source)) => members(text, *source),
-            None => Ok(BTreeMap::new()),
-        }
+    fn by_token(&self, layer: &str) -> Result<BTreeMap<String, Text<'a>>> {
+        self.layers.get(layer).map_or(Ok(BTreeMap::new()), |layer| members(*layer))
     }
-}
-
-/// The members of an object with their texts.
-fn members<'a>(text: &'a [u8], source: Source<'a>) -> Result<BTreeMap<&'a [u8], Text<'a>>> {
-    let mut found = BTreeMap::new();
-    let mut members = Members::new(text, source);
-    while let Some((key, range)) = members.next_member()? {
-        let offset = source.offset + range.start as u64;
-        found.insert(key, (&text[range], Source { offset, ..source }));
-    }
-    Ok(found)
-}
-
-/// A value of any kind from its text.
-fn parse<'a, T: Deserialize<'a>>((text, source): Text<'a>) -> Result<T> {
-    serde_json::from_slice(text).map_err(|e| source.fail(0, e.to_string()))
 }
 
 /// The paths of a lane.
-fn arcline_paths((text, source): Text<'_>) -> Result<Vec<ArcLinePath>> {
-    let path = |range: Range<usize>| {
-        let source = Source { offset: source.offset + range.start as u64, ..source };
-        let names = &["start_pose", "shape", "radius", "segment_length"];
-        let mut row = Record::new(&text[range], names, source);
+fn arcline_paths(paths: Text<'_>) -> Result<Vec<ArcLinePath>> {
+    let path = |(text, source)| {
+        let row = Record::new(text, &["start_pose", "shape", "radius", "segment_length"], source)?;
         Ok(ArcLinePath {
             start_pose: row.parse(0)?,
             shape: row.text(1)?,
@@ -224,7 +199,7 @@ fn arcline_paths((text, source): Text<'_>) -> Result<Vec<ArcLinePath>> {
             segment_length: row.parse(3)?,
         })
     };
-    elements(text, source)?.into_iter().map(path).collect()
+    elements(paths)?.into_iter().map(path).collect()
 }
 
 /// Resolves tokens to geometry.
@@ -260,7 +235,7 @@ impl<'a> Assembler<'a> {
             })
         })?;
         let polygons = file.rows("polygon", &["token", "exterior_node_tokens", "holes"], |row| {
-            let holes = if row.has(2)? { Some(row.raw(2)?) } else { None };
+            let holes = if row.has(2) { Some(row.raw(2)?) } else { None };
             Ok((row.token(0)?, (row.raw(1)?, holes)))
         })?;
         let lines = file.rows("line", &["token", "node_tokens"], |row| Ok((row.token(0)?, row.raw(1)?)))?;
@@ -292,14 +267,14 @@ impl<'a> Assembler<'a> {
     }
 
     /// The points of a list of node tokens, without repetitions.
-    fn points(&self, owner: Token, (text, source): Text<'a>) -> Result<Vec<[f64; 2]>> {
-        let tokens = elements(text, source)?;
+    fn points(&self, owner: Token, list: Text<'a>) -> Result<Vec<[f64; 2]>> {
+        let tokens = elements(list)?;
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
         let mut next = 0;
-        for range in tokens {
-            let token = match plain_string(&text[range.clone()]) {
+        for text in tokens {
+            let token = match plain_string(text.0) {
                 Some(bytes) => Token::from_bytes(bytes),
-                None => Token::from_text(&parse::<String>((&text[range], source))?),
+                None => Token::from_text(&parse::<String>(text)?),
             };
             let point = self.nodes.get_from(&mut next, token);
             points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
@@ -327,12 +302,8 @@ impl<'a> Assembler<'a> {
             return Ok(None);
         }
         let mut rings = Vec::new();
-        if let Some((text, source)) = holes {
-            for range in elements(text, source)? {
-                let source = Source { offset: source.offset + range.start as u64, ..source };
-                let mut hole = Record::new(&text[range], &["node_tokens"], source);
-                rings.push(self.ring(token, hole.raw(0)?)?);
-            }
+        for (text, source) in holes.map_or(Ok(Vec::new()), elements)? {
+            rings.push(self.ring(token, Record::new(text, &["node_tokens"], source)?.raw(0)?)?);
         }
         rings.retain(|ring| ring.len() >= 3);
         let holes = rings.into_iter().map(GlobalLine::new).collect();
@@ -346,13 +317,10 @@ impl<'a> Assembler<'a> {
             .rows("drivable_area", &["token", "polygon_tokens"], |row| Ok((row.text(0)?, row.raw(1)?)))?;
         let mut polygons = Vec::new();
         let mut flat = 0;
-        for (owner, (text, source)) in areas {
-            let made: Vec<Option<GlobalPolygon>> = elements(text, source)?
+        for (owner, tokens) in areas {
+            let made: Vec<Option<GlobalPolygon>> = elements(tokens)?
                 .into_par_iter()
-                .map(|range| {
-                    let token: String = parse((&text[range], source))?;
-                    self.polygon(&owner, Token::from_text(&token))
-                })
+                .map(|token| self.polygon(&owner, Token::from_text(&parse::<String>(token)?)))
                 .collect::<Result<_>>()?;
             flat += made.iter().filter(|p| p.is_none()).count();
             polygons.extend(made.into_iter().flatten());
@@ -363,7 +331,7 @@ impl<'a> Assembler<'a> {
 
     fn areas(&self, layer: &str, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
         let rows = self.file.rows(layer, &["token", "polygon_token"], |row| {
-            if row.has(1)? { self.polygon(&row.text(0)?, row.token(1)?) } else { Ok(None) }
+            if row.has(1) { self.polygon(&row.text(0)?, row.token(1)?) } else { Ok(None) }
         })?;
         let flat = rows.iter().filter(|p| p.is_none()).count();
         note(report, flat, &format!("{layer} records without an area left out"));
@@ -388,18 +356,18 @@ impl<'a> Assembler<'a> {
     /// A lane without links; no centre line where the data has none.
     fn lane(
         &self,
-        row: &mut Record<'a, 2>,
+        row: &Record<'a, 2>,
         kind: LaneKind,
-        paths: &BTreeMap<&'a [u8], Text<'a>>,
+        paths: &BTreeMap<String, Text<'a>>,
     ) -> Result<GlobalLane> {
         let id = row.text(0)?;
-        let paths = paths.get(id.as_bytes()).map_or(Ok(Vec::new()), |text| arcline_paths(*text))?;
+        let paths = paths.get(&id).map_or(Ok(Vec::new()), |text| arcline_paths(*text))?;
         let centreline = discretise(&paths, CENTRELINE_SPACING_M).map_err(|fault| {
             let (path, token) = (self.path.to_owned(), id.clone());
             let (field, got, expected) = (fault.field, fault.got, fault.expected);
             NuscenesError::Value { path, token, field, got, expected }
         })?;
-        let polygon = if row.has(1)? { self.polygon(&id, row.token(1)?)? } else { None };
+        let polygon = if row.has(1) { self.polygon(&id, row.token(1)?)? } else { None };
         let (successors, predecessors) = (Vec::new(), Vec::new());
         Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })
     }
@@ -429,7 +397,7 @@ impl<'a> Assembler<'a> {
     }
 
     fn links(&self) -> Result<BTreeMap<String, Links>> {
-        self.file.layers.get(b"connectivity".as_slice()).map_or(Ok(BTreeMap::new()), |text| parse(*text))
+        self.file.layers.get("connectivity").map_or(Ok(BTreeMap::new()), |text| parse(*text))
     }
 }
 

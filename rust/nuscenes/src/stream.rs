@@ -35,7 +35,7 @@ pub(crate) fn read_table<Kept, F, const N: usize>(
 ) -> Result<Vec<Kept>>
 where
     Kept: Send,
-    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let file = file::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
     read_records(file, path, BLOCK_BYTES, names, &keep)
@@ -52,7 +52,7 @@ fn read_records<R, Kept, F, const N: usize>(
 where
     R: Read + Send,
     Kept: Send,
-    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
@@ -87,13 +87,13 @@ fn parse_block<Kept, F, const N: usize>(
 ) -> Result<Vec<Vec<Kept>>>
 where
     Kept: Send,
-    F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let parse = |records: &[Range<usize>]| {
         let (mut kept, mut next) = (Vec::with_capacity(records.len()), 0);
         for range in records {
             let source = Source { path, offset: block.offset + range.start as u64 };
-            kept.extend(keep(&mut Record::new(&block.bytes[range.clone()], names, source), &mut next)?);
+            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?, &mut next)?);
         }
         Ok(kept)
     };
@@ -226,7 +226,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        let keep = |row: &mut Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
+        let keep = |row: &Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
         read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
     }
 
@@ -250,9 +250,8 @@ mod tests {
 
     #[test]
     fn damage_is_refused_with_its_byte_offset() {
-        let cases: [(&str, u64, &str); 11] = [
+        let cases: [(&str, u64, &str); 10] = [
             ("[\u{feff}]", 1, "a record"),
-            ("[{\"\\u0061\":1,\"s\":\"\"}]", 3, "without escapes"),
             ("", 0, "empty"),
             ("  ", 2, "empty"),
             ("{}", 0, "an array of records"),

@@ -95,7 +95,7 @@ impl Tables {
     ) -> Result<Vec<Kept>>
     where
         Kept: Send,
-        F: Fn(&mut Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+        F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
     {
         read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
@@ -129,7 +129,7 @@ impl Tables {
             let location = locations
                 .get(log)
                 .ok_or_else(|| self.dangling(("scene", "log_token"), &token, log, "log"))?;
-            let nbr_samples = if row.has(3)? { Some(row.parse(3)?) } else { None };
+            let nbr_samples = if row.has(3) { Some(row.parse(3)?) } else { None };
             Ok(Some(SceneEntry { name: row.text(1)?, token, location: location.clone(), nbr_samples }))
         })?;
         for field in [|s: &SceneEntry| s.name.clone(), |s: &SceneEntry| s.token.clone()] {
