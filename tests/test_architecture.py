@@ -149,6 +149,22 @@ def test_a_driver_is_named_where_it_is_declared():
         assert [f for f, found in strings.items() if KINDS[name].title in found] == [named[-1]]
 
 
+@pytest.mark.parametrize("name", [name.upper() for name in NETWORKS])
+def test_a_network_is_its_file_and_a_line_in_each_crate_of_networks(name):
+    for crate in ("nets", "models"):
+        files = [f for f in (ROOT / "rust" / crate / "src").rglob("*.rs") if f.name != "mod.rs"]
+        named = [
+            f.name for f in files if re.search(rf"\b{name}\b", re.sub(r'".*?"', "", code_of(f)))
+        ]
+        assert len(named) <= 2, named
+
+
+@pytest.mark.parametrize("kind", ["pdm", "idm", "plan"])
+def test_a_planner_in_rust_is_a_function_and_a_line(kind):
+    files = [*(ROOT / "rust/sim/src/planner").rglob("*.rs"), ROOT / "rust/py/src/planner.rs"]
+    assert [f.parent.name for f in files if f'"{kind}"' in code_of(f)] == ["planner"]
+
+
 def test_no_crate_knows_its_siblings():
     for name in CRATES:
         manifest = (ROOT / "rust" / name / "Cargo.toml").read_text(encoding="utf-8")

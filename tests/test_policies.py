@@ -128,7 +128,7 @@ def test_damaged_files_are_refused(path, tmp_path):
         with pytest.raises((DatasetError, ConfigError), match=message):
             policies.load(bad)
     write_tensors(bad, {**tensors, "mean": tensors["mean"][1:]}, metadata)
-    with pytest.raises(DatasetError, match="mean has shape"):
+    with pytest.raises(DatasetError, match="mean is shape"):
         policies.load(bad)
     write_tensors(bad, {**tensors, "mean": tensors["mean"] * np.nan}, metadata)
     with pytest.raises(DatasetError, match="finite"):

@@ -60,7 +60,9 @@ impl EgoNetwork {
         let layout = Layout::new(&options::read("observation", observation).map_err(from_sim)?);
         let action: ActionConfig = options::read("action", action).map_err(from_sim)?;
         let width = ActionDecoder::new(&action).width();
-        let damaged = |e: ccdiff_sim::SimError| py::DatasetError::new_err(e.to_string());
+        let damaged = |e: ccdiff_sim::SimError| {
+            py::DatasetError::new_err(e.to_string().trim_start_matches("config: policy: ").to_owned())
+        };
         let made = NetworkOfEgo::new(&layout.map_err(from_sim)?, width, taken(tensors)?);
         Ok(Self(made.map_err(damaged)?))
     }

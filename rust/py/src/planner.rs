@@ -1,8 +1,8 @@
 //! Bindings of the package's planners.
 
 use crate::enter::enter;
-use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
-use ccdiff_sim::planner::{Planner, PlannerKind};
+use ccdiff_bridge::errors::{from_sim, py::ShapeError};
+use ccdiff_sim::planner::Planner;
 use ccdiff_sim::world::VecWorld;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -24,17 +24,8 @@ impl PyPlanner {
     #[new]
     #[pyo3(signature = (kind, network=None))]
     fn new(kind: &str, network: Option<&Bound<'_, PyCapsule>>) -> PyResult<Self> {
-        let kind = match kind {
-            "pdm" => PlannerKind::Pdm,
-            "idm" => PlannerKind::Idm,
-            "plan" => PlannerKind::Plan,
-            _ => {
-                let message = format!("no planner {kind:?}, there are pdm, idm, plan");
-                return Err(UnknownNameError::new_err(message));
-            }
-        };
         let network = network.map(ccdiff_bridge::taken_policy).transpose()?;
-        Ok(Self { planner: Planner::new(kind, network) })
+        Ok(Self { planner: Planner::new(kind, network).map_err(from_sim)? })
     }
 }
 

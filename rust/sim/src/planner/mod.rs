@@ -10,7 +10,7 @@ pub use network_of_ego::{NetworkOfEgo, Tensors};
 use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
-use crate::geom::{Pose2, Real, math};
+use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan, steering};
 use crate::policy::{IdmConfig, TrafficPolicy, idm_towards};
 use crate::world::VecWorld;
@@ -19,28 +19,54 @@ use network::Network;
 /// Acceleration of an ego that its network does not plan for, m/s².
 const WITHOUT_PLAN_MPS2: Real = -4.0;
 
-/// What drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlannerKind {
-    /// Proposals, rolled out and scored; against the samples of a network where there is one, else at constant velocity.
-    Pdm,
-    /// The intelligent driver model of the worlds, along the centre line at the road's limit.
-    Idm,
-    /// The plan of a network.
-    Plan,
+/// What an ego does from here: its acceleration (m/s²) and yaw rate (rad/s).
+type Act = fn(&Asked<'_>) -> [Real; 2];
+
+/// A planner of the package.
+#[derive(Debug)]
+pub struct PlannerKind {
+    /// Its name.
+    pub name: &'static str,
+    act: Act,
+}
+
+/// All of them: a new one is a function and a line here.
+pub static PLANNERS: &[PlannerKind] = &[
+    // proposals, rolled out and scored; against the samples of a network where there is one, else at constant velocity
+    PlannerKind { name: "pdm", act: pdm },
+    // the intelligent driver model of the worlds, along the centre line at the road's limit
+    PlannerKind { name: "idm", act: idm },
+    // the plan of a network
+    PlannerKind { name: "plan", act: follow },
+];
+
+/// What a planner is asked.
+struct Asked<'a> {
+    scene: Scene<'a>,
+    idm: &'a IdmConfig,
+    network: Option<&'a Network>,
+    world_idx: usize,
 }
 
 /// Drives the first slot of worlds. Holds nothing but what its network has seen.
 #[derive(Debug)]
 pub struct Planner {
-    kind: PlannerKind,
+    act: Act,
     network: Option<Network>,
 }
 
 impl Planner {
-    /// A planner for any number of worlds, and its network.
-    pub fn new(kind: PlannerKind, network: Option<Box<dyn TrafficPolicy>>) -> Self {
-        Self { kind, network: network.map(Network::new) }
+    /// A planner for any number of worlds, of [`PLANNERS`] by name, and its network.
+    ///
+    /// # Errors
+    /// [`SimError::Unknown`] for any other name.
+    pub fn new(name: &str, network: Option<Box<dyn TrafficPolicy>>) -> Result<Self> {
+        let kind = PLANNERS.iter().find(|kind| kind.name == name).ok_or_else(|| {
+            let names: Vec<&str> = PLANNERS.iter().map(|kind| kind.name).collect();
+            let expected = format!("one of {}", names.join(", "));
+            SimError::Unknown { what: "planner", got: format!("{name:?}"), expected }
+        })?;
+        Ok(Self { act: kind.act, network: network.map(Network::new) })
     }
 
     /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
@@ -69,12 +95,8 @@ impl Planner {
         let prepared = world.prepared(status.scene_idx)?;
         let config = world.config();
         let scene = Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps);
-        let action = match self.kind {
-            PlannerKind::Pdm => pdm(&scene, self.network.as_ref(), world_idx),
-            PlannerKind::Idm => idm(&scene, &config.idm),
-            PlannerKind::Plan => follow(&scene, self.network.as_ref().and_then(|n| n.next(world_idx, ego))),
-        };
-        Ok(encoded(world, &scene, action))
+        let asked = Asked { scene, idm: &config.idm, network: self.network.as_ref(), world_idx };
+        Ok(encoded(world, &asked.scene, (self.act)(&asked)))
     }
 }
 
@@ -94,15 +116,18 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
     decoder.encode(&physical)
 }
 
-fn pdm(scene: &Scene<'_>, network: Option<&Network>, world_idx: usize) -> [Real; 2] {
-    let num_futures = network.map_or(1, |n| n.num_samples(world_idx));
-    let path = |sample, agent| network?.path(scene.states, world_idx, sample, agent);
+fn pdm(asked: &Asked<'_>) -> [Real; 2] {
+    let Asked { scene, network, world_idx, .. } = asked;
+    let num_futures = network.map_or(1, |n| n.num_samples(*world_idx));
+    let path = |sample, agent| (*network)?.path(scene.states, *world_idx, sample, agent);
     let plan = plan(scene, num_futures, path);
     [plan.acceleration_mps2, scene.yaw_rate(plan.offset_m)]
 }
 
 /// Acceleration and yaw rate towards a pose and speed after the step; braking where there is none.
-fn follow(scene: &Scene<'_>, next: Option<(Pose2, Real)>) -> [Real; 2] {
+fn follow(asked: &Asked<'_>) -> [Real; 2] {
+    let scene = &asked.scene;
+    let next = asked.network.and_then(|n| n.next(asked.world_idx, scene.ego));
     let Some((pose, speed_mps)) = next else { return [WITHOUT_PLAN_MPS2, 0.0] };
     let to = KinState { x: pose.position.x, y: pose.position.y, heading_rad: pose.heading_rad, speed_mps };
     let from = scene.states.kin_state(scene.ego);
@@ -111,7 +136,8 @@ fn follow(scene: &Scene<'_>, next: Option<(Pose2, Real)>) -> [Real; 2] {
 }
 
 /// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.
-fn idm(scene: &Scene<'_>, idm: &IdmConfig) -> [Real; 2] {
+fn idm(asked: &Asked<'_>) -> [Real; 2] {
+    let Asked { scene, idm, .. } = asked;
     let (states, ego, line, place) = (scene.states, scene.ego, scene.line, scene.place);
     let speed = states.speed_mps[ego].max(0.0);
     let now = line.at(place.s_m);

@@ -33,6 +33,9 @@ use crate::state::AgentStates;
 /// The kinds of the simulator: a new one is a line here.
 pub const KINDS: &[Kind] = &[replay::KIND, constant_velocity::KIND, idm::KIND];
 
+/// Those that move pedestrians alone, by the names of [`crate::world::Pedestrians`].
+pub const PEDESTRIANS: &[Kind] = &[social_force::KIND];
+
 /// What a policy may see of a world before a step.
 #[derive(Clone, Copy)]
 pub struct WorldView<'a> {

@@ -10,7 +10,7 @@
 //! next seconds, the repulsion is so strong that who walks towards it stops before it, and w is max(0, −e·n), so that who
 //! walks beside it is not held up.
 
-use super::{AgentMotion, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::scene::AgentKind;
 
@@ -38,6 +38,15 @@ const HASTE: (Real, Real) = (1.3, 1.0);
 const LOOK_AHEAD_M: Real = 1.0;
 /// Distance from the end of the logged path at which it is reached, metres.
 const THERE_M: Real = 0.3;
+
+pub(super) const KIND: Kind = Kind {
+    name: "social_force",
+    title: "social force",
+    style: "other",
+    options: None,
+    always: false,
+    make: Some(|_, _| Ok(Box::new(SocialForce))),
+};
 
 /// Walks along the logged path and gives way.
 #[derive(Debug, Default)]
@@ -81,7 +90,7 @@ fn logged(world: &WorldView<'_>, agent_idx: usize) -> (Real, Real, usize) {
 
 impl TrafficPolicy for SocialForce {
     fn name(&self) -> &str {
-        "social_force"
+        KIND.name
     }
 
     fn act(&self, world: &WorldView<'_>, _: Option<&PlanState>, agent_idx: usize) -> AgentMotion {

@@ -2,20 +2,15 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::policy::{
-    ConstantVelocity, Driver, Idm, PlanRequest, PlanState, Replay, SocialForce, TrafficPolicy,
-};
+use crate::policy::{Driver, KINDS, Kind, PEDESTRIANS, PlanRequest, PlanState, TrafficPolicy};
 use crate::scene::{AgentKind, Scene};
-use crate::world::config::{Pedestrians, WorldConfig};
+use crate::world::config::WorldConfig;
 use crate::world::rng::Rng;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::sync::Arc;
 
 /// Stream of a world's generator from which mixed traffic is drawn.
 const MIX_STREAM: u64 = u64::MAX - 1;
-
-/// Name of the policy that moves pedestrians.
-const SOCIAL_FORCE: &str = "social_force";
 
 /// Policies by name, and the configuration's choice among them.
 pub(crate) struct Policies {
@@ -35,19 +30,23 @@ pub(crate) struct Policies {
 }
 
 impl Policies {
-    /// The three policies without a plan, then `more`.
+    /// The policies that every batch has, then `more`, then what moves pedestrians.
     pub(crate) fn new(
         config: &WorldConfig,
         scenes: &[Arc<Scene>],
         more: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Result<Self> {
-        let idm = Idm { config: config.idm };
-        let always: [Box<dyn TrafficPolicy>; 3] =
-            [Box::new(Replay), Box::new(ConstantVelocity), Box::new(idm)];
-        let mut table: Vec<_> = always.map(|policy| (policy.name().to_owned(), policy)).into();
-        let walks = config.pedestrians == Pedestrians::SocialForce;
-        let social_force = || (SOCIAL_FORCE.into(), Box::new(SocialForce) as Box<dyn TrafficPolicy>);
-        for (name, policy) in more.into_iter().chain(walks.then(social_force)) {
+        // what is in every batch has its options in the configuration of the worlds itself
+        let whole = serde_json::to_value(config).unwrap_or_default();
+        let made = |kind: &Kind| {
+            let make = kind.make?;
+            let policy = make(kind.name, &whole[kind.name].to_string());
+            Some(policy.map(|policy| (kind.name.to_owned(), policy)))
+        };
+        let mut table =
+            KINDS.iter().filter(|kind| kind.always).filter_map(made).collect::<Result<Vec<_>>>()?;
+        let walks = PEDESTRIANS.iter().find(|kind| kind.name == config.pedestrians.name());
+        for (name, policy) in more.into_iter().chain(walks.and_then(made).transpose()?) {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
                 let expected = "a name that nobody else has".into();
                 return Err(SimError::Config { field: "policies".into(), got: name, expected });
@@ -74,8 +73,8 @@ impl Policies {
             table,
         };
         policies.slots = policies.driver("driver", &config.driver)?;
-        if walks {
-            policies.pedestrians = policies.driver("pedestrians", SOCIAL_FORCE)?;
+        if let Some(kind) = walks {
+            policies.pedestrians = policies.driver("pedestrians", kind.name)?;
         }
         let mut sum = 0.0;
         for name in config.traffic.names() {

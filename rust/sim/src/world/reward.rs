@@ -26,6 +26,12 @@ pub(crate) struct StepFacts {
     pub(crate) progress_m: Real,
     /// The goal is reached in this step.
     pub(crate) reached: bool,
+    /// Position along the route.
+    pub(crate) route_s_m: Real,
+    /// What happened in this step ends the episode.
+    pub(crate) terminated: bool,
+    /// The horizon or the log ends the episode in this step.
+    pub(crate) timed_out: bool,
 }
 
 /// How uncomfortable a step is, 0 to 3, from acceleration and lateral acceleration (m/s²) and jerk (m/s³).
@@ -35,7 +41,7 @@ pub(crate) fn discomfort(acceleration: Real, lateral: Real, jerk: Real) -> Real 
         .min(MAX_DISCOMFORT)
 }
 
-/// Fills a slot's columns (all but the time limit) and returns the reward. `slot.progress` holds this step already;
+/// Fills a slot's columns and returns the reward. `slot.progress` holds this step already;
 /// `slot` learns accidents.
 pub(crate) fn score(
     states: &AgentStates,
@@ -60,6 +66,8 @@ pub(crate) fn score(
         travelled_m: slot.progress.travelled_m(),
         completion: slot.progress.completion(),
         reached: facts.reached,
+        success: (facts.terminated || facts.timed_out) && is_success(slot, facts.route_s_m, config),
+        timed_out: facts.timed_out,
         off_road: slot.off_road,
         off_road_centroid: slot.off_road_centroid,
         wrong_way: slot.wrong_way,
@@ -91,7 +99,7 @@ pub(crate) fn score(
 }
 
 /// Whether an episode that ends now, at a place along the route, was a success.
-pub(crate) fn is_success(slot: &Slot, route_s_m: Real, config: &WorldConfig) -> bool {
+fn is_success(slot: &Slot, route_s_m: Real, config: &WorldConfig) -> bool {
     let arrives =
         slot.progress.completion() >= config.success_completion && !slot.progress.has_missed(route_s_m);
     !slot.ever_collided && !slot.ever_off_road && arrives

@@ -50,6 +50,10 @@ pub(crate) struct Step {
     pub(crate) completion: Real,
     /// The goal is reached in this step.
     pub(crate) reached: bool,
+    /// The episode ends in this step as a success.
+    pub(crate) success: bool,
+    /// The horizon or the log ends the episode in this step.
+    pub(crate) timed_out: bool,
     pub(crate) off_road: bool,
     pub(crate) off_road_centroid: bool,
     pub(crate) wrong_way: bool,
@@ -149,8 +153,7 @@ macro_rules! columns {
         /// Number of reward components, whose columns come first.
         pub(crate) const NUM_COMPONENTS: usize = [$(Col::$component),*].len();
 
-        /// Fills a slot's row, but for what the end of an episode decides, and returns the reward; `style` are factors of
-        /// the weights.
+        /// Fills a slot's row and returns the reward; `style` are factors of the weights.
         #[allow(clippy::redundant_closure_call, reason = "entries of the table are closures")]
         pub(crate) fn fill(
             step: &Step,
@@ -202,7 +205,7 @@ columns! {
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
     }
-    // name, unit, what it is, and the value from the step; success and time limit are known when the rest is
+    // name, unit, what it is, and the value from the step
     info {
         Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
             |s| flag(s.contact.is_some());
@@ -243,9 +246,9 @@ columns! {
         LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
             |s| s.log_distance_m;
         Success, "is_success", "", "1 at the end of an episode with enough of the route (`success_completion`), no collision and no step off the road",
-            |_| 0.0;
+            |s| flag(s.success);
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
-            |_| 0.0;
+            |s| flag(s.timed_out);
         Speeding, "speeding", "m/s", "speed above the limit, 0 below it",
             Step::speeding_mps;
     }

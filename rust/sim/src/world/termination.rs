@@ -4,7 +4,7 @@ use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
 use crate::world::episode::Phase;
 use crate::world::reward::{self, StepFacts};
-use crate::world::reward_columns::{Col, Earlier, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::reward_columns::{Earlier, NUM_COLUMNS, TTC_HORIZON_S};
 use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
 use crate::world::tow;
@@ -63,22 +63,25 @@ impl World {
             let slot = &mut e.slots[c];
             let had_reached = slot.progress.reached;
             let from_route_m = self.scratch.from_route_m[c];
-            let facts = StepFacts {
-                contact: self.scratch.contacts[c],
-                ttc_s: self.scratch.least_times.of(a),
-                log_distance_m,
-                progress_m: slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s),
-                reached: slot.progress.reached && !had_reached,
-            };
-            slot.in_contact = self.scratch.in_contact[c];
-            let reward = reward::score(&e.states, a, slot, &facts, config, columns);
-            let outcome = Outcome::of(facts.contact.is_some(), slot.off_road, facts.reached, config);
+            let progress_m = slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s);
+            let (contact, reached) = (self.scratch.contacts[c], slot.progress.reached && !had_reached);
+            let outcome = Outcome::of(contact.is_some(), slot.off_road, reached, config);
             out.terminated[c] = outcome.ends;
             out.truncated[c] = at_end && !outcome.ends;
-            columns[Col::TimeLimit as usize] = f32::from(out.truncated[c]);
-            slot.stopped |= outcome.stands;
             let ended = out.terminated[c] || out.truncated[c];
-            columns[Col::Success as usize] = f32::from(ended && reward::is_success(slot, s_m, config));
+            let facts = StepFacts {
+                contact,
+                ttc_s: self.scratch.least_times.of(a),
+                log_distance_m,
+                progress_m,
+                reached,
+                route_s_m: s_m,
+                terminated: out.terminated[c],
+                timed_out: out.truncated[c],
+            };
+            slot.in_contact = self.scratch.in_contact[c];
+            slot.stopped |= outcome.stands;
+            let reward = reward::score(&e.states, a, slot, &facts, config, columns);
             slot.statistics.add(reward, columns);
             out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {
