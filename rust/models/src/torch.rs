@@ -7,7 +7,7 @@ use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
 use crate::raster::ZERO;
-use ccdiff_nets::compute::backend::{Backend, KeyValue};
+use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
 use ccdiff_nets::networks::trunk::Encoded;
@@ -27,16 +27,14 @@ fn split(x: &Tensor, heads: i64) -> Tensor {
     x.view([size[0], size[1], heads, -1]).transpose(1, 2)
 }
 
-impl Backend for Torch {
+impl Ops for Torch {
     type Tensor = Tensor;
     type Linear = nn::Linear;
     type Joint = Joint;
     type Norm = nn::LayerNorm;
     type Filter = nn::Conv1D;
     type Groups = nn::GroupNorm;
-    type Raster = RasterEncoder;
     type Space = PlanSpace;
-    type Batch<'a> = Batch;
     type Slots = Slots;
     type Mask = Tensor;
     type Attention = Tensor;
@@ -73,73 +71,12 @@ impl Backend for Torch {
         nn::group_norm(p, groups, width, Default::default())
     }
 
-    fn raster(p: &nn::Path<'_>, config: &MapConfig, history_steps: usize) -> RasterEncoder {
-        RasterEncoder::new(p, config, history_steps)
-    }
-
     fn space(p: &nn::Path<'_>, config: &ModelConfig) -> PlanSpace {
         PlanSpace::new(config, p.device())
     }
 
     fn table(p: &nn::Path<'_>, numbers: &[f32], width: i64) -> Tensor {
         Tensor::from_slice(numbers).view([-1, width]).to_device(p.device())
-    }
-
-    fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
-        inputs::standardised_history(&batch.history, config)
-    }
-
-    fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
-        let past = batch.history.narrow(2, 7, 1).squeeze_dim(2).gt(0.5);
-        let future = past.narrow(1, config.history_steps as i64 - 1, 1);
-        let future = future.expand([-1, config.num_knots() as i64], false);
-        Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
-    }
-
-    fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
-        let route = batch.route.as_ref()?;
-        let told = route.narrow(1, 0, 1);
-        let places = route.narrow(1, 1, route.size()[1] - 1) / ROUTE_SCALE_M;
-        Some((Tensor::cat(&[&told, &places], 1), told))
-    }
-
-    fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        let (edges, available) = inputs::at_tokens(&batch.edges, config);
-        (edges, Slots::new(&batch.neighbours, &batch.is_edge, &available))
-    }
-
-    fn edges_now(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        // the first token's edges are those of now
-        let (edges, available) = inputs::at_tokens(&batch.edges, config);
-        let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
-        (edges.narrow(2, 0, 1), slots)
-    }
-
-    fn standard_speed(batch: &Batch, config: &ModelConfig) -> Tensor {
-        let n = &config.normalisation;
-        ((&batch.speed_mps - n.trajectory_mean[2]) / n.trajectory_std[2]).view([-1, 1, 1])
-    }
-
-    fn speed(batch: &Batch) -> Tensor {
-        batch.speed_mps.shallow_clone()
-    }
-
-    fn lines(batch: &Batch) -> Option<Tensor> {
-        batch.image.as_ref().map(Tensor::shallow_clone)
-    }
-
-    fn raster_tokens(raster: &RasterEncoder, batch: &Batch, train: bool) -> Option<Tensor> {
-        batch.image.as_ref().map(|image| raster.forward(image, train))
-    }
-
-    fn road(batch: &Batch, _: &ModelConfig) -> Option<Vec<f32>> {
-        let first = batch.image.as_ref()?.narrow(1, 0, 1);
-        Some(to_vec(&(first.to_kind(Kind::Float) - f64::from(ZERO))))
-    }
-
-    fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {
-        let tokens = &batch.tokens;
-        (tokens.own.unsqueeze(1), tokens.near.shallow_clone(), tokens.yaw_rate_radps.clone())
     }
 
     fn numbers(x: &Tensor) -> Vec<f32> {
@@ -287,6 +224,72 @@ impl Backend for Torch {
 
     fn last(x: &Tensor, count: i64) -> Tensor {
         x.narrow(1, x.size()[1] - count, count)
+    }
+}
+
+impl Inputs for Torch {
+    type Raster = RasterEncoder;
+    type Batch<'a> = Batch;
+
+    fn raster(p: &nn::Path<'_>, config: &MapConfig, history_steps: usize) -> RasterEncoder {
+        RasterEncoder::new(p, config, history_steps)
+    }
+
+    fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
+        inputs::standardised_history(&batch.history, config)
+    }
+
+    fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
+        let past = batch.history.narrow(2, 7, 1).squeeze_dim(2).gt(0.5);
+        let future = past.narrow(1, config.history_steps as i64 - 1, 1);
+        let future = future.expand([-1, config.num_knots() as i64], false);
+        Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
+    }
+
+    fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
+        let route = batch.route.as_ref()?;
+        let told = route.narrow(1, 0, 1);
+        let places = route.narrow(1, 1, route.size()[1] - 1) / ROUTE_SCALE_M;
+        Some((Tensor::cat(&[&told, &places], 1), told))
+    }
+
+    fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
+        let (edges, available) = inputs::at_tokens(&batch.edges, config);
+        (edges, Slots::new(&batch.neighbours, &batch.is_edge, &available))
+    }
+
+    fn edges_now(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
+        // the first token's edges are those of now
+        let (edges, available) = inputs::at_tokens(&batch.edges, config);
+        let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
+        (edges.narrow(2, 0, 1), slots)
+    }
+
+    fn standard_speed(batch: &Batch, config: &ModelConfig) -> Tensor {
+        let n = &config.normalisation;
+        ((&batch.speed_mps - n.trajectory_mean[2]) / n.trajectory_std[2]).view([-1, 1, 1])
+    }
+
+    fn speed(batch: &Batch) -> Tensor {
+        batch.speed_mps.shallow_clone()
+    }
+
+    fn lines(batch: &Batch) -> Option<Tensor> {
+        batch.image.as_ref().map(Tensor::shallow_clone)
+    }
+
+    fn raster_tokens(raster: &RasterEncoder, batch: &Batch, train: bool) -> Option<Tensor> {
+        batch.image.as_ref().map(|image| raster.forward(image, train))
+    }
+
+    fn road(batch: &Batch, _: &ModelConfig) -> Option<Vec<f32>> {
+        let first = batch.image.as_ref()?.narrow(1, 0, 1);
+        Some(to_vec(&(first.to_kind(Kind::Float) - f64::from(ZERO))))
+    }
+
+    fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {
+        let tokens = &batch.tokens;
+        (tokens.own.unsqueeze(1), tokens.near.shallow_clone(), tokens.yaw_rate_radps.clone())
     }
 }
 

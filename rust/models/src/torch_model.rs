@@ -12,7 +12,7 @@ use crate::plan_model::PlanModel;
 use crate::sampler::Samples;
 use crate::torch::to_vec;
 use crate::traffic::{CcdiffConfig, PlannedTraffic};
-use crate::trajectory_model::{Drawn, PlanOptions, Planner, TrajectoryModel};
+use crate::trajectory_model::{Drawn, PlanOptions, PlanSampler, TrajectoryModel};
 use ccdiff_nets::compute::weights::{self, Entry};
 use ccdiff_nets::networks::kinds::described;
 use ccdiff_nets::traffic::planning_pool;
@@ -64,7 +64,7 @@ impl TorchModel {
     }
 }
 
-impl Planner for TorchModel {
+impl PlanSampler for TorchModel {
     fn draw(
         &self,
         scenes: &[&SceneFeatures],

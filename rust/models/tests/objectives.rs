@@ -12,7 +12,7 @@ use ccdiff_models::guidance::{
 use ccdiff_models::noise::Noise;
 use ccdiff_models::unicycle;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
-use common::toy::{BOTH_WAYS, NEAR_MISS, T, evaluate, toy};
+use common::toy::{BOTH_WAYS, T, evaluate, toy};
 use proptest::prelude::*;
 use tch::Tensor;
 

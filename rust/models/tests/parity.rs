@@ -153,7 +153,7 @@ fn what_own_kernels_lack_is_named() {
         (res_net, "model.map.encoder is res_net18"),
         (ModelConfig { map: Some(narrow), ..ModelConfig::fast() }, "model.map.feature_width is 32"),
     ] {
-        let text = ccdiff_nets::networks::kinds::check_own(&config).unwrap_err().to_string();
+        let text = ccdiff_nets::networks::kinds::check_cpu(&config).unwrap_err().to_string();
         assert!(text.contains(field) && text.contains("without torch"), "{text}");
     }
 }

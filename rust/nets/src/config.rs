@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// The tables of networks.
 pub const TABLES: &[&Table] = &[&ModelConfig::TABLE, &MapConfig::TABLE, &Normalisation::TABLE];
 
-/// Which network it is, by its name in files, options and tables: one of [`crate::networks::kinds::NETWORKS`]. Files that name none are of
+/// Which network it is, by its name in files, options and tables: one of [`crate::networks::NETWORKS`]. Files that name none are of
 /// CCDiff.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]

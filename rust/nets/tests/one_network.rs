@@ -1,4 +1,4 @@
-//! A network is its file, a line and its weights: here a module, in the crate a file, a line of `kinds::NETWORKS`, and one of
+//! A network is its file, a line and its weights: here a module, in the crate a file, a line of `networks::NETWORKS`, and one of
 //! `ccdiff_models::kinds` with its loss if it is to be trained.
 
 use ccdiff_nets::config::ModelConfig;
@@ -9,14 +9,14 @@ use std::path::Path;
 
 mod cruise {
     use ccdiff_nets::compute::backend::Backend;
-    use ccdiff_nets::compute::cpu::Own;
+    use ccdiff_nets::compute::cpu::Cpu;
     use ccdiff_nets::guidance::Guidance;
     use ccdiff_nets::networks::cpu_planner::proposing;
     use ccdiff_nets::networks::planner::{Asked, Proposes, Weighted};
     use ccdiff_nets::{ModelConfig, NetworkKind, Result};
 
     pub(crate) const CRUISE: NetworkKind =
-        NetworkKind { one_plan: true, ..NetworkKind::of("cruise", "Cruise", proposing::<Cruise<Own>>) };
+        NetworkKind { one_plan: true, ..NetworkKind::of("cruise", "Cruise", proposing::<Cruise<Cpu>>) };
 
     /// Accelerations and yaw rates by one linear layer from the speed.
     #[derive(Debug)]
@@ -67,7 +67,7 @@ fn a_new_network_plans_from_its_weights_and_names_what_they_lack() {
     let action = [(1.0 - n.action_mean[0]) / n.action_std[0], -n.action_mean[1] / n.action_std[1]];
     let bias = (0..2 * knots).map(|i| action[i % 2] as f32).collect();
     let mut tensors = BTreeMap::from([("head.weight".into(), (vec![2 * knots, 1], vec![0.0; 2 * knots]))]);
-    let made = |tensors| (cruise::CRUISE.own)(Path::new("cruise"), &config, tensors);
+    let made = |tensors| (cruise::CRUISE.on_cpu)(Path::new("cruise"), &config, tensors);
     let lacks = made(tensors.clone()).unwrap_err().to_string();
     assert!(lacks.contains("head.bias"), "{lacks}");
     tensors.insert("head.bias".into(), (vec![2 * knots], bias));

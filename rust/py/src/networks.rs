@@ -5,7 +5,7 @@ use ccdiff_bridge::errors::{from_model, py};
 use ccdiff_bridge::{AskedDriver, Handed, PyTrajectoryModel};
 use ccdiff_nets::compute::weights;
 use ccdiff_nets::guidance::GuidanceConfig;
-use ccdiff_nets::networks::kinds::{check_own, described};
+use ccdiff_nets::networks::kinds::{check_cpu, described};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::PlannedTraffic;
 use ccdiff_nets::traffic::swift::SWIFT;
@@ -27,7 +27,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
     let found = py.detach(|| {
         let (header, _) = weights::read(&path)?;
-        Ok(header["kind"] != SWIFT.name && check_own(&described(&path, &header)?).is_err())
+        Ok(header["kind"] != SWIFT.name && check_cpu(&described(&path, &header)?).is_err())
     });
     found.map_err(from_model)
 }

@@ -1,15 +1,16 @@
-//! The operations that layers are made of. A network is defined once over them; a backend computes them in its own way.
+//! The operations that layers are made of, and the inputs of networks. A network is defined once over them; a backend computes them in
+//! its own way.
 //!
-//! Two backends: [`crate::compute::cpu::Own`], on the kernels of this crate, and the one of `ccdiff-models`, on libtorch, which has gradients.
+//! Two backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and the one of `ccdiff-models`, on libtorch, which has gradients.
 
 use crate::config::{MapConfig, ModelConfig};
 use std::fmt::Debug;
 
 /// Keys and values.
-pub type KeyValue<B> = (<B as Backend>::Tensor, <B as Backend>::Tensor);
+pub type KeyValue<B> = (<B as Ops>::Tensor, <B as Ops>::Tensor);
 
 /// What computes layers. Tensors are [rows, tokens, width] unless a shape is given.
-pub trait Backend: Debug + Sized {
+pub trait Ops: Debug + Sized {
     /// Numbers.
     type Tensor: Debug;
     /// A linear layer.
@@ -22,12 +23,8 @@ pub trait Backend: Debug + Sized {
     type Filter: Debug;
     /// A group norm.
     type Groups: Debug;
-    /// An encoder of rasters.
-    type Raster: Debug;
     /// The space of plans.
     type Space: Debug;
-    /// Inputs of all rows.
-    type Batch<'a>;
     /// Who sits in which slot of a row, and may be seen.
     type Slots: Debug;
     /// Which tokens of a row may be seen.
@@ -60,47 +57,11 @@ pub trait Backend: Debug + Sized {
     /// A group norm over the tokens of a row.
     fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
 
-    /// An encoder of rasters.
-    fn raster(p: &Self::Path<'_>, config: &MapConfig, history_steps: usize) -> Self::Raster;
-
     /// The space of plans.
     fn space(p: &Self::Path<'_>, config: &ModelConfig) -> Self::Space;
 
     /// A table that is not learned [rows, width].
     fn table(p: &Self::Path<'_>, numbers: &[f32], width: i64) -> Self::Tensor;
-
-    /// Standardised histories [R, H, 8], zero where not available.
-    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
-
-    /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
-    fn mask(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Self::Mask>;
-
-    /// Routes [R, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told [R, 1].
-    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)>;
-
-    /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.
-    fn edges(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
-
-    /// Edges of the slots now, as [`Self::edges`], and who may be seen.
-    fn edges_now(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
-
-    /// Standardised speeds now, a token of each row.
-    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
-
-    /// Speeds now [R].
-    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor;
-
-    /// Lines of the map [R, lines, 20]; `None` without them.
-    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor>;
-
-    /// Tokens of the rasters; `None` without rasters. `train` switches batch normalisation.
-    fn raster_tokens(raster: &Self::Raster, batch: &Self::Batch<'_>, train: bool) -> Option<Self::Tensor>;
-
-    /// The first layer of the rasters, above zero where there is road, [R, pixels]; `None` without rasters.
-    fn road(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>>;
-
-    /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
-    fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);
 
     /// The numbers of a tensor, row by row.
     fn numbers(x: &Self::Tensor) -> Vec<f32>;
@@ -204,3 +165,52 @@ pub trait Backend: Debug + Sized {
     /// The last tokens of every row.
     fn last(x: &Self::Tensor, count: i64) -> Self::Tensor;
 }
+
+/// What networks read of their rows.
+pub trait Inputs: Ops {
+    /// An encoder of rasters.
+    type Raster: Debug;
+    /// Inputs of all rows.
+    type Batch<'a>;
+
+    /// An encoder of rasters.
+    fn raster(p: &Self::Path<'_>, config: &MapConfig, history_steps: usize) -> Self::Raster;
+
+    /// Standardised histories [R, H, 8], zero where not available.
+    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+
+    /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
+    fn mask(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Self::Mask>;
+
+    /// Routes [R, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told [R, 1].
+    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)>;
+
+    /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.
+    fn edges(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+
+    /// Edges of the slots now, as [`Self::edges`], and who may be seen.
+    fn edges_now(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+
+    /// Standardised speeds now, a token of each row.
+    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+
+    /// Speeds now [R].
+    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor;
+
+    /// Lines of the map [R, lines, 20]; `None` without them.
+    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor>;
+
+    /// Tokens of the rasters; `None` without rasters. `train` switches batch normalisation.
+    fn raster_tokens(raster: &Self::Raster, batch: &Self::Batch<'_>, train: bool) -> Option<Self::Tensor>;
+
+    /// The first layer of the rasters, above zero where there is road, [R, pixels]; `None` without rasters.
+    fn road(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>>;
+
+    /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
+    fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);
+}
+
+/// What a network is defined over.
+pub trait Backend: Inputs {}
+
+impl<B: Inputs> Backend for B {}

@@ -1,12 +1,12 @@
 //! Networks as plans are drawn from them on the kernels of this crate.
 
-use crate::compute::cpu::{Array, Inputs, Own, Place};
+use crate::compute::cpu::{Array, Batch, Cpu, Place};
 use crate::compute::weights::{Entry, Weights};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::inputs::features::SceneFeatures;
-use crate::networks::planner::{Asked, Denoises, Drawn, PlanOptions, Planner, Proposes, Weighted};
+use crate::networks::planner::{Asked, Denoises, Drawn, PlanOptions, PlanSampler, Proposes, Weighted};
 use crate::sampling::plan_space::PlanSpace;
 use crate::sampling::sampler::{self, Draws, Predict, Rows};
 use crate::sampling::schedule::Schedule;
@@ -17,7 +17,7 @@ use std::path::Path;
 const MOST_WORLDS: usize = 2;
 
 /// A network with the tensors of a file.
-fn filled<N: Weighted<Own>>(
+fn filled<N: Weighted<Cpu>>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
@@ -31,11 +31,11 @@ fn filled<N: Weighted<Own>>(
 ///
 /// # Errors
 /// [`crate::ModelError::Checkpoint`] where a tensor does not fit.
-pub fn denoising<N: Denoises<Own> + Send + 'static>(
+pub fn denoising<N: Denoises<Cpu> + Send + 'static>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
-) -> Result<Box<dyn Planner>> {
+) -> Result<Box<dyn PlanSampler>> {
     let network: N = filled(path, config, tensors)?;
     Ok(Box::new(Denoising { network, schedule: Schedule::cosine(config.diffusion_steps)? }))
 }
@@ -44,11 +44,11 @@ pub fn denoising<N: Denoises<Own> + Send + 'static>(
 ///
 /// # Errors
 /// As [`denoising`].
-pub fn proposing<N: Proposes<Own> + Send + 'static>(
+pub fn proposing<N: Proposes<Cpu> + Send + 'static>(
     path: &Path,
     config: &ModelConfig,
     tensors: BTreeMap<String, Entry>,
-) -> Result<Box<dyn Planner>> {
+) -> Result<Box<dyn PlanSampler>> {
     let network: N = filled(path, config, tensors)?;
     Ok(Box::new(Proposing { network, space: PlanSpace::new(config) }))
 }
@@ -78,7 +78,7 @@ struct Proposing<N> {
     space: PlanSpace,
 }
 
-impl<N: Proposes<Own> + Send> Planner for Proposing<N> {
+impl<N: Proposes<Cpu> + Send> PlanSampler for Proposing<N> {
     fn most_worlds(&self) -> usize {
         MOST_WORLDS
     }
@@ -93,7 +93,7 @@ impl<N: Proposes<Own> + Send> Planner for Proposing<N> {
         let (scene_sizes, noise_seeds) = sizes(scenes);
         let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
         let asked = Asked { rows, seeds, options: options.sampling };
-        let knots = self.network.propose(&Inputs { scenes, alone: false }, &asked, guide)?;
+        let knots = self.network.propose(&Batch { scenes, alone: false }, &asked, guide)?;
         Ok(drawn(&self.space, scenes, knots, None))
     }
 }
@@ -106,7 +106,7 @@ struct Denoising<N> {
 }
 
 /// A network on scenes that it has encoded.
-struct Encoded<'a, N: Denoises<Own>> {
+struct Encoded<'a, N: Denoises<Cpu>> {
     network: &'a N,
     with_graph: N::Context,
     alone: Option<N::Context>,
@@ -116,7 +116,7 @@ struct Encoded<'a, N: Denoises<Own>> {
     attention: Vec<Vec<f32>>,
 }
 
-impl<N: Denoises<Own>> Predict for Encoded<'_, N> {
+impl<N: Denoises<Cpu>> Predict for Encoded<'_, N> {
     fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32> {
         let context = self.alone.as_ref().filter(|_| alone).unwrap_or(&self.with_graph);
         if !alone {
@@ -135,7 +135,7 @@ impl<N: Denoises<Own>> Predict for Encoded<'_, N> {
     }
 }
 
-impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
+impl<N: Denoises<Cpu> + Send> PlanSampler for Denoising<N> {
     fn most_worlds(&self) -> usize {
         MOST_WORLDS
     }
@@ -151,7 +151,7 @@ impl<N: Denoises<Own> + Send> Planner for Denoising<N> {
         let (scene_sizes, noise_seeds) = sizes(scenes);
         let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
         let num_knots = config.num_knots();
-        let encode = |alone| network.encode(&Inputs { scenes, alone }, false);
+        let encode = |alone| network.encode(&Batch { scenes, alone }, false);
         let mut encoded = Encoded {
             network,
             with_graph: encode(false),

@@ -6,19 +6,19 @@ use crate::error::{ModelError, Result};
 use crate::guidance::Clip;
 use crate::inputs::features::{self, SceneFeatures, Window};
 use crate::inputs::raster::MapBitmap;
-use crate::networks::planner::{PlanOptions, Planner};
+use crate::networks::planner::{PlanOptions, PlanSampler};
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::policy::Kind;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Makes a network of this crate's kernels from the tensors of a file.
-pub type MakeOwn = fn(&Path, &ModelConfig, BTreeMap<String, Entry>) -> Result<Box<dyn Planner>>;
+pub type MakeOnCpu = fn(&Path, &ModelConfig, BTreeMap<String, Entry>) -> Result<Box<dyn PlanSampler>>;
 
 /// Builds the inputs of one scene, as [`features::build`].
 pub type MakeFeatures = fn(&Window, Option<&MapBitmap>, &ModelConfig) -> Result<SceneFeatures>;
 
-/// A kind of network: its file declares one, [`crate::networks::kinds::NETWORKS`] lists it.
+/// A kind of network: its file declares one, [`crate::networks::NETWORKS`] lists it.
 #[derive(Debug, Clone, Copy)]
 pub struct NetworkKind {
     /// The driver that it is, shown in the colour of CCDiff; its options are those of [`crate::traffic::DRIVERS`].
@@ -46,7 +46,7 @@ pub struct NetworkKind {
     /// How its inputs are built.
     pub features: MakeFeatures,
     /// How it is made without torch.
-    pub own: MakeOwn,
+    pub on_cpu: MakeOnCpu,
 }
 
 fn by_distance(preset: ModelConfig) -> ModelConfig {
@@ -55,7 +55,7 @@ fn by_distance(preset: ModelConfig) -> ModelConfig {
 
 impl NetworkKind {
     /// A network about which nothing special is known: it sees neighbours by distance.
-    pub const fn of(name: &'static str, title: &'static str, own: MakeOwn) -> Self {
+    pub const fn of(name: &'static str, title: &'static str, on_cpu: MakeOnCpu) -> Self {
         Self {
             kind: Kind { name, title, style: "ccdiff", options: None, always: false, make: None },
             weights: &["fast"],
@@ -69,13 +69,13 @@ impl NetworkKind {
             sizes: by_distance,
             fits: |_| Ok(()),
             features: features::build,
-            own,
+            on_cpu,
         }
     }
 
     /// The same with the trunk that rivals share.
-    pub const fn with_trunk(name: &'static str, title: &'static str, own: MakeOwn) -> Self {
-        Self { trunk: true, ..Self::of(name, title, own) }
+    pub const fn with_trunk(name: &'static str, title: &'static str, on_cpu: MakeOnCpu) -> Self {
+        Self { trunk: true, ..Self::of(name, title, on_cpu) }
     }
 
     /// Checks that the network can have these sizes.

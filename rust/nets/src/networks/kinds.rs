@@ -1,18 +1,12 @@
-//! The networks that there are.
+//! Networks by name, and the sizes that they may have.
 
 use crate::compute::{cpu, weights};
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::networks::ccdiff::{CCDIFF, CTGPP};
+use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
-use crate::networks::latents::{STRIVE, TRAFFICSIM};
-use crate::networks::rivals::{BITS, CTG, SIMNET};
-use crate::networks::tokens::TOKENS;
 use ccdiff_sim::SimError;
 use std::path::Path;
-
-/// All of them; a new one is a line here.
-pub static NETWORKS: [NetworkKind; 8] = [CCDIFF, SIMNET, TRAFFICSIM, STRIVE, BITS, CTG, CTGPP, TOKENS];
 
 /// The network of a name.
 ///
@@ -75,7 +69,7 @@ pub fn described(path: &Path, header: &serde_json::Value) -> Result<ModelConfig>
 ///
 /// # Errors
 /// [`crate::ModelError::Config`] names what they lack.
-pub fn check_own(config: &ModelConfig) -> Result<()> {
+pub fn check_cpu(config: &ModelConfig) -> Result<()> {
     let network = config.network()?;
     if network.samples_tokens { Ok(()) } else { cpu::check(config) }
 }

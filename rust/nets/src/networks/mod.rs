@@ -14,3 +14,17 @@ pub mod simnet;
 pub mod tokens;
 pub mod trajectory_model;
 pub mod trunk;
+
+use kind::NetworkKind;
+
+/// All of them, in the order in which recordings count them; a new one is its file, `pub mod`, and a line here.
+pub const NETWORKS: &[NetworkKind] = &[
+    ccdiff::CCDIFF,
+    rivals::SIMNET,
+    latents::TRAFFICSIM,
+    latents::STRIVE,
+    rivals::BITS,
+    rivals::CTG,
+    ccdiff::CTGPP,
+    tokens::TOKENS,
+];

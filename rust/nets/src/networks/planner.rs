@@ -64,7 +64,7 @@ pub struct Drawn {
 }
 
 /// A network as plans are drawn from it.
-pub trait Planner: Debug + Send {
+pub trait PlanSampler: Debug + Send {
     /// Most worlds that share a batch: fixed, so that plans do not depend on the number of threads. More are hardly faster, fewer
     /// leave no thread without work.
     fn most_worlds(&self) -> usize {

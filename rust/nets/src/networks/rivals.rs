@@ -1,6 +1,6 @@
 //! The paper's rivals of CCDiff (rivals.md).
 
-use crate::compute::cpu::Own;
+use crate::compute::cpu::Cpu;
 use crate::networks::bits::{self, Bits};
 use crate::networks::cpu_planner::{denoising, proposing};
 use crate::networks::ctg::{self, HalfUnet};
@@ -9,13 +9,13 @@ use crate::networks::simnet::Simnet;
 
 /// One plan per agent by regression.
 pub const SIMNET: NetworkKind =
-    NetworkKind { one_plan: true, ..NetworkKind::with_trunk("simnet", "SimNet", proposing::<Simnet<Own>>) };
+    NetworkKind { one_plan: true, ..NetworkKind::with_trunk("simnet", "SimNet", proposing::<Simnet<Cpu>>) };
 /// Goals on a grid, a policy that drives to them, a choice among them.
 pub const BITS: NetworkKind =
-    NetworkKind { fits: bits::fits, ..NetworkKind::with_trunk("bits", "BITS", proposing::<Bits<Own>>) };
+    NetworkKind { fits: bits::fits, ..NetworkKind::with_trunk("bits", "BITS", proposing::<Bits<Cpu>>) };
 /// Diffusion of each agent's actions.
 pub const CTG: NetworkKind = NetworkKind {
     denoises: true,
     fits: ctg::fits,
-    ..NetworkKind::with_trunk("ctg", "CTG", denoising::<HalfUnet<Own>>)
+    ..NetworkKind::with_trunk("ctg", "CTG", denoising::<HalfUnet<Cpu>>)
 };

@@ -1,6 +1,6 @@
 //! Plans for the agents of many worlds at once: the network behind the background policy.
 
-pub use crate::networks::planner::{Drawn, PlanOptions, Planner};
+pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 
 use crate::compute::weights::{self, Entry};
 use crate::config::ModelConfig;
@@ -9,7 +9,7 @@ use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::inputs::features::{SceneFeatures, Window, row_offsets};
 use crate::inputs::raster::MapBitmap;
 use crate::networks::kind::NetworkKind;
-use crate::networks::kinds::{check_own, described};
+use crate::networks::kinds::{check_cpu, described};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -68,7 +68,7 @@ impl Plan {
 /// A loaded network.
 #[derive(Debug)]
 pub struct TrajectoryModel {
-    planner: Box<dyn Planner>,
+    planner: Box<dyn PlanSampler>,
     header: serde_json::Value,
     num_parameters: usize,
     config: ModelConfig,
@@ -110,8 +110,8 @@ impl TrajectoryModel {
         tensors: BTreeMap<String, Entry>,
     ) -> Result<Self> {
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
-        check_own(&config)?;
-        let planner = (config.network()?.own)(path, &config, tensors)?;
+        check_cpu(&config)?;
+        let planner = (config.network()?.on_cpu)(path, &config, tensors)?;
         Self::of(planner, header, config, num_parameters)
     }
 
@@ -120,7 +120,7 @@ impl TrajectoryModel {
     /// # Errors
     /// As [`ModelConfig::network`].
     pub fn of(
-        planner: Box<dyn Planner>,
+        planner: Box<dyn PlanSampler>,
         header: serde_json::Value,
         config: ModelConfig,
         num_parameters: usize,
@@ -135,7 +135,7 @@ impl TrajectoryModel {
     }
 
     /// What plans are drawn from.
-    pub fn planner(&self) -> &dyn Planner {
+    pub fn planner(&self) -> &dyn PlanSampler {
         self.planner.as_ref()
     }
 

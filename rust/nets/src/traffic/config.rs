@@ -2,8 +2,8 @@
 
 use crate::error::{ModelError, Result};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
+use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
-use crate::networks::kinds::NETWORKS;
 use crate::networks::planner::PlanOptions;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use crate::sampling::sampler::SampleOptions;

@@ -1,14 +1,14 @@
 //! Attention of arrays on the kernels.
 
-use super::{Array, Own};
+use super::{Array, Cpu};
 use crate::compute::backend::KeyValue;
 use crate::kernels::{self, Checked, PANEL, Seen, Strided};
 
 /// Attention over pairs, and the mean weight of the heads [pairs, tokens].
 pub(super) fn mixed(
     q: &Array,
-    (k, v): &KeyValue<Own>,
-    edges: Option<&KeyValue<Own>>,
+    (k, v): &KeyValue<Cpu>,
+    edges: Option<&KeyValue<Cpu>>,
     seen: &Seen,
     heads: i64,
 ) -> (Array, Vec<f32>) {

@@ -3,9 +3,9 @@
 mod attention;
 mod parts;
 
-pub use parts::{Array, Filter, Groups, Inputs, Norm, Pairs, Place, Raster};
+pub use parts::{Array, Batch, Filter, Groups, Norm, Pairs, Place, Raster};
 
-use crate::compute::backend::{Backend, KeyValue};
+use crate::compute::backend::{Inputs, KeyValue, Ops};
 use crate::compute::layers::embed::ROUTE_SCALE_M;
 use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
 use crate::error::{ModelError, Result};
@@ -21,7 +21,7 @@ use std::convert::Infallible;
 
 /// Layers on the kernels of this crate.
 #[derive(Debug)]
-pub struct Own;
+pub struct Cpu;
 
 /// Checks that these kernels have all layers of a network with these sizes.
 ///
@@ -43,7 +43,7 @@ pub fn check(config: &ModelConfig) -> Result<()> {
     Ok(())
 }
 
-impl Own {
+impl Cpu {
     fn linear_of(x: &Array, layer: &Packed, relu: bool) -> Array {
         let mut numbers = Vec::new();
         kernels::linear(Checked::now(), &x.numbers, layer, relu, &mut numbers);
@@ -51,16 +51,14 @@ impl Own {
     }
 }
 
-impl Backend for Own {
+impl Ops for Cpu {
     type Tensor = Array;
     type Linear = Packed;
     type Joint = [Packed; 2];
     type Norm = Norm;
     type Filter = Filter;
     type Groups = Groups;
-    type Raster = Raster;
     type Space = PlanSpace;
-    type Batch<'a> = Inputs<'a>;
     type Slots = Pairs;
     type Mask = Infallible;
     type Attention = Vec<f32>;
@@ -103,140 +101,12 @@ impl Backend for Own {
         Groups { norm: Self::norm(p, width), groups: groups as usize }
     }
 
-    fn raster(p: &Place<'_>, config: &MapConfig, history_steps: usize) -> Raster {
-        let (width, channels) = (config.feature_width, config.num_channels(history_steps));
-        let side = config.size_px / 8;
-        let sizes = [(channels as i64, width / 4), (width / 4, width / 2), (width / 2, width)];
-        let convolution = |(i, (inputs, outputs)): (usize, (i64, i64))| {
-            let q = Self::sub(&Self::sub(p, "conv"), &i.to_string());
-            let weight = q.take("weight", &[outputs, inputs, 4, 4]);
-            let turned = weight.map(|w| turned(w, inputs as usize, 16));
-            let all = 16 * inputs;
-            packed(turned.as_deref(), q.take("bias", &[outputs]), outputs, all, 0, all)
-        };
-        let mut convolutions = sizes.into_iter().enumerate().map(convolution);
-        let mut next = || convolutions.next().unwrap_or_else(|| Packed::new(&[], &[], 0, 0));
-        Raster {
-            convolutions: [next(), next(), next()],
-            norm: Self::norm(&Self::sub(p, "norm"), width),
-            place: p.take("place", &[1, (side * side) as i64, width]).unwrap_or(&[]).to_vec(),
-            channels,
-            side,
-            histories: channels - config.num_layers(),
-        }
-    }
-
     fn space(_: &Place<'_>, config: &ModelConfig) -> PlanSpace {
         PlanSpace::new(config)
     }
 
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Array {
         Array::new(1, width as usize, numbers.to_vec())
-    }
-
-    fn history(batch: &Inputs<'_>, config: &ModelConfig) -> Array {
-        let n = &config.normalisation;
-        let (mean, std) = (n.history_mean.map(|v| v as f32), n.history_std.map(|v| v as f32));
-        let mut numbers = batch.numbers(|s| &s.history);
-        for x in numbers.as_chunks_mut::<HISTORY_FEATURES>().0 {
-            for (at, j) in [(0, 0), (1, 1), (4, 2), (5, 3), (6, 4)] {
-                x[at] = (x[at] - mean[j]) / std[j];
-            }
-            let available = x[7];
-            for v in x {
-                *v *= available;
-            }
-        }
-        Array::new(config.history_steps, HISTORY_FEATURES, numbers)
-    }
-
-    fn mask(_: &Inputs<'_>, _: &ModelConfig) -> Option<Infallible> {
-        None
-    }
-
-    fn route(batch: &Inputs<'_>) -> Option<(Array, Array)> {
-        let mut numbers = batch.numbers(|s| &s.route);
-        let width = numbers.len().checked_div(batch.num_rows()).filter(|width| *width > 0)?;
-        let told = numbers.iter().step_by(width).copied().collect();
-        for row in numbers.chunks_exact_mut(width) {
-            for place in &mut row[1..] {
-                *place /= ROUTE_SCALE_M as f32;
-            }
-        }
-        Some((Array::new(1, width, numbers), Array::new(1, 1, told)))
-    }
-
-    fn edges(batch: &Inputs<'_>, config: &ModelConfig) -> (Array, Pairs) {
-        let future = config.future_token_times_s().into_iter().map(|t| t as f32);
-        edges_at(batch, config, &std::iter::once(0.0).chain(future).collect::<Vec<_>>())
-    }
-
-    fn edges_now(batch: &Inputs<'_>, config: &ModelConfig) -> (Array, Pairs) {
-        edges_at(batch, config, &[0.0])
-    }
-
-    fn standard_speed(batch: &Inputs<'_>, config: &ModelConfig) -> Array {
-        let n = &config.normalisation;
-        let (mean, std) = (n.trajectory_mean[2] as f32, n.trajectory_std[2] as f32);
-        let speeds = batch.numbers(|s| &s.speed_mps);
-        Array::new(1, 1, speeds.into_iter().map(|v| (v - mean) / std).collect())
-    }
-
-    fn speed(batch: &Inputs<'_>) -> Array {
-        Array::new(1, 1, batch.numbers(|s| &s.speed_mps))
-    }
-
-    fn lines(batch: &Inputs<'_>) -> Option<Array> {
-        let numbers = batch.numbers(|s| &s.segments);
-        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
-    }
-
-    fn raster_tokens(raster: &Raster, batch: &Inputs<'_>, _: bool) -> Option<Array> {
-        let (level, side, channels) = (Checked::now(), raster.side, raster.channels);
-        let [first, second, third] = &raster.convolutions;
-        let plane = 64 * side * side;
-        let mut image = vec![0.0; (8 * side + 2) * (8 * side + 2) * channels];
-        let mut halved = vec![0.0; (4 * side + 2) * (4 * side + 2) * first.columns];
-        let mut quartered = vec![0.0; (2 * side + 2) * (2 * side + 2) * second.columns];
-        let inside = |side: usize, width: usize| (side + 3) * width;
-        let per_row = side * side * third.columns;
-        let mut tokens = vec![0.0; batch.num_rows() * per_row];
-        let images = batch.scenes.iter().flat_map(|s| s.image.chunks_exact((channels * plane).max(1)));
-        for (bytes, out) in images.zip(tokens.chunks_exact_mut(per_row.max(1))) {
-            if batch.alone && raster.histories > 0 {
-                let hidden = |(at, b): (usize, &u8)| match at % channels < raster.histories {
-                    true => (*b).max(ZERO),
-                    false => *b,
-                };
-                let bytes: Vec<u8> = bytes.iter().enumerate().map(hidden).collect();
-                kernels::pixels(level, &bytes, channels, 8 * side, ZERO, &mut image);
-            } else {
-                kernels::pixels(level, bytes, channels, 8 * side, ZERO, &mut image);
-            }
-            let (n, m) = (first.columns, second.columns);
-            let to = &mut halved[inside(4 * side, n)..];
-            kernels::convolve(level, &image, channels, 4 * side, first, to, (4 * side + 2) * n);
-            let to = &mut quartered[inside(2 * side, m)..];
-            kernels::convolve(level, &halved, n, 2 * side, second, to, (2 * side + 2) * m);
-            kernels::convolve(level, &quartered, m, side, third, out, side * third.columns);
-        }
-        kernels::norm(level, &mut tokens, &raster.norm.weight, &raster.norm.bias, false);
-        kernels::add_cycle(level, &mut tokens, &raster.place);
-        (!tokens.is_empty()).then(|| Array::new(side * side, third.columns, tokens))
-    }
-
-    fn road(batch: &Inputs<'_>, config: &ModelConfig) -> Option<Vec<f32>> {
-        let channels = config.map.as_ref()?.num_channels(config.history_steps);
-        let bytes = batch.scenes.iter().flat_map(|s| s.image.iter().step_by(channels));
-        let pixels: Vec<f32> = bytes.map(|byte| f32::from(*byte) - f32::from(ZERO)).collect();
-        (!pixels.is_empty()).then_some(pixels)
-    }
-
-    fn tokens(batch: &Inputs<'_>) -> (Array, Array, Vec<f32>) {
-        let own = batch.numbers(|s| &s.tokens.own);
-        let own = Array::new(1, own.len() / batch.num_rows().max(1), own);
-        let near = Array::new(NEAR, NEAR_NUMBERS, batch.numbers(|s| &s.tokens.near));
-        (own, near, batch.numbers(|s| &s.tokens.yaw_rate_radps))
     }
 
     fn numbers(x: &Array) -> Vec<f32> {
@@ -435,6 +305,139 @@ impl Backend for Own {
     }
 }
 
+impl Inputs for Cpu {
+    type Raster = Raster;
+    type Batch<'a> = Batch<'a>;
+
+    fn raster(p: &Place<'_>, config: &MapConfig, history_steps: usize) -> Raster {
+        let (width, channels) = (config.feature_width, config.num_channels(history_steps));
+        let side = config.size_px / 8;
+        let sizes = [(channels as i64, width / 4), (width / 4, width / 2), (width / 2, width)];
+        let convolution = |(i, (inputs, outputs)): (usize, (i64, i64))| {
+            let q = Self::sub(&Self::sub(p, "conv"), &i.to_string());
+            let weight = q.take("weight", &[outputs, inputs, 4, 4]);
+            let turned = weight.map(|w| turned(w, inputs as usize, 16));
+            let all = 16 * inputs;
+            packed(turned.as_deref(), q.take("bias", &[outputs]), outputs, all, 0, all)
+        };
+        let mut convolutions = sizes.into_iter().enumerate().map(convolution);
+        let mut next = || convolutions.next().unwrap_or_else(|| Packed::new(&[], &[], 0, 0));
+        Raster {
+            convolutions: [next(), next(), next()],
+            norm: Self::norm(&Self::sub(p, "norm"), width),
+            place: p.take("place", &[1, (side * side) as i64, width]).unwrap_or(&[]).to_vec(),
+            channels,
+            side,
+            histories: channels - config.num_layers(),
+        }
+    }
+
+    fn history(batch: &Batch<'_>, config: &ModelConfig) -> Array {
+        let n = &config.normalisation;
+        let (mean, std) = (n.history_mean.map(|v| v as f32), n.history_std.map(|v| v as f32));
+        let mut numbers = batch.numbers(|s| &s.history);
+        for x in numbers.as_chunks_mut::<HISTORY_FEATURES>().0 {
+            for (at, j) in [(0, 0), (1, 1), (4, 2), (5, 3), (6, 4)] {
+                x[at] = (x[at] - mean[j]) / std[j];
+            }
+            let available = x[7];
+            for v in x {
+                *v *= available;
+            }
+        }
+        Array::new(config.history_steps, HISTORY_FEATURES, numbers)
+    }
+
+    fn mask(_: &Batch<'_>, _: &ModelConfig) -> Option<Infallible> {
+        None
+    }
+
+    fn route(batch: &Batch<'_>) -> Option<(Array, Array)> {
+        let mut numbers = batch.numbers(|s| &s.route);
+        let width = numbers.len().checked_div(batch.num_rows()).filter(|width| *width > 0)?;
+        let told = numbers.iter().step_by(width).copied().collect();
+        for row in numbers.chunks_exact_mut(width) {
+            for place in &mut row[1..] {
+                *place /= ROUTE_SCALE_M as f32;
+            }
+        }
+        Some((Array::new(1, width, numbers), Array::new(1, 1, told)))
+    }
+
+    fn edges(batch: &Batch<'_>, config: &ModelConfig) -> (Array, Pairs) {
+        let future = config.future_token_times_s().into_iter().map(|t| t as f32);
+        edges_at(batch, config, &std::iter::once(0.0).chain(future).collect::<Vec<_>>())
+    }
+
+    fn edges_now(batch: &Batch<'_>, config: &ModelConfig) -> (Array, Pairs) {
+        edges_at(batch, config, &[0.0])
+    }
+
+    fn standard_speed(batch: &Batch<'_>, config: &ModelConfig) -> Array {
+        let n = &config.normalisation;
+        let (mean, std) = (n.trajectory_mean[2] as f32, n.trajectory_std[2] as f32);
+        let speeds = batch.numbers(|s| &s.speed_mps);
+        Array::new(1, 1, speeds.into_iter().map(|v| (v - mean) / std).collect())
+    }
+
+    fn speed(batch: &Batch<'_>) -> Array {
+        Array::new(1, 1, batch.numbers(|s| &s.speed_mps))
+    }
+
+    fn lines(batch: &Batch<'_>) -> Option<Array> {
+        let numbers = batch.numbers(|s| &s.segments);
+        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
+    }
+
+    fn raster_tokens(raster: &Raster, batch: &Batch<'_>, _: bool) -> Option<Array> {
+        let (level, side, channels) = (Checked::now(), raster.side, raster.channels);
+        let [first, second, third] = &raster.convolutions;
+        let plane = 64 * side * side;
+        let mut image = vec![0.0; (8 * side + 2) * (8 * side + 2) * channels];
+        let mut halved = vec![0.0; (4 * side + 2) * (4 * side + 2) * first.columns];
+        let mut quartered = vec![0.0; (2 * side + 2) * (2 * side + 2) * second.columns];
+        let inside = |side: usize, width: usize| (side + 3) * width;
+        let per_row = side * side * third.columns;
+        let mut tokens = vec![0.0; batch.num_rows() * per_row];
+        let images = batch.scenes.iter().flat_map(|s| s.image.chunks_exact((channels * plane).max(1)));
+        for (bytes, out) in images.zip(tokens.chunks_exact_mut(per_row.max(1))) {
+            if batch.alone && raster.histories > 0 {
+                let hidden = |(at, b): (usize, &u8)| match at % channels < raster.histories {
+                    true => (*b).max(ZERO),
+                    false => *b,
+                };
+                let bytes: Vec<u8> = bytes.iter().enumerate().map(hidden).collect();
+                kernels::pixels(level, &bytes, channels, 8 * side, ZERO, &mut image);
+            } else {
+                kernels::pixels(level, bytes, channels, 8 * side, ZERO, &mut image);
+            }
+            let (n, m) = (first.columns, second.columns);
+            let to = &mut halved[inside(4 * side, n)..];
+            kernels::convolve(level, &image, channels, 4 * side, first, to, (4 * side + 2) * n);
+            let to = &mut quartered[inside(2 * side, m)..];
+            kernels::convolve(level, &halved, n, 2 * side, second, to, (2 * side + 2) * m);
+            kernels::convolve(level, &quartered, m, side, third, out, side * third.columns);
+        }
+        kernels::norm(level, &mut tokens, &raster.norm.weight, &raster.norm.bias, false);
+        kernels::add_cycle(level, &mut tokens, &raster.place);
+        (!tokens.is_empty()).then(|| Array::new(side * side, third.columns, tokens))
+    }
+
+    fn road(batch: &Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>> {
+        let channels = config.map.as_ref()?.num_channels(config.history_steps);
+        let bytes = batch.scenes.iter().flat_map(|s| s.image.iter().step_by(channels));
+        let pixels: Vec<f32> = bytes.map(|byte| f32::from(*byte) - f32::from(ZERO)).collect();
+        (!pixels.is_empty()).then_some(pixels)
+    }
+
+    fn tokens(batch: &Batch<'_>) -> (Array, Array, Vec<f32>) {
+        let own = batch.numbers(|s| &s.tokens.own);
+        let own = Array::new(1, own.len() / batch.num_rows().max(1), own);
+        let near = Array::new(NEAR, NEAR_NUMBERS, batch.numbers(|s| &s.tokens.near));
+        (own, near, batch.numbers(|s| &s.tokens.yaw_rate_radps))
+    }
+}
+
 /// Weights [outputs, inputs, places] as [outputs, places, inputs].
 fn turned(weights: &[f32], inputs: usize, places: usize) -> Vec<f32> {
     let turn = |row: &[f32]| -> Vec<f32> {
@@ -444,7 +447,7 @@ fn turned(weights: &[f32], inputs: usize, places: usize) -> Vec<f32> {
 }
 
 /// Edges at times from now on, and who is seen.
-fn edges_at(batch: &Inputs<'_>, config: &ModelConfig, times: &[f32]) -> (Array, Pairs) {
+fn edges_at(batch: &Batch<'_>, config: &ModelConfig, times: &[f32]) -> (Array, Pairs) {
     let n = &config.normalisation;
     let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
     let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);

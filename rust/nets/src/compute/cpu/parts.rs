@@ -129,9 +129,9 @@ pub struct Raster {
     pub(super) histories: usize,
 }
 
-/// Inputs of the agents of several scenes.
+/// Batch of the agents of several scenes.
 #[derive(Debug, Clone, Copy)]
-pub struct Inputs<'a> {
+pub struct Batch<'a> {
     /// The scenes.
     pub scenes: &'a [&'a SceneFeatures],
     /// Whether everybody sees itself alone.
@@ -145,7 +145,7 @@ pub struct Pairs {
     pub(super) all: Seen,
 }
 
-impl Inputs<'_> {
+impl Batch<'_> {
     pub(super) fn numbers(&self, of: impl Fn(&SceneFeatures) -> &[f32]) -> Vec<f32> {
         self.scenes.iter().flat_map(|s| of(s)).copied().collect()
     }

@@ -1,10 +1,10 @@
 //! Attention and transformer encoder layers over the tokens of each agent, post-norm as in PyTorch.
 
-use crate::compute::backend::{Backend, KeyValue};
+use crate::compute::backend::{KeyValue, Ops};
 
 /// Multi-head attention with separate projections.
 #[derive(Debug)]
-pub struct Attention<B: Backend> {
+pub struct Attention<B: Ops> {
     query: B::Linear,
     key: B::Linear,
     value: B::Linear,
@@ -12,7 +12,7 @@ pub struct Attention<B: Backend> {
     heads: i64,
 }
 
-impl<B: Backend> Attention<B> {
+impl<B: Ops> Attention<B> {
     /// Queries of `width`, keys and values from `memory_width`.
     pub fn new(p: &B::Path<'_>, width: i64, memory_width: i64, heads: i64) -> Self {
         let linear = |name, inputs| B::linear(&B::sub(p, name), inputs, width);
@@ -38,9 +38,9 @@ impl<B: Backend> Attention<B> {
 
 /// Two linear layers with a ReLU between them.
 #[derive(Debug)]
-pub struct FeedForward<B: Backend>(pub(crate) B::Linear, pub(crate) B::Linear);
+pub struct FeedForward<B: Ops>(pub(crate) B::Linear, pub(crate) B::Linear);
 
-impl<B: Backend> FeedForward<B> {
+impl<B: Ops> FeedForward<B> {
     /// Layers `up` to the hidden width and `down` from it.
     pub fn new(p: &B::Path<'_>, width: i64, hidden: i64) -> Self {
         Self(B::linear(&B::sub(p, "up"), width, hidden), B::linear(&B::sub(p, "down"), hidden, width))
@@ -54,14 +54,14 @@ impl<B: Backend> FeedForward<B> {
 
 /// One encoder layer: x ← LN(x + attention(x)), x ← LN(x + W2 ReLU(W1 x)).
 #[derive(Debug)]
-pub struct TemporalLayer<B: Backend> {
+pub struct TemporalLayer<B: Ops> {
     attention: Attention<B>,
     norm: B::Norm,
     feed: FeedForward<B>,
     feed_norm: B::Norm,
 }
 
-impl<B: Backend> TemporalLayer<B> {
+impl<B: Ops> TemporalLayer<B> {
     /// A layer with so many heads and hidden numbers.
     pub fn new(p: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
         Self {

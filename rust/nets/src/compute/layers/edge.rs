@@ -1,17 +1,17 @@
 //! Encoder of pairwise features (reference.md#pairwise-features): four groups of two, summed.
 
-use crate::compute::backend::Backend;
+use crate::compute::backend::Ops;
 
 /// Edge features [.., 8] → [.., edge width].
 #[derive(Debug)]
-pub struct EdgeEncoder<B: Backend> {
+pub struct EdgeEncoder<B: Ops> {
     groups: [(B::Linear, B::Norm, B::Linear); 4],
     norm: B::Norm,
     out: B::Linear,
     out_norm: B::Norm,
 }
 
-impl<B: Backend> EdgeEncoder<B> {
+impl<B: Ops> EdgeEncoder<B> {
     /// An encoder to this width.
     pub fn new(p: &B::Path<'_>, width: i64) -> Self {
         let norm = |p: &B::Path<'_>, name| B::norm(&B::sub(p, name), width);

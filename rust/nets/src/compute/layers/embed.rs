@@ -1,6 +1,6 @@
 //! Embeddings of positions, diffusion steps, histories and routes.
 
-use crate::compute::backend::Backend;
+use crate::compute::backend::Ops;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::inputs::features::HISTORY_FEATURES;
 
@@ -30,13 +30,13 @@ pub fn diffusion_steps(steps: usize, width: i64) -> Vec<f32> {
 
 /// Diffusion step → width: sinusoid, Linear, Mish, Linear.
 #[derive(Debug)]
-pub struct StepEmbedding<B: Backend> {
+pub struct StepEmbedding<B: Ops> {
     table: B::Tensor,
     up: B::Linear,
     down: B::Linear,
 }
 
-impl<B: Backend> StepEmbedding<B> {
+impl<B: Ops> StepEmbedding<B> {
     /// An embedding of so many steps.
     pub fn new(p: &B::Path<'_>, steps: usize, d: i64) -> Self {
         Self {
@@ -55,14 +55,14 @@ impl<B: Backend> StepEmbedding<B> {
 
 /// Histories → tokens.
 #[derive(Debug)]
-pub enum HistoryEmbedding<B: Backend> {
+pub enum HistoryEmbedding<B: Ops> {
     /// A token per step.
     PerStep(B::Linear),
     /// One token.
     Summary(B::Linear, B::Linear),
 }
 
-impl<B: Backend> HistoryEmbedding<B> {
+impl<B: Ops> HistoryEmbedding<B> {
     /// As the configuration says.
     pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let d = config.width;
@@ -93,12 +93,12 @@ impl<B: Backend> HistoryEmbedding<B> {
 
 /// Routes ahead → a part of the history's tokens, at first none.
 #[derive(Debug)]
-pub struct RouteEmbedding<B: Backend> {
+pub struct RouteEmbedding<B: Ops> {
     up: B::Linear,
     down: B::Linear,
 }
 
-impl<B: Backend> RouteEmbedding<B> {
+impl<B: Ops> RouteEmbedding<B> {
     /// An embedding of the places that the configuration names.
     pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (inputs, d) = (1 + 2 * config.route_points_m.len() as i64, config.width);

@@ -1,12 +1,12 @@
 //! Linear layers with ReLUs between them.
 
-use crate::compute::backend::Backend;
+use crate::compute::backend::Ops;
 
 /// A multi-layer perceptron without an activation at its end.
 #[derive(Debug)]
-pub struct Perceptron<B: Backend>(pub(crate) Vec<B::Linear>);
+pub struct Perceptron<B: Ops>(pub(crate) Vec<B::Linear>);
 
-impl<B: Backend> Perceptron<B> {
+impl<B: Ops> Perceptron<B> {
     /// Layers between these widths.
     pub fn new(p: &B::Path<'_>, widths: &[i64]) -> Self {
         let layer = |(i, w): (usize, &[i64])| B::linear(&B::sub(p, &i.to_string()), w[0], w[1]);

@@ -4,11 +4,11 @@
 //! before the softmax (reference.md#causal-mask).
 
 use super::attention::FeedForward;
-use crate::compute::backend::Backend;
+use crate::compute::backend::Ops;
 
 /// Gated attention over neighbours' tokens joined with the edge to them; self excluded unless alone.
 #[derive(Debug)]
-pub struct EdgeAwareLayer<B: Backend> {
+pub struct EdgeAwareLayer<B: Ops> {
     /// Queries.
     pub query: B::Linear,
     /// Keys.
@@ -27,7 +27,7 @@ pub struct EdgeAwareLayer<B: Backend> {
     pub(crate) heads: i64,
 }
 
-impl<B: Backend> EdgeAwareLayer<B> {
+impl<B: Ops> EdgeAwareLayer<B> {
     /// A layer with so many heads and hidden numbers.
     pub fn new(p: &B::Path<'_>, width: i64, edge_width: i64, heads: i64, hidden: i64) -> Self {
         let linear = |name| B::linear(&B::sub(p, name), width, width);
@@ -83,7 +83,7 @@ impl<B: Backend> EdgeAwareLayer<B> {
 
 /// A plain encoder layer across agents, masked by G with self.
 #[derive(Debug)]
-pub struct PlainLayer<B: Backend> {
+pub struct PlainLayer<B: Ops> {
     query: B::Linear,
     key: B::Linear,
     value: B::Linear,
@@ -94,7 +94,7 @@ pub struct PlainLayer<B: Backend> {
     heads: i64,
 }
 
-impl<B: Backend> PlainLayer<B> {
+impl<B: Ops> PlainLayer<B> {
     /// A layer with so many heads and hidden numbers.
     pub fn new(p: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
         let linear = |name| B::linear(&B::sub(p, name), width, width);

@@ -4,7 +4,7 @@ mod network;
 
 pub use network::{Context, Network};
 
-use crate::compute::cpu::Own;
+use crate::compute::cpu::Cpu;
 use crate::networks::cpu_planner::denoising;
 use crate::networks::kind::NetworkKind;
 
@@ -16,12 +16,12 @@ pub const CCDIFF: NetworkKind = NetworkKind {
     causal: true,
     routes: true,
     sizes: |preset| preset,
-    ..NetworkKind::of("ccdiff", "CCDiff", denoising::<Network<Own>>)
+    ..NetworkKind::of("ccdiff", "CCDiff", denoising::<Network<Cpu>>)
 };
 
 /// Scene diffusion over a graph of distances.
 pub const CTGPP: NetworkKind = NetworkKind {
     denoises: true,
     attends: true,
-    ..NetworkKind::of("ctgpp", "CTG++", denoising::<Network<Own>>)
+    ..NetworkKind::of("ctgpp", "CTG++", denoising::<Network<Cpu>>)
 };

@@ -1,8 +1,8 @@
 //! Gradients through decoders on the kernels of this crate.
 
 use super::{Decoder, Pulls};
-use crate::compute::backend::Backend;
-use crate::compute::cpu::{Array, Norm, Own};
+use crate::compute::backend::Ops;
+use crate::compute::cpu::{Array, Cpu, Norm};
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::kernels::{Packed, Seen};
 use crate::networks::trunk::Encoded;
@@ -28,10 +28,10 @@ struct JointBack {
     down: Packed,
 }
 
-impl Pulls for Own {
+impl Pulls for Cpu {
     type Back = Back;
 
-    fn turned(decoder: &Decoder<Own>) -> Back {
+    fn turned(decoder: &Decoder<Cpu>) -> Back {
         let joint = decoder.joint.as_ref().map(|(mixed, layer)| JointBack {
             mixed: mixed.turned(),
             query: layer.query.turned(),
@@ -48,37 +48,37 @@ impl Pulls for Own {
     }
 
     fn pulled(
-        decoder: &Decoder<Own>,
+        decoder: &Decoder<Cpu>,
         back: &Back,
-        seen: &Encoded<Own>,
+        seen: &Encoded<Cpu>,
         z: &Array,
         of_knots: &[f32],
     ) -> Vec<f32> {
         let joint = decoder.joint.as_ref().zip(back.joint.as_ref());
         let joint = joint.map(|((mixed, layer), back)| {
-            let m = Own::apply(mixed, &Own::beside(&seen.token, z));
+            let m = Cpu::apply(mixed, &Cpu::beside(&seen.token, z));
             let context = layer.forward(&m, &m, &seen.edges, &seen.slots).0;
             (m, context, layer, back)
         });
         let context = joint.as_ref().map_or(&seen.token, |(_, context, ..)| context);
         let mut made = vec![decoder.inputs(seen, z, context)];
         for layer in &decoder.layers.0[..decoder.layers.0.len() - 1] {
-            made.push(Own::apply_relu(layer, &made[made.len() - 1]));
+            made.push(Cpu::apply_relu(layer, &made[made.len() - 1]));
         }
         let mut gradient = Array::new(1, of_knots.len() / z.rows(), of_knots.to_vec());
         for (at, layer) in back.layers.iter().enumerate().rev() {
-            gradient = Own::apply(layer, &gradient);
+            gradient = Cpu::apply(layer, &gradient);
             if at > 0 {
                 gradient = behind_relu(gradient, &made[at]);
             }
         }
         let (latent, width) = (z.width() as i64, context.width() as i64);
-        let of_z = Own::columns(&gradient, 0, latent);
+        let of_z = Cpu::columns(&gradient, 0, latent);
         let Some((m, _, layer, back)) = joint else { return of_z.into_numbers() };
-        let of_context = Own::columns(&gradient, latent, width);
+        let of_context = Cpu::columns(&gradient, latent, width);
         let of_m = through_social(layer, back, &m, seen, &of_context);
-        let mixed = Own::apply(&back.mixed, &of_m);
-        Own::sum(&of_z, Own::columns(&mixed, width, latent)).into_numbers()
+        let mixed = Cpu::apply(&back.mixed, &of_m);
+        Cpu::sum(&of_z, Cpu::columns(&mixed, width, latent)).into_numbers()
     }
 }
 
@@ -96,45 +96,45 @@ fn each(a: &Array, others: [&Array; 3], of: impl Fn(f32, [f32; 3]) -> f32) -> Ar
 
 /// Gradients by the tokens of a layer that are its memory, too.
 fn through_social(
-    layer: &EdgeAwareLayer<Own>,
+    layer: &EdgeAwareLayer<Cpu>,
     back: &JointBack,
     m: &Array,
-    seen: &Encoded<Own>,
+    seen: &Encoded<Cpu>,
     gradient: &Array,
 ) -> Array {
-    let q = Own::apply(&layer.query, &Own::normed(&layer.norm, m));
-    let (keys, key_edges) = Own::apply_joint(&layer.key, m, &seen.edges);
-    let (values, value_edges) = Own::apply_joint(&layer.value, m, &seen.edges);
+    let q = Cpu::apply(&layer.query, &Cpu::normed(&layer.norm, m));
+    let (keys, key_edges) = Cpu::apply_joint(&layer.key, m, &seen.edges);
+    let (values, value_edges) = Cpu::apply_joint(&layer.value, m, &seen.edges);
     let (kv, edges) = ((keys, values), (key_edges, value_edges));
-    let a = Own::apply(&layer.out, &Own::attend_others(&q, &kv, &edges, &seen.slots, layer.heads).0);
-    let (g, h) = (Own::apply(&layer.gate_in, &a), Own::apply(&layer.gate_own, m));
-    let own = Own::apply(&layer.own, m);
+    let a = Cpu::apply(&layer.out, &Cpu::attend_others(&q, &kv, &edges, &seen.slots, layer.heads).0);
+    let (g, h) = (Cpu::apply(&layer.gate_in, &a), Cpu::apply(&layer.gate_own, m));
+    let own = Cpu::apply(&layer.own, m);
     let gate = each(&g, [&h, &h, &h], |g, [h, ..]| (1.0 / (1.0 + libm::exp(-f64::from(g + h)))) as f32);
     let y = each(&a, [&gate, &own, &own], |a, [gate, own, _]| a + gate * (own - a));
-    let hidden = Own::apply_relu(&layer.feed.0, &Own::normed(&layer.feed_norm, &y));
+    let hidden = Cpu::apply_relu(&layer.feed.0, &Cpu::normed(&layer.feed_norm, &y));
 
-    let of_hidden = behind_relu(Own::apply(&back.down, gradient), &hidden);
-    let of_y = through_norm(&layer.feed_norm, &y, &Own::apply(&back.up, &of_hidden));
-    let of_y = Own::sum(gradient, of_y);
+    let of_hidden = behind_relu(Cpu::apply(&back.down, gradient), &hidden);
+    let of_y = through_norm(&layer.feed_norm, &y, &Cpu::apply(&back.up, &of_hidden));
+    let of_y = Cpu::sum(gradient, of_y);
     let of_gate = each(&of_y, [&own, &a, &gate], |d, [own, a, gate]| d * (own - a) * gate * (1.0 - gate));
     let of_own = each(&of_y, [&gate, &gate, &gate], |d, [gate, ..]| d * gate);
     let of_a = each(&of_y, [&gate, &gate, &gate], |d, [gate, ..]| d * (1.0 - gate));
-    let of_a = Own::sum(&of_a, Own::apply(&back.gate_in, &of_gate));
+    let of_a = Cpu::sum(&of_a, Cpu::apply(&back.gate_in, &of_gate));
     let [of_q, of_k, of_v] = through_attention(
         [&q, &kv.0, &kv.1, &edges.0, &edges.1].map(Array::as_numbers),
-        Own::apply(&back.out, &of_a).as_numbers(),
+        Cpu::apply(&back.out, &of_a).as_numbers(),
         &seen.slots.others,
         (q.width(), layer.heads as usize),
     );
-    let of_norm = through_norm(&layer.norm, m, &Own::apply(&back.query, &of_q));
+    let of_norm = through_norm(&layer.norm, m, &Cpu::apply(&back.query, &of_q));
     [
-        Own::apply(&back.gate_own, &of_gate),
-        Own::apply(&back.own, &of_own),
-        Own::apply(&back.key, &of_k),
-        Own::apply(&back.value, &of_v),
+        Cpu::apply(&back.gate_own, &of_gate),
+        Cpu::apply(&back.own, &of_own),
+        Cpu::apply(&back.key, &of_k),
+        Cpu::apply(&back.value, &of_v),
     ]
     .into_iter()
-    .fold(of_norm, |sum, part| Own::sum(&sum, part))
+    .fold(of_norm, |sum, part| Cpu::sum(&sum, part))
 }
 
 /// Gradients by the rows of a layer norm.

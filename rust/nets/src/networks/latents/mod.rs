@@ -12,7 +12,7 @@ mod descent;
 pub use adjoint::Back;
 
 use crate::compute::backend::Backend;
-use crate::compute::cpu::Own;
+use crate::compute::cpu::Cpu;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::ModelConfig;
@@ -27,9 +27,9 @@ use descent::{Gaussian, descended};
 
 /// Latents of all agents decoded jointly, after the paper.
 pub const TRAFFICSIM: NetworkKind =
-    NetworkKind::with_trunk("trafficsim", "TrafficSim", proposing::<Cvae<Own>>);
+    NetworkKind::with_trunk("trafficsim", "TrafficSim", proposing::<Cvae<Cpu>>);
 /// Latents of each agent under a learned prior, optimised.
-pub const STRIVE: NetworkKind = NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Own>>);
+pub const STRIVE: NetworkKind = NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>);
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);

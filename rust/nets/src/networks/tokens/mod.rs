@@ -14,7 +14,7 @@ pub(crate) use draw::{Now, drawn};
 pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
 pub use network::Network;
 
-use crate::compute::cpu::Own;
+use crate::compute::cpu::Cpu;
 use crate::config::{MapConfig, MapEncoder, ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::inputs::tokens::{HISTORY_STEPS, NEAR, build};
@@ -28,7 +28,7 @@ pub const TOKENS: NetworkKind = NetworkKind {
     sizes,
     fits,
     features: build,
-    ..NetworkKind::of("tokens", "Tokens", proposing::<Network<Own>>)
+    ..NetworkKind::of("tokens", "Tokens", proposing::<Network<Cpu>>)
 };
 
 /// Places on a route that the network is told of, metres ahead.
