@@ -257,7 +257,7 @@ class Scene:
         """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
 
     def with_ego(self, agent_id: str) -> Scene:
-        """Return the scene with another agent as its ego; the one of before is ``"former ego"``.
+        """Return the scene with another agent as its ego; the former one is ``"former ego"``.
 
         Raises
         ------

@@ -87,7 +87,7 @@ class WorldConfig(WorldOptions):
 
     #: Options of the drivers that are networks, ``"ccdiff"`` above all.
     ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
-    #: Further drivers by names of one's own, as options of their kind: two styles of IDM are
+    #: Further drivers by custom names, as options of their kind: two styles of IDM are
     #: ``{"calm": IdmConfig(headway_s=2.0), "hasty": IdmConfig(headway_s=0.6)}``.
     policies: Mapping[str, Policy] = field(default_factory=dict, hash=False)
 

@@ -115,7 +115,7 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
     assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
 
 
-@pytest.mark.timeout(900)  # Ray starts each worker anew, with torch
+@pytest.mark.timeout(900)  # Ray starts each worker afresh, with torch
 def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
     ray = pytest.importorskip("ray", reason="ray is not installed")
     found_here = {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}

@@ -60,7 +60,7 @@ def digests(folder):
 
 @pytest.fixture
 def desk(tmp_path):
-    """A folder with a planner of one's own that imports another file."""
+    """A folder with a custom planner that imports another file."""
     (tmp_path / "mine.py").write_text(PLANNER)
     (tmp_path / "helper.py").write_text("SPEED = 0.0\n")
     return tmp_path

@@ -86,7 +86,7 @@ def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
     forks = [env.fork(seed=3), env.fork(seed=4), env.fork()]
     one, other, own = (future(fork) for fork in forks)
     assert same(env.restore(saved), obs)
-    assert np.array_equal(future(env), own), "without a seed nothing is drawn anew"
+    assert np.array_equal(future(env), own), "without a seed nothing is sampled again"
     assert (traffic == "idm") == np.array_equal(one, other) == np.array_equal(one, own)
     assert np.array_equal(one[:3], own[:3]), "the present plan stays until the next one"
     assert same(env.restore(saved, seed=3), obs)

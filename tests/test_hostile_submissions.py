@@ -35,7 +35,7 @@ DECLARED = {"format": module.FORMAT, "code": "https://example.org/me", "training
 
 @pytest.fixture(scope="module")
 def members(tmp_path_factory):
-    """What a sound submission holds, by name: planners of one's own and of the package."""
+    """What a sound submission holds, by name: custom planners and of the package."""
     folder = tmp_path_factory.mktemp("made")
     (folder / "attack_planner.py").write_text(PLANNER)
     words = ["--planners", "attack_planner:Still,pdm,idm", "--traffic", "replay,idm"]

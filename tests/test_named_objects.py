@@ -1,4 +1,4 @@
-"""Models and planners of one's own by name, with options after a question mark."""
+"""Custom models and planners by name, with options after a question mark."""
 
 from __future__ import annotations
 

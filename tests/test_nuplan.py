@@ -103,7 +103,7 @@ def devkit():
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
-    """A module with planners of one's own."""
+    """A module with custom planners."""
     (tmp_path / "mine_of_nuplan.py").write_text(MINE.replace("SensorsTracks", "Sensors"))
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "mine_of_nuplan", raising=False)

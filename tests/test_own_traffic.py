@@ -1,4 +1,4 @@
-"""Traffic of one's own: Python models, mixes, styles of a kind, drivers of single vehicles."""
+"""Custom traffic: Python models, mixes, styles of a kind, drivers of single vehicles."""
 
 from __future__ import annotations
 

@@ -210,7 +210,7 @@ def test_environments_take_every_planner_as_driver(scenes, name):
                 # networks round by the size of the batch
                 one, other = (e.worlds.native.states(0)["position"] for e in (env, vector))
                 assert np.allclose(one, other, rtol=0.0, atol=1e-2 if name in SHIPPED else 0.0)
-    for _ in range(5):  # worlds that began anew are driven, too
+    for _ in range(5):  # worlds that restarted are driven, too
         assert np.isfinite(vector.step(np.zeros((2, *width)))[1]).all()
 
 

@@ -1,4 +1,4 @@
-"""What a planner of one's own is made of: found without running anything."""
+"""What a custom planner is made of: found without running anything."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Classes of options and of plans and the page docs/configuration.md, from the tables of Rust.
 
-``python -m tools.configuration`` writes all anew, with the extension modules as they are built.
+``python -m tools.configuration`` writes all of them, with the extension modules as they are built.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The animation of the README: one embedded scene as recorded, and in CCDiff traffic.
 
-``python -m tools.readme_video docs/hero.gif`` makes it anew.
+``python -m tools.readme_video docs/hero.gif`` regenerates it.
 """
 
 from __future__ import annotations

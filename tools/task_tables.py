@@ -1,6 +1,6 @@
 """Tables of docs/tasks.md, made from the schemas.
 
-``python -m tools.task_tables docs/tasks.md`` makes them anew.
+``python -m tools.task_tables docs/tasks.md`` regenerates them.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def filled(page: str) -> str:
-    """Return a page with its tables made anew."""
+    """Return a page with its tables regenerated."""
     return _BLOCK.sub(lambda m: m[1] + "\n" + TABLES[m[2]]() + "\n" + m[3], page)
 
 

@@ -84,7 +84,7 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
 
 
 def add_weights(parser: argparse.ArgumentParser) -> None:
-    """Add weights of one's own."""
+    """Add custom weights."""
     parser.add_argument(
         "--weights",
         action="append",

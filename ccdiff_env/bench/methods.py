@@ -97,7 +97,7 @@ OWN_RANKINGS = ("greedy", "gradient")
 
 
 class NamedDrivers(dict[str, _T]):
-    """Entries by name; a model of one's own by its path, ``module:Class?option=value``.
+    """Entries by name; a custom model by its path, ``module:Class?option=value``.
 
     ``kind`` makes the entry of such a path from its label and the path.
     """

@@ -187,7 +187,7 @@ def planner_jobs(
     planners
         Names as in docs/planners.md.
     traffic
-        Names of :data:`TRAFFIC`; ``module:Class`` of a model of one's own; ``adversary:FILE`` of a
+        Names of :data:`TRAFFIC`; ``module:Class`` of a custom model; ``adversary:FILE`` of a
         choice of adversaries, see examples/train_adversary_selection.py.
     window
         As :func:`window_of` returns it.

@@ -50,7 +50,7 @@ class Run:
         Its name.
     **settings
         What else decides the results, ``seeds`` where there are several; a folder belongs to one
-        choice of all of it, and to the scenes, the seed, and weights of one's own. Results that
+        choice of all of it, and to the scenes, the seed, and custom weights. Results that
         another package, other weights or another file of a planner made are made again.
 
     Raises

@@ -75,7 +75,7 @@ class Scenario:
     realism_cost
         Mean total variation of the guided plans in [0, 1], the paper's C(tau).
     shift_sigmas
-        The same in standard deviations, which does not saturate; ``None`` in sets of before.
+        The same in standard deviations, which does not saturate; ``None`` in earlier sets.
     fde_m
         Mean distance from the log at the last common step of the vehicles that CCDiff drives.
     """

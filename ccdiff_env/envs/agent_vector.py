@@ -42,7 +42,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
     """E worlds of C slots in Rust as E x C rows; row i is slot ``i % C`` of world ``i // C``.
 
     A row's episode ends when its vehicle's does. It then waits, with observations and rewards of
-    zero and ``infos["active"]`` false, until its world has ended and begins anew within the step
+    zero and ``infos["active"]`` false, until its world has ended and restarts within the step
     (SAME_STEP); the wait itself ends there as an episode whose ``final_info["played"]`` is false.
     Slots for which a scene has no vehicle wait likewise.
 
@@ -258,7 +258,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
 
 
 def _last(out: StepArrays) -> tuple[F32, U8 | None]:
-    """Observations [E, C, D] and rasters of this step, before any world began anew."""
+    """Observations [E, C, D] and rasters of this step, before any world restarted."""
     done = out.done
     assert out.final_obs is not None
     rows = np.where(done[:, None, None], out.final_obs, out.obs)

@@ -34,7 +34,7 @@ class AsVector(VectorEnv[Any, Any, Any]):
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """When an ended world begins anew."""
+        """When an ended world restarts."""
         mode: AutoresetMode = self.metadata["autoreset_mode"]
         return mode
 

@@ -22,7 +22,7 @@ KEPT = 512
 class Backtrack:
     """Lets a share of the episodes of vector worlds begin before failures of those who drive there.
 
-    The traffic of such an episode draws anew: the failure need not come again.
+    The traffic of such an episode is resampled: the failure need not recur.
 
     Parameters
     ----------

@@ -119,7 +119,7 @@ class Agent(nn.Module):
         seen = (count.unsqueeze(1) > torch.arange(self.shape[0])).sum(0).tolist()
         rows = x[:, self.rows].reshape(-1, *self.shape)
         packed = [rows[order[:n], k] for k, n in enumerate(seen)]
-        # whole thousands of rows: kernels of bfloat16 are made anew for each number of rows
+        # whole thousands of rows: kernels of bfloat16 are compiled for each number of rows
         packed.append(rows.new_zeros(-sum(seen) % 1024, self.shape[1]))
         encoded = self.encoder(torch.cat(packed))
         found = Greatest.apply(encoded, seen, len(x))  # type: ignore[no-untyped-call]

@@ -94,7 +94,7 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
 
     Notes
     -----
-    Environments can be pickled and deep-copied in the middle of an episode. A planner decides anew
+    Environments can be pickled and deep-copied in the middle of an episode. A planner decides again
     in a copy, in a fork and after :meth:`restore`.
     """
 

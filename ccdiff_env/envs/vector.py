@@ -76,7 +76,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     scenes, config, observation, info, render_options, criticality
         As for :class:`~ccdiff_env.EgoEnv`.
     autoreset_mode
-        When an ended world begins anew: ``"next_step"``, ``"same_step"`` or ``"disabled"``
+        When an ended world restarts: ``"next_step"``, ``"same_step"`` or ``"disabled"``
         (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's ``AutoresetMode``.
     copy
         Whether every call returns arrays of its own. Without, observations, rewards, flags and
@@ -168,7 +168,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         return self.worlds.arrays() if not self._copy or mode is AutoresetMode.DISABLED else None
 
     def set_autoreset_mode(self, autoreset_mode: AutoresetMode | str) -> None:
-        """Choose when ended worlds begin anew, before the first reset.
+        """Choose when ended worlds restart, before the first reset.
 
         Raises
         ------

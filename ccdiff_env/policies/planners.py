@@ -76,7 +76,7 @@ class Planner(Protocol):
     with nuPlan's planners, or ``"ego"``, x ahead and y left of it. ``env_options`` are fields of
     :class:`~ccdiff_env.WorldConfig` that the planner needs; benchmarks take actions, observations,
     dynamics and decision steps, nothing else. ``files`` are paths that it reads: a benchmark plays
-    anew where one of them has changed. ``privileged = True`` says that it uses what a vehicle
+    again where one of them has changed. ``privileged = True`` says that it uses what a vehicle
     cannot know, as the log or forks.
     """
 

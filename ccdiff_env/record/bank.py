@@ -2,7 +2,7 @@
 
 CCDiff traffic is far slower than a learner. A bank holds episodes that it made against one ego, as
 scenes in which the others do as recorded: they are played as fast as logs, mixed with logs, and
-recorded anew against the ego of today.
+recorded again against the current ego.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Classes and functions of one's own by name: ``module:name``, ``module:Class?option=value``."""
+"""Custom classes and functions by name: ``module:name``, ``module:Class?option=value``."""
 
 from __future__ import annotations
 

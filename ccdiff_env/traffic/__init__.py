@@ -1,4 +1,4 @@
-"""Traffic: who can drive the vehicles, the options of each, and models of one's own."""
+"""Traffic: who can drive the vehicles, the options of each, and custom models."""
 
 from __future__ import annotations
 

@@ -70,6 +70,7 @@ class SelectionKeywords(TypedDict, total=False):
     ctgpp: CcdiffConfig | Mapping[str, Any]
     tokens: CcdiffConfig | Mapping[str, Any]
     egos: EgosConfig | Mapping[str, Any]
+    swift: CcdiffConfig | Mapping[str, Any]
 
 
 class AgentKeywords(SelectionKeywords, total=False):

@@ -69,7 +69,7 @@ NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.w
 
 @dataclass(frozen=True)
 class Policy:
-    """A driver under a name of one's own.
+    """A driver under a custom name.
 
     Parameters
     ----------

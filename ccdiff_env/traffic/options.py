@@ -312,8 +312,8 @@ class WorldOptions:
     #: Logged steps before the first free one (in [0, 10000]); episodes start at this step of the
     #: log. Drivers that look back farther are told that the states before were not there.
     history_steps: int = 30
-    #: Episodes start up to this many steps later, drawn anew for each: more to learn from a scene
-    #: (in [0, 10000]). Egos that are drawn start anywhere by default.
+    #: Episodes start up to this many steps later, sampled for each episode (in [0, 10000]). Egos
+    #: that are drawn start anywhere by default.
     start_spread_steps: int = 0
     #: Steps of an episode at most (in [1, 100000]).
     horizon_steps: int = 100
@@ -387,7 +387,7 @@ class WorldOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PythonOptions:
-    """Options of a traffic model of one's own, written in Python:
+    """Options of a custom traffic model, written in Python:
     ``ccdiff_env.traffic.PythonTraffic``.
     """
 
@@ -441,7 +441,7 @@ class CcdiffConfig:
 
     The options of its rivals as well, ``ccdiff_env.traffic.NETWORKS`` (``traffic="ctg"``,
     docs/rivals.md): what means nothing to a network must have its default. Plans are made for all
-    worlds of a batch at once, anew every ``replan_steps``, and followed in between.
+    worlds of a batch at once, every ``replan_steps``, and followed in between.
     """
 
     #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
@@ -482,7 +482,7 @@ class CcdiffConfig:
     #: (examples/train_adversary_selection.py); ``criticality`` scales its strengths. It learned
     #: with plans of 20 steps.
     adversary_policy: str | None = None
-    #: Whether they are found anew at every plan, not only at the first one.
+    #: Whether they are found again at every plan, not only at the first one.
     rerank: bool = True
     #: Who drives the vehicles that are not guided.
     background_driver: BackgroundDriver = "ccdiff"

@@ -1,4 +1,4 @@
-"""Traffic models of one's own, written in Python."""
+"""Custom traffic models, written in Python."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ TrafficModel: TypeAlias = Callable[[TrafficBatch], Any]
 
 @dataclass(frozen=True)
 class PythonTraffic(PythonOptions):
-    """A traffic model of one's own as a driver: ``traffic=PythonTraffic(model)``.
+    """A custom traffic model as a driver: ``traffic=PythonTraffic(model)``.
 
     The model is called once per plan phase for all worlds that are due, and its plans are followed
     in between. It must be a function of what it sees (randomness from ``seed`` alone): then the

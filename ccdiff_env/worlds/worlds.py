@@ -132,14 +132,14 @@ class Worlds:
         )
 
     def set_autoreset(self, mode: Autoreset) -> None:
-        """Choose when ended worlds begin anew, before the first reset."""
+        """Choose when ended worlds restart, before the first reset."""
         config = self.config.with_options(autoreset=mode)
         self.native.set_autoreset(config.to_json())
         self.config, self._arrays = config, self.native.step_arrays()
 
     @property
     def action_space(self) -> gymnasium.Space[Any]:
-        """Space of an agent's actions, made anew: wrappers may change what they are given."""
+        """Space of an agent's actions, a new one each time: wrappers may change it."""
         return action_space(self.native.action_width, self.native.num_actions)
 
     def observation_space(self, form: Form) -> gymnasium.Space[Any]:
@@ -379,7 +379,7 @@ class Worlds:
         return self.observe(world_idx)[0]
 
     def observe(self, world_idx: int) -> tuple[F32, U8 | None]:
-        """Return the present observations [C, D] and rasters [C, P, S, S] of a world anew."""
+        """Return the present observations [C, D] and rasters [C, P, S, S] of a world."""
         rows = np.empty((self.num_slots, self.layout.size), np.float32)
         raster = self.layout.raster
         bev = None if raster is None else np.empty((self.num_slots, *raster), np.uint8)

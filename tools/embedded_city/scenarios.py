@@ -1,7 +1,7 @@
 """The kinds of scene of the embedded set: who is on the builder, and what makes it one of its kind.
 
 Each function puts the ego first and then the others that the kind is about;
-:func:`tools.embedded_city.scenes` adds background actors. Numbers are drawn anew for each scene.
+:func:`tools.embedded_city.scenes` adds background actors. Numbers are sampled for each scene.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ class SelectionOptions(SelectionKeywords, total=False):
 class AdversarySelectionVectorEnv(AsVector):
     """Choose, once per plan of the background, which vehicle becomes an adversary of the ego.
 
-    Worlds that ended begin anew within the step (SAME_STEP). World i of ``reset(seed=n)`` gets the
+    Worlds that ended restart within the step (SAME_STEP). World i of ``reset(seed=n)`` gets the
     seed n + i and then runs as the single environment. Environments can be pickled and copied.
 
     Actions are Discrete(R S + 1): candidate ``action // S`` at criticality ``strengths[action %

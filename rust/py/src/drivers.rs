@@ -28,7 +28,7 @@ struct Recipe<'a> {
     model: Option<&'a Py<PyAny>>,
 }
 
-/// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of before count in this order.
+/// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of earlier versions count in this order.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = policy::KINDS.iter().chain([&python_policy::KIND]);
     own.chain(&DRIVERS).chain([&EGOS, &SWIFT])

@@ -21,7 +21,7 @@ pub(crate) const KIND: Kind = Kind {
 };
 
 options! {
-    /// Options of a traffic model of one's own, written in Python: `ccdiff_env.traffic.PythonTraffic`.
+    /// Options of a custom traffic model, written in Python: `ccdiff_env.traffic.PythonTraffic`.
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct PythonOptions {

@@ -206,7 +206,7 @@ impl<T: Setting> Setting for BTreeMap<String, T> {
 
 /// A struct of a configuration from a list `name: type = default, unit "m/s", range within(0.0, 100.0);`, in which unit and range may
 /// be left out. Without defaults every field must be given, and `serde(default)` is left out, too. `#[serde(default)]` on a
-/// field alone: files of before it are read as if its type's default stood in them.
+/// field alone: files from before it are read as if its type's default stood in them.
 #[macro_export]
 macro_rules! options {
     (

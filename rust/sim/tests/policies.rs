@@ -10,7 +10,7 @@ use ccdiff_sim::{Result, SimError};
 use common::{Batch, actions, city};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Lets every vehicle that it drives go straight on at a speed of its own, planning anew every few steps.
+/// Lets every vehicle that it drives go straight on at a speed of its own, planning every few steps.
 struct Steady {
     speed_mps: f32,
     replan_steps: usize,

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 /// Jobs (one sample of one world) from which on the pool is used.
 const PARALLEL_JOBS: usize = 4;
 
-/// Guidance of a batch of worlds: N samples of R rows, all agents of all worlds. Made anew for every plan.
+/// Guidance of a batch of worlds: N samples of R rows, all agents of all worlds. Made for every plan.
 #[derive(Debug)]
 pub struct Guidance<'a> {
     config: &'a GuidanceConfig,

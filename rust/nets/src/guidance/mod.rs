@@ -9,7 +9,7 @@
 //! in parallel. total = Σ_j w_j · mean over agents of loss_j is minimised; a mask per agent and one per knot multiply its
 //! gradient, so what is not guided keeps its bits.
 //!
-//! Differs from the paper: key agents are given per plan, not ranked anew in every denoising step; each sample has its own
+//! Differs from the paper: key agents are given per plan, not re-ranked in every denoising step; each sample has its own
 //! descent, so the number of samples does not change a plan. Through the network's attention, agents that are not guided may
 //! answer to those that are, one denoising step later.
 

@@ -125,7 +125,7 @@ options! {
     /// CCDiff as a driver: of the traffic (`traffic="ccdiff"`), or of the controlled agents.
     ///
     /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): what means nothing
-    /// to a network must have its default. Plans are made for all worlds of a batch at once, anew every `replan_steps`, and
+    /// to a network must have its default. Plans are made for all worlds of a batch at once, every `replan_steps`, and
     /// followed in between.
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
@@ -164,7 +164,7 @@ options! {
         /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
         /// with plans of 20 steps.
         adversary_policy: Option<String> = None;
-        /// Whether they are found anew at every plan, not only at the first one.
+        /// Whether they are found again at every plan, not only at the first one.
         rerank: bool = true;
         /// Who drives the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;

@@ -1,4 +1,4 @@
-//! A planning network as a driver of traffic: plans for all worlds of a batch at once, anew every n steps, followed in
+//! A planning network as a driver of traffic: plans for all worlds of a batch at once, every n steps, followed in
 //! between.
 //!
 //! The network plans for every vehicle that is there, the ones with other drivers included: those are predicted only.

@@ -107,7 +107,7 @@ pub(crate) fn decode_damaged(input: &[u8]) {
     }
 }
 
-/// Restores a world of the tiny data set from damaged bytes, plays on, and begins anew.
+/// Restores a world of the tiny data set from damaged bytes, plays on, and restarts.
 pub(crate) fn restore_damaged(input: &[u8]) {
     static SCENES: OnceLock<Vec<Arc<Scene>>> = OnceLock::new();
     let scenes = SCENES.get_or_init(|| {

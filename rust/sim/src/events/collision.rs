@@ -103,7 +103,7 @@ impl Collisions {
         self.describe(states, footprints);
     }
 
-    /// The pairs of [`Self::detect`] alone: what is told of single agents is not made anew.
+    /// The pairs of [`Self::detect`] alone: what is told of single agents is not recomputed.
     pub fn find(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         let num_agents = states.len().min(footprints.len()).min(kinds.len());
         let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
@@ -115,7 +115,7 @@ impl Collisions {
     }
 
     /// The touching pairs of [`Self::detect`] that hold one of some active agents; others may be among them. What is
-    /// told of single agents is not made anew.
+    /// told of single agents is not recomputed.
     pub fn pairs_of(
         &mut self,
         states: &AgentStates,

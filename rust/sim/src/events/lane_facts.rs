@@ -41,7 +41,7 @@ fn proper_lanes<'a>(lanes: &'a LaneIndex, map: &'a Map, point: Point2) -> impl I
     lanes.holding(map, point).filter(|lane_idx| map.lanes[*lane_idx].kind == LaneKind::Lane)
 }
 
-/// The lane that holds a point: the one of before while it does, else of several the one whose centre line is nearest.
+/// The lane that holds a point: the former one while it does, else of several the one whose centre line is nearest.
 /// Connectors through intersections are none.
 pub fn lane_that_holds(
     lanes: &LaneIndex,

@@ -38,7 +38,7 @@ impl Network {
         Self { policy, seen: Vec::new() }
     }
 
-    /// Plans anew where it is time, for all worlds at once.
+    /// Plans where it is time, for all worlds at once.
     pub(super) fn plan(&mut self, world: &VecWorld, worlds: &[usize]) -> Result<()> {
         self.seen.resize_with(self.seen.len().max(world.num_worlds()), || None);
         for &i in worlds {

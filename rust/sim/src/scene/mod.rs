@@ -282,7 +282,7 @@ impl Scene {
         step_idx < self.num_steps && self.tracks.valid[self.at(agent_idx, step_idx)]
     }
 
-    /// The scene with another agent as its ego; the one of before is `"former ego"` then.
+    /// The scene with another agent as its ego; the former one is `"former ego"` then.
     pub fn with_ego(&self, agent_idx: usize) -> Self {
         let mut scene = self.clone();
         if let Some(before) = scene.agent_index(EGO_ID).filter(|a| *a != agent_idx) {

@@ -68,7 +68,7 @@ impl Blocks<'_> {
         }
     }
 
-    /// Lanes and connectors at each point of a path, which stays in those of before while it can.
+    /// Lanes and connectors at each point of a path, which stays in the former ones while it can.
     fn along(&self, path: &[Point2]) -> Vec<Vec<usize>> {
         let mut found: Vec<Vec<usize>> = Vec::with_capacity(path.len());
         for (i, point) in path.iter().enumerate() {

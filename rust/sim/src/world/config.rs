@@ -161,7 +161,7 @@ options! {
         /// Logged steps before the first free one; episodes start at this step of the log. Drivers that look back farther
         /// are told that the states before were not there.
         history_steps: usize = 30, range within(0.0, 10_000.0);
-        /// Episodes start up to this many steps later, drawn anew for each: more to learn from a scene. Egos that are
+        /// Episodes start up to this many steps later, sampled for each episode. Egos that are
         /// drawn start anywhere by default.
         start_spread_steps: usize = 0, range within(0.0, 10_000.0);
         /// Steps of an episode at most.
@@ -223,7 +223,7 @@ options! {
         randomization: Randomization = Randomization::default();
         /// Options of the driver `"idm"`.
         idm: IdmConfig = IdmConfig::default();
-        /// Further drivers by names of one's own, as `{kind: options}`; part of what snapshots are checked against. In Python
+        /// Further drivers by custom names, as `{kind: options}`; part of what snapshots are checked against. In Python
         /// those of networks have a field of their own.
         policies: BTreeMap<String, serde_json::Value> = BTreeMap::new();
         /// What happens to a world whose episode has ended.

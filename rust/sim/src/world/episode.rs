@@ -309,7 +309,7 @@ impl Episode {
         self.slots.iter().filter_map(|s| s.agent_idx).for_each(|a| out[a] = false);
     }
 
-    /// Starts the generator anew; the next episode is the first of this seed.
+    /// Reseeds the generator; the next episode is the first of this seed.
     pub(crate) fn reseed(&mut self, seed: u64, next_scene_idx: usize) {
         self.rng = Rng::new(seed);
         self.seed = seed;

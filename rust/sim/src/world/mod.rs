@@ -371,7 +371,7 @@ impl VecWorld {
     }
 
     /// Lets the policies that plan do so before a step of a decision: for the active worlds where they drive, that run
-    /// and have not begun anew in it.
+    /// and have not restarted in it.
     fn plan(&mut self, step: usize, active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {
         let goes_on = |w: &&World| {
             goes(active, w.idx) && w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx])
