@@ -48,7 +48,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
-    return parser.parse_args()
+    args = parser.parse_args()
+    if args.scenes is args.dataroot is args.split is None:
+        args.scenes = "embedded/city"  # 200 scenes: more is learnt of other scenes than from 29
+    return args
 
 
 def success_rate(model, env: VecNormalize) -> float:

@@ -21,7 +21,7 @@ from ccdiff_env.system.table import Column, Table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA, PAGE = ROOT / "docs" / "results" / "expectations.json", ROOT / "docs" / "learning.md"
-TRAIN, TEST = "embedded/train", "embedded/val"
+TRAIN, TEST = "embedded/city", "embedded/val"
 #: Title, action, and arguments of the example; ``{out}`` is the folder of all runs.
 TRAININGS = {
     "ppo": ("PPO", "unicycle", []),
@@ -58,7 +58,13 @@ def trained(name: str, out: Path) -> list[list[float]]:
     curve = out / name / "curve.json"
     if not curve.is_file():
         words = [word.format(out=out) for word in TRAININGS[name][2]]
-        script = [sys.executable, str(ROOT / "examples" / "train_ego_sb3.py"), *words]
+        script = [
+            sys.executable,
+            str(ROOT / "examples" / "train_ego_sb3.py"),
+            "--scenes",
+            TRAIN,
+            *words,
+        ]
         subprocess.run([*script, "--out", str(out / name)], check=True)
     rows: list[list[float]] = json.loads(curve.read_text(encoding="utf-8"))
     return rows
