@@ -5,8 +5,7 @@
     python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --start runs/train_ego
 
 The first takes two minutes of one core; the last continues in critical CCDiff traffic. Each draws
-the success rate on held-out scenes as ``curve.svg``, and compares the planner score with that of
-the untrained network, constant velocity and IDM.
+the success rate on held-out scenes, and compares planner scores.
 """
 
 from __future__ import annotations
@@ -96,10 +95,8 @@ def draw(rows: list[tuple[int, float, float]], path: Path) -> None:
     last = rows[-1][1]
     points = " ".join(f"{50 + 430 * s / last:.1f},{250 - 230 * rate:.1f}" for _, s, rate in rows)
     heights = {share: 250 - 230 * share for share in (0, 0.25, 0.5, 0.75, 1)}
-    lines = "".join(
-        f'<path d="M50 {y}h430" stroke="#ddd"/><text x="8" y="{y + 4}">{share:.0%}</text>'
-        for share, y in heights.items()
-    )
+    line = '<path d="M50 {0}h430" stroke="#ddd"/><text x="8" y="{1}">{2:.0%}</text>'
+    lines = "".join(line.format(y, y + 4, share) for share, y in heights.items())
     path.write_text(
         '<svg xmlns="http://www.w3.org/2000/svg" width="500" height="300" font-family="sans-serif" '
         f'font-size="12"><rect width="500" height="300" fill="#fff"/>{lines}'
