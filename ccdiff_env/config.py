@@ -7,7 +7,6 @@ ranges; here is what keywords and JSON need.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 import types
@@ -16,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
-from ccdiff_env.errors import ConfigError, UnknownOptionError
+from ccdiff_env.errors import ConfigError, unknown, unknown_option
 from ccdiff_env.system.files import parsed_object
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic import (
@@ -252,16 +251,6 @@ _C = TypeVar("_C")
 _TABLES: dict[Any, str] = {WorldConfig: "WorldConfig", PythonTraffic: "PythonOptions"}
 
 
-def unknown(what: str, name: str, known: typing.Iterable[str]) -> ConfigError:
-    """Return the error for a name that does not exist, with the names that come near it."""
-    known = sorted(known)
-    near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
-    hint = (
-        f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
-    )
-    return ConfigError(f"unknown {what} {name!r}; {hint}")
-
-
 def _fields_of(kind: Any) -> tuple[str, ...]:
     """Names of the fields of a data class; of anything else none."""
     return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
@@ -275,12 +264,10 @@ def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str)
         if name not in hints:
             # those of a nested configuration are named by their path
             inner = [f"{n}.{name}" for n, t in hints.items() if str(name) in _fields_of(t)]
-            error = unknown("option", path + str(name), inner or [path + n for n in hints])
+            known = inner or [path + n for n in hints]
             if path:
-                raise error
-            # wrappers of other libraries look for these words
-            words = f"{error} (unexpected keyword argument {str(name)!r})"
-            raise UnknownOptionError(words)
+                raise unknown("option", path + str(name), known)
+            raise unknown_option(str(name), known)
         changes[name] = _formed(path + name, value, hints[name], getattr(old, name, None))
     checked = {n: _plain_field(n, v) for n, v in changes.items() if n not in ("ccdiff", "model")}
     check(_TABLES.get(kind, kind.__name__), path.removesuffix("."), checked)

@@ -6,6 +6,8 @@ refuses; each is also the built-in kind that fits, so that generic handlers work
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -75,6 +77,24 @@ class ThreadError(CcdiffError, RuntimeError):
 
 class MissingFeatureError(CcdiffError, ImportError):
     """An optional dependency is not installed; the message names the install command."""
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:
+    """Return the error for a name that does not exist, with the names that come near it."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
+    hint = (
+        f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
+    )
+    return ConfigError(f"unknown {what} {name!r}; {hint}")
+
+
+def unknown_option(name: str, known: Iterable[str]) -> UnknownOptionError:
+    """Return the error for a keyword that is no option."""
+    # wrappers of other libraries look for these words
+    return UnknownOptionError(
+        f"{unknown('option', name, known)} (unexpected keyword argument {name!r})"
+    )
 
 
 def expect_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:

@@ -61,7 +61,8 @@ def test_a_learner_chooses_when_worlds_begin_anew(scenes):
 
 
 def test_an_unknown_keyword_is_a_type_error_too():
-    for make in (ccdiff_env.EgoEnv, lambda **o: gymnasium.make("ccdiff_env/Ego-v0", **o)):
+    ids = lambda **o: gymnasium.make("ccdiff_env/Ego-v0", **o)  # noqa: E731
+    for make in (ccdiff_env.EgoEnv, ids, ccdiff_env.WorldConfig):
         with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
             make(frameskip=4)
         with pytest.raises(ConfigError, match="unknown option 'trafic'; did you mean 'traffic'"):

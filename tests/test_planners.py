@@ -230,6 +230,8 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
     ):
         assert main(words) == 2
         assert "did you mean 'pdm'?" in capsys.readouterr().err
+    assert main([*words[:3], "pdm", *words[4:], "--traffic", ""]) == 2
+    assert "traffic ''" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -237,6 +239,7 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
     [
         (lambda obs: np.zeros(2), ShapeError, r"lambda.*\[2\] for 2 worlds, expected.*\[2, 2\]"),
         (lambda obs: np.full((2, 2), np.nan), ShapeError, "lambda.*not finite"),
+        (lambda obs: np.full((2, 2), 4.0), UserWarning, r"lambda.*4: actions beyond \[-1, 1\]"),
         (lambda obs: "left", ShapeError, "lambda"),
         (lambda obs: np.zeros((2, 5, 4)), ShapeError, r"lambda.*or trajectories \[2, T, 3\]"),
         (lambda obs: np.zeros((2, 0, 3)), ShapeError, "lambda.*returned trajectories"),

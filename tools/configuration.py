@@ -41,10 +41,25 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env import _native
+from ccdiff_env.errors import unknown_option
+
+_T = TypeVar("_T")
+
+
+class Options:
+    """Keywords that are no field are refused by name."""
+
+    def __new__(cls: type[_T], *_: Any, **options: Any) -> _T:
+        """Refuse unknown keywords with an :class:`~ccdiff_env.errors.UnknownOptionError`."""
+        known = [entry.name for entry in fields(cls)]  # type: ignore[arg-type]
+        for name in options:
+            if name not in known:
+                raise unknown_option(name, known)
+        return object.__new__(cls)
 
 
 def _written(value: Any) -> Any:
@@ -238,7 +253,7 @@ def _class(table: Table) -> str:
     first, *more = (_python(part) for part in _text(table["doc"]))
     summary, _, rest = first.partition(". ")
     paragraphs = [p for p in (rest, *more) if p]
-    lines = ["@dataclass(frozen=True, kw_only=True)", f"class {_named(table)}:"]
+    lines = ["@dataclass(frozen=True, kw_only=True)", f"class {_named(table)}(Options):"]
     if paragraphs:
         lines += [_wrapped(f'"""{summary.rstrip(".")}.', "    ", "    "), ""]
         lines += "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs).split("\n")

@@ -83,7 +83,7 @@ def _planners(args: argparse.Namespace) -> int:
     if args.nuplan_score:
         find_devkit()
     planners = list(dict.fromkeys(args.planners.split(",")))
-    traffic = (args.traffic or _USUAL_TRAFFIC).split(",")
+    traffic = (_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(",")
     seeds = seeds_of(args.seeds or "0,1,2")
     source = str(place_from(args))
     window = window_of(source, args.history_steps, args.horizon_steps)

@@ -9,9 +9,9 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.key_agents import KeyRanking, ranking_named
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.scenes import SceneSet
 
 Agents: TypeAlias = Literal["all"] | int | Sequence[str]

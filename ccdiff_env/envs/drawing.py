@@ -10,8 +10,8 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig, unknown
-from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError, MissingFeatureError, unknown
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import Worlds
 

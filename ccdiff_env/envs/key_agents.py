@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-from ccdiff_env.config import unknown
+from ccdiff_env.errors import unknown
 
 __all__ = ["RANKINGS", "KeyRanking", "ranking_named"]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ccdiff_env.config import unknown
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, unknown
 
 __all__ = ["AGENT_OPTIONS", "EGO_OPTIONS", "reset_options"]
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
-from ccdiff_env.config import unknown
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.policies.ego import EgoPolicy, load_ego
 from ccdiff_env.system.named_objects import option_values
 from ccdiff_env.worlds.policy_file import NO_STYLE, SHIPPED

@@ -10,6 +10,7 @@ import inspect
 import io
 import json
 import os
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import BevConfig, WorldConfig, unknown
+from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.errors import (
     CcdiffError,
     ConfigError,
@@ -26,6 +27,7 @@ from ccdiff_env.errors import (
     MissingFeatureError,
     PolicyError,
     ShapeError,
+    unknown,
 )
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.policies import SHIPPED, find_policy
@@ -144,6 +146,7 @@ class Seat:
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
+        self._clipped = False
         self._frame = getattr(planner, "frame", "scene")
         if self._frame not in FRAMES:
             raise ConfigError(f"{name}: frame is {self._frame!r}, expected 'scene' or 'ego'")
@@ -250,6 +253,14 @@ class Seat:
             )
         if not np.isfinite(found).all():
             raise ShapeError(f"{self.name} returned numbers that are not finite")
+        most = np.abs(found[due]).max(initial=0.0) if len(shape) == 2 else 0.0
+        if most > 1.001 and not self._clipped:
+            self._clipped = True
+            warnings.warn(
+                f"{self.name} returned {most:.3g}: actions beyond [-1, 1] are clipped, where 1 is "
+                "the limit of the dynamics, not 1 m/s²",
+                stacklevel=2,
+            )
         return found
 
     def _followed(self, trajectories: npt.NDArray[Any], due: npt.NDArray[np.bool_]) -> F32:

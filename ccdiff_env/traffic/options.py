@@ -5,10 +5,25 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from ccdiff_env import _native
+from ccdiff_env.errors import unknown_option
+
+_T = TypeVar("_T")
+
+
+class Options:
+    """Keywords that are no field are refused by name."""
+
+    def __new__(cls: type[_T], *_: Any, **options: Any) -> _T:
+        """Refuse unknown keywords with an :class:`~ccdiff_env.errors.UnknownOptionError`."""
+        known = [entry.name for entry in fields(cls)]  # type: ignore[arg-type]
+        for name in options:
+            if name not in known:
+                raise unknown_option(name, known)
+        return object.__new__(cls)
 
 
 def _written(value: Any) -> Any:
@@ -53,7 +68,7 @@ TrafficCollision: TypeAlias = Literal["ignore", "stop"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnicycleLimits:
+class UnicycleLimits(Options):
     """Limits of the unicycle: actions are acceleration (m/s²) and yaw rate (rad/s).
 
     The defaults are those of the released models of traffic (reference.md, dynamics), but for the
@@ -73,7 +88,7 @@ class UnicycleLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BicycleLimits:
+class BicycleLimits(Options):
     """Limits of the kinematic bicycle: actions are acceleration (m/s²) and steering angle (rad)."""
 
     #: Lowest and highest acceleration (m/s², in [-100, 100]).
@@ -91,7 +106,7 @@ class BicycleLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DeltaPoseLimits:
+class DeltaPoseLimits(Options):
     """Limits of one step of the delta-pose model: actions are dx, dy (m) and turn (rad) in the
     agent's own frame.
 
@@ -111,7 +126,7 @@ AssistedBase: TypeAlias = Literal["idm", "pdm"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class AssistedLimits:
+class AssistedLimits(Options):
     """Limits of assisted driving: actions change what IDM or PDM-Closed would do.
 
     The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance
@@ -145,7 +160,7 @@ DYNAMICS: dict[str, type[Dynamics]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActionGrid:
+class ActionGrid(Options):
     """Physical actions to choose from: every value of one axis with every value of the other.
 
     The action of an index is ``first[index // len(second)]``, ``second[index % len(second)]``. The
@@ -161,7 +176,7 @@ class ActionGrid:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ActionConfig:
+class ActionConfig(Options):
     """Actions.
 
     Continuous ones are normalised: each column lies in [-1, 1], zero means zero, and +1 and -1 mean
@@ -189,7 +204,7 @@ class ActionConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BevConfig:
+class BevConfig(Options):
     """Choice of the bird's-eye raster, uint8 [channels, S, S]."""
 
     #: Rows and columns S (in [8, 1024]).
@@ -201,7 +216,7 @@ class BevConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObservationConfig:
+class ObservationConfig(Options):
     """Choice of rows and columns of the observation."""
 
     #: Nearest agents that are seen, K rows (in [0, 512]).
@@ -231,7 +246,7 @@ RewardForm: TypeAlias = Literal["sum", "product"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RewardConfig:
+class RewardConfig(Options):
     """Weights of the reward components; the reward is their sum, or a product of factors.
 
     Also by the name of a form: ``reward="product"``.
@@ -259,7 +274,7 @@ class RewardConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Randomization:
+class Randomization(Options):
     """Hidden differences, drawn for each agent with a slot and episode."""
 
     #: Accelerations of actions are times 1 ± up to this (in [0, 0.9]).
@@ -276,7 +291,7 @@ class Randomization:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdmConfig:
+class IdmConfig(Options):
     """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
 
     #: Time headway T (s, in (0, 60]).
@@ -304,7 +319,7 @@ SceneOrder: TypeAlias = Literal["random", "sequential"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldOptions:
+class WorldOptions(Options):
     """Configuration of worlds."""
 
     #: Step (s, in (0, 1]); must equal the scenes' own.
@@ -386,7 +401,7 @@ class WorldOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PythonOptions:
+class PythonOptions(Options):
     """Options of a custom traffic model, written in Python:
     ``ccdiff_env.traffic.PythonTraffic``.
     """
@@ -404,7 +419,7 @@ class PythonOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EgosConfig:
+class EgosConfig(Options):
     """Options of traffic that the policy of an ego drives."""
 
     #: The policy: one of those that ship, or the path of a ``.safetensors`` file.
@@ -436,7 +451,7 @@ ParkedRule: TypeAlias = Literal["parked", "standing", "nobody"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CcdiffConfig:
+class CcdiffConfig(Options):
     """CCDiff as a driver: of the traffic (``traffic="ccdiff"``), or of the controlled agents.
 
     The options of its rivals as well, ``ccdiff_env.traffic.NETWORKS`` (``traffic="ctg"``,

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.config import EgosConfig, WorldConfig, unknown
-from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.config import EgosConfig, WorldConfig
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, unknown
 from ccdiff_env.system.files import parsed_object, reading
 from ccdiff_env.system.tensors import read_tensors
 

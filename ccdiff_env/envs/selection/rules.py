@@ -7,8 +7,8 @@ import copy
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import unknown
 from ccdiff_env.envs.selection.vector import FEATURES, SCALES, AdversarySelectionVectorEnv
+from ccdiff_env.errors import unknown
 
 __all__ = ["RULES", "fork_actions", "rule_actions"]
 

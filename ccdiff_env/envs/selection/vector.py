@@ -13,11 +13,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env import _native
-from ccdiff_env.config import WorldConfig, unknown
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.as_vector import AsVector, with_masks
 from ccdiff_env.envs.drawing import FPS
 from ccdiff_env.envs.vector import EgoVectorEnv
-from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError
+from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError, unknown
 from ccdiff_env.policies.planners import Ego
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.recorder import Recorder
