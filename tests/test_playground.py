@@ -102,6 +102,8 @@ def test_the_first_drive_meets_an_attacker():
         ccdiff={"num_samples": 4, "criticality": 1.0, "denoising_steps": 1},
     )
     assert run.collisions("ego")[0].step < 60
+    held = play_drive(f"#scene={SCENES[0]}&traffic=ccdiff&criticality=1&drive=b150")
+    assert outcome(held).mishap == "is hit"
 
 
 @pytest.mark.parametrize("traffic", TRAFFIC)

@@ -272,11 +272,11 @@ def test_the_verb_writes_a_page_a_comparison_an_image_and_a_gif(tmp_path, capsys
     with Image.open(tmp_path / "step.png") as image:
         assert image.size == (720, 720)
     with Image.open(tmp_path / "video.gif") as video:
-        # four times the pace at 12.5 images a second; the last stays to be read
-        assert video.n_frames == 26
-        assert video.info["duration"] == 80
-        video.seek(25)
-        assert video.info["duration"] == pytest.approx(1600, abs=80)
+        # four times the pace at ten images a second; the last stays to be read
+        assert video.n_frames == 21
+        assert video.info["duration"] == 100
+        video.seek(20)
+        assert video.info["duration"] == pytest.approx(1600, abs=100)
 
 
 def test_the_suffix_says_what_is_written(tmp_path, capsys):

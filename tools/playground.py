@@ -34,7 +34,8 @@ def compiled() -> bytes:
     """Compile `rust/wasm`, with vectors of four numbers; return the module."""
     quick = {"LTO": "off", "CODEGEN_UNITS": "16"}
     env = {**os.environ, **{f"CARGO_PROFILE_RELEASE_{name}": v for name, v in quick.items()}}
-    env["RUSTFLAGS"] = "-C target-feature=+simd128 -A unused-unsafe"  # which wasm32 alone does not need
+    # instructions of wasm32 are safe where those of other processors are not
+    env["RUSTFLAGS"] = "-C target-feature=+simd128 -A unused-unsafe"
     words = ["cargo", "build", "-q", "--release", "--locked", "-p", "ccdiff-wasm"]
     subprocess.run([*words, "--target", TARGET], cwd=ROOT, env=env, check=True)
     folder = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))

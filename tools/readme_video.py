@@ -20,7 +20,7 @@ SCENE, SEED = "tee-crossing-01", 0
 TITLES = ("recorded", "CCDiff, realistic", "CCDiff, criticality 1")
 CENTRE_M, SPAN_M = (1.0, -40.0), 46.0
 PANEL = (384, 360)
-TITLE_PX = 64
+TITLE_PX = 92
 FIRST_STEP = 4
 HOLD_S = 1.6
 """The image rests at the collision, whose vehicles have a red outline."""
@@ -44,7 +44,8 @@ def frames() -> Iterator[render.Image]:
     ]
     last = played[-1].num_steps - 1
     steps = [*range(FIRST_STEP, last), *[last] * round(HOLD_S / played[-1].dt_s)]
-    fates = ["", "", outcome(played[2]).text.partition(",")[0]]
+    hit = f"{outcome(played[2]).text.partition(' in ')[0]} at {last * played[-1].dt_s:.1f} s"
+    fates = ["", "", hit]
     for step in steps:
         strip = side_by_side(videos, step)
         clock = [f"{step * played[-1].dt_s:.1f} s"] * len(played)
@@ -56,12 +57,12 @@ def _titles(width: int, below: Sequence[str]) -> render.Image:
     from PIL import Image, ImageDraw, ImageFont
 
     line = Image.new("RGB", (width, TITLE_PX), "white")
-    pen, font, small = ImageDraw.Draw(line), ImageFont.load_default(26), ImageFont.load_default(17)
+    pen, font, small = ImageDraw.Draw(line), ImageFont.load_default(36), ImageFont.load_default(30)
     for i, title in enumerate(TITLES):
         middle = (i + 0.5) * width / len(TITLES)
-        pen.text((middle, 20), title, fill="#222222", font=font, anchor="mm")
+        pen.text((middle, 26), title, fill="#222222", font=font, anchor="mm")
         colour = "#b3121f" if " hit " in below[i] else "#444444"
-        pen.text((middle, 48), below[i], fill=colour, font=small, anchor="mm")
+        pen.text((middle, 68), below[i], fill=colour, font=small, anchor="mm")
     return np.asarray(line)
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 _P = ParamSpec("_P")
 
 __all__ = [
+    "name_ends",
     "new_plot",
     "plot_bars",
     "plot_matrix",
@@ -135,7 +136,7 @@ def plot_robustness(
             x, means[:, 0], yerr=whiskers, markersize=5, elinewidth=1, capsize=2.5, **style
         )
         ends.append((means[-1, 0], x[-1], label(planner), style["color"]))
-    _name_ends(axes, ends)
+    name_ends(axes, ends)
     axes.set_xticks([level[n] for n in names])
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
@@ -144,16 +145,21 @@ def plot_robustness(
     return save_plot(figure, path)
 
 
-def _name_ends(
-    axes: Axes, ends: Sequence[tuple[float, float, str, str]], gap: float = 0.045
+def name_ends(
+    axes: Axes,
+    ends: Sequence[tuple[float, float, str, str]],
+    *,
+    gap: float = 0.045,
+    aside: float = 0.03,
+    fontsize: float = 9,
 ) -> None:
-    """Write names at the ends (y, x) of lines in [0, 1], each below the one above it."""
+    """Write names at the ends (y, x, name, colour) of lines, each below the one above it."""
     last = np.inf
     for y, x, name, colour in sorted(ends, reverse=True):
         last = min(y, last - gap)
         axes.annotate(
-            name, (x, y), xytext=(x + 0.03, last), color=colour, fontsize=9, va="center",
-            arrowprops=None, annotation_clip=False,
+            name, (x, y), xytext=(x + aside, last), color=colour, fontsize=fontsize, va="center",
+            annotation_clip=False,
         )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ MOMENT = -1
 DRAWN: dict[str, Any] = {
     "follow": None,
     "span": 90.0,
-    "size": 720,
+    "size": None,
     "speed": 1.0,
     "graph": False,
     "theme": "light",
@@ -135,7 +135,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     draw.add_argument("--mp4", action="store_true", help="write an MP4")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
     draw.add_argument("--span", type=float, help="metres across an image (default: 90)")
-    draw.add_argument("--size", type=int, help="pixels of an image's sides (default: 720)")
+    draw.add_argument(
+        "--size",
+        type=int,
+        help="pixels of each run's sides (default: 720; of a GIF 480, and 360 side by side)",
+    )
     draw.add_argument("--speed", type=float, help="pace of a video (default: 1)")
     draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
     draw.add_argument("--theme", choices=render.THEMES, help="ground of an image (default: light)")
@@ -169,7 +173,7 @@ def run(args: argparse.Namespace) -> int:
     suffix = kinds[0] if kinds else "html"
     out = args.out or Path(file_name(runs[0].rollout.scene.name, f".{suffix}"))
     if kinds:
-        _image(args, runs, out)
+        _image(args, runs, out, suffix)
         print(out)
         return 0
     first, *beside = (run.rollout for run in runs)
@@ -282,9 +286,10 @@ def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
     return 0
 
 
-def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
+def _image(args: argparse.Namespace, runs: list[Titled], out: Path, kind: str) -> None:
+    pixels = args.size or ((360 if len(runs) > 1 else 480) if kind == "gif" else 720)
     options: dict[str, Any] = {
-        "size": (args.size, args.size),
+        "size": (pixels, pixels),
         "span_m": args.span,
         "follow": args.follow,
         "graph": args.graph,
@@ -292,7 +297,7 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
     }
     first, *others = (run.rollout for run in runs)
     titles = [run.title for run in runs] if others else [first.scene.name]
-    if args.png is None and args.svg is None:
+    if kind in ("gif", "mp4"):
         save_video(
             first,
             out,
@@ -304,9 +309,9 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path) -> None:
         )
         return
     videos = [Video(run.rollout, title=t, **options) for run, t in zip(runs, titles, strict=True)]
-    asked = args.png if args.svg is None else args.svg
+    asked = getattr(args, kind)
     step = videos[0].moment if asked == MOMENT else asked
-    if args.svg is None:
+    if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
         render.save(side_by_side(videos, step), out)
     elif others:

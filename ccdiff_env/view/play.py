@@ -35,13 +35,13 @@ from ccdiff_env.view.sources import log_rollout, play_scene
 __all__ = ["SCENES", "playground_html", "write_playground"]
 
 #: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
-#: criticality 2. In the first it is hit at criticality 1.
+#: criticality 2. In the first it is hit at criticality 1, as is who holds the accelerator alone.
 SCENES = (
+    "pedestrians-03",
     "tee-crossing-01",
     "left-turn-02",
     "left-turn-01",
     "hard-brake-04",
-    "pedestrians-03",
     "left-turn-05",
     "tee-crossing-04",
     "double-left-01",

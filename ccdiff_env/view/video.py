@@ -21,8 +21,8 @@ GAP = 6
 """Pixels between videos side by side."""
 HOLD_S = 1.6
 """The last image stays so long: the verdict can be read."""
-FPS = {".gif": 12.5, ".mp4": 30.0}
-"""Images per second by suffix; GIF counts time in hundredths of a second."""
+FPS = {".gif": 10.0, ".mp4": 30.0}
+"""Images per second by suffix."""
 
 
 class Video:

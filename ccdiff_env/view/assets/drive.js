@@ -370,8 +370,8 @@ class Drive {
   pointToGoal({ canvas, width, height }) {
     const last = this.log.numSteps - 1, ratio = window.devicePixelRatio || 1;
     const [x, y] = this.camera.toScreen(this.log.a.x[last], this.log.a.y[last], width, height);
+    if (x > 0 && y > 0 && x < width && y < height) return;
     const reach = 26, far = Math.max(Math.abs(x - width / 2) / (width / 2 - reach), Math.abs(y - height / 2) / (height / 2 - reach));
-    if (far <= 1) return;
     const context = canvas.getContext("2d");
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.translate(width / 2 + (x - width / 2) / far, height / 2 + (y - height / 2) / far);

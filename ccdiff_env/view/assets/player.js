@@ -65,7 +65,7 @@ class Pane {
 
   scaleBar(context, camera, width, height, theme) {
     const metres = [1, 2, 5, 10, 20, 50, 100, 200].find((m) => m * camera.scale >= 60) || 500;
-    const long = metres * camera.scale, x = width - 16 - long, y = width < 420 ? 30 : height - 16;
+    const long = metres * camera.scale, x = width - 16 - long, y = innerWidth > 760 ? height - 16 : 30;
     context.strokeStyle = context.fillStyle = COLOURS[theme].ink;
     context.lineWidth = 1.5;
     context.beginPath();
