@@ -18,7 +18,7 @@ from ccdiff_env.scenes.scene_types import (
     TrackArrays,
 )
 
-_Places = tuple[Sequence["Scene"], npt.NDArray[np.int64], F32, F32]
+_Places = tuple[Sequence["Scene"], npt.NDArray[np.int64], F32, F32, F32]
 
 def causal_ttc(
     x: F32,

@@ -12,7 +12,10 @@ import pytest
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet, WorldConfig
 from ccdiff_env.bench.episode import relations
+from ccdiff_env.errors import ShapeError
 from ccdiff_env.metrics import Motion
+from ccdiff_env.policies import planning
+from ccdiff_env.scenes import map_queries
 from ccdiff_env.view.contacts import contacts
 from tests import overpass
 
@@ -261,3 +264,31 @@ def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
     rollout = play(SceneSet([scene]))["rollout"]
     crosses = rollout.agent_ids.index("2")
     assert any(crosses in a or crosses in b for a, b, _ in contacts(rollout)) != apart
+
+
+def test_map_queries_answer_for_a_level(tmp_path: Path) -> None:
+    scenes = load(tmp_path, CROSSING)
+    scene, places = scenes[0], np.array([[40.0, 20.0], [0.0, 0.0], [40.0, 0.0]])
+    low, high = np.zeros(3), np.full(3, overpass.BRIDGE_M)
+    # both roads are 12 m wide: one runs north at x = 40 m on the ground, one east at y = 0 above it
+    for elevation_m, expected in ((low, [6, -34, 6]), (high, [-14, 6, 6]), (None, [6, 6, np.nan])):
+        found = map_queries.road_distance(scene, places, elevation_m=elevation_m)
+        known = np.isfinite(expected)
+        np.testing.assert_allclose(found[known], np.array(expected)[known], atol=0.05)
+    for elevation_m, along in ((low, 0.0), (high, 1.0)):
+        lines = map_queries.nearest_lines(
+            scene, places, np.zeros(3), count=4, kinds=("lane",), elevation_m=elevation_m
+        )
+        way = lines.end_m - lines.start_m
+        np.testing.assert_allclose(np.abs(way[..., 0]) > np.abs(way[..., 1]), along)
+        heads = np.array([np.pi / 2 + 0.2, -0.2])
+        lanes = map_queries.lane_ahead(scene, places[[2, 2]], heads, elevation_m=elevation_m[:2])
+        np.testing.assert_array_equal(lanes.valid[:, 0], [along == 0.0, along == 1.0])
+    with pytest.raises(ShapeError, match="elevation_m"):
+        map_queries.road_distance(scene, places, elevation_m=np.zeros(2))
+    # what planners ask is asked of the level of who is driven
+    env = EgoEnv(scenes=scenes, traffic="replay", driver="replay", **OPTIONS)
+    env.reset(seed=0)
+    found = planning.road_distance(env.worlds, 0, places)
+    np.testing.assert_allclose(found, [-14, 6, 6], atol=0.05)
+    assert not planning.lane_ahead(env.worlds, 0, [[40.0, 20.0, np.pi / 2]]).valid.any()

@@ -212,9 +212,10 @@ def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict
     left = np.nan if road is None else road.box.any(axis=1)
     found["off_road"] = np.where(present, left, np.nan)[:, None]
     found["edge"] = np.full(there.shape, np.nan)
-    if road is not None and heights is None:  # else the nearest edge may be another level's
+    if road is not None:
         at = np.asarray(position[:, looks][there], np.float32)
-        found["edge"][there] = road_distance(episode.scene, at)
+        level = None if heights is None else heights[:, looks][there]
+        found["edge"][there] = road_distance(episode.scene, at, elevation_m=level)
     return found
 
 

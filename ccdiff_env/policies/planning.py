@@ -26,12 +26,23 @@ FRAMES = ("scene", "ego")
 NEAR_M = 5.0
 
 
-def _scene(worlds: Any, world_idx: int) -> Any:
-    return behind(worlds.scenes[worlds.native.status(world_idx).scene_idx])
+def _level(worlds: Any, world_idx: int, count: int) -> tuple[Any, F32 | None]:
+    """The scene; where it has levels, the elevation of who is driven for each of some places."""
+    native = worlds.native
+    scene = behind(worlds.scenes[native.status(world_idx).scene_idx])
+    elevation_m, agent = (
+        native.states(world_idx).get("elevation_m"),
+        native.slot_agents(world_idx)[0],
+    )
+    if elevation_m is None or agent is None:
+        return scene, None
+    return scene, np.full(count, elevation_m[agent], np.float32)
 
 
 def road_distance(worlds: Any, world_idx: int, points: npt.ArrayLike) -> F32:
     """Return distances [M] of points [M, 2] to the road's edge, m, negative off the road.
+
+    The road, as the lanes of :func:`lane_ahead`, is that of the driven vehicle's level.
 
     Raises
     ------
@@ -39,7 +50,8 @@ def road_distance(worlds: Any, world_idx: int, points: npt.ArrayLike) -> F32:
         If the map has no road.
     """
     at = np.asarray(points, np.float32)
-    return map_queries.road_distance(_scene(worlds, world_idx), at)
+    scene, elevation_m = _level(worlds, world_idx, len(at))
+    return map_queries.road_distance(scene, at, elevation_m=elevation_m)
 
 
 def lane_ahead(
@@ -50,7 +62,8 @@ def lane_ahead(
     ``options`` are those of :func:`ccdiff_env.scenes.map_queries.lane_ahead`.
     """
     at = np.asarray(poses, np.float32)
-    return map_queries.lane_ahead(_scene(worlds, world_idx), at[:, :2], at[:, 2], **options)
+    scene, level = _level(worlds, world_idx, len(at))
+    return map_queries.lane_ahead(scene, at[:, :2], at[:, 2], **{"elevation_m": level, **options})
 
 
 def overlap(boxes: npt.ArrayLike, others: npt.ArrayLike) -> npt.NDArray[np.bool_]:

@@ -2,7 +2,9 @@
 
 Every function takes one scene, or several with the scene of each place: ``world`` [M], as
 :class:`~ccdiff_env.traffic.TrafficBatch` has it. Positions and headings are those of the scene's
-frame. What is derived from a map is made at the first call and kept with the scene.
+frame. Where roads pass over each other, ``elevation_m`` [M] says on which level the places are;
+without it all levels are one map. What is derived from a map is made at the first call and kept
+with the scene.
 
 Examples
 --------
@@ -115,12 +117,19 @@ def _worlds(scenes: Scene | Sequence[Scene], world: Any, count: int) -> tuple[li
 
 
 def _placed(
-    scenes: Scene | Sequence[Scene], position_m: Any, heading_rad: Any, world: Any
-) -> tuple[list[Scene], I64, F32, F32]:
-    """The scenes, the scene of each place, positions and headings."""
+    scenes: Scene | Sequence[Scene],
+    position_m: Any,
+    heading_rad: Any,
+    elevation_m: Any,
+    world: Any,
+) -> tuple[list[Scene], I64, F32, F32, F32]:
+    """The scenes, the scene of each place, positions, headings and elevations."""
     position = _floats("position_m", position_m, (None, 2))
     heading = _floats("heading_rad", heading_rad, (len(position),))
-    return (*_worlds(scenes, world, len(position)), position, heading)
+    level = np.zeros(0, np.float32)
+    if elevation_m is not None:
+        level = _floats("elevation_m", elevation_m, (len(position),))
+    return (*_worlds(scenes, world, len(position)), position, heading, level)
 
 
 def _at_least(name: str, value: Any, least: int) -> int:
@@ -140,6 +149,7 @@ def nearest_lines(
     *,
     count: int = 64,
     kinds: Collection[str] = LINE_KINDS,
+    elevation_m: Any = None,
     world: Any = None,
 ) -> NearLines:
     """Return the pieces of the map's lines nearest to agents, in the agents' frames.
@@ -157,6 +167,8 @@ def nearest_lines(
         Pieces of each agent K, 1 to 10000.
     kinds
         Kinds of lines that count, of :data:`LINE_KINDS`.
+    elevation_m
+        Elevations of the agents [M], m: lines of their levels alone.
     world
         Scene of each agent, index of ``scenes``, [M]; left out for one scene.
 
@@ -169,7 +181,7 @@ def nearest_lines(
     UnknownNameError
         If there is no kind or scene of that name or number.
     """
-    places = _placed(scenes, position_m, heading_rad, world)
+    places = _placed(scenes, position_m, heading_rad, elevation_m, world)
     unknown = [kind for kind in kinds if kind not in LINE_KINDS]
     if unknown:
         known = ", ".join(LINE_KINDS)
@@ -181,7 +193,13 @@ def nearest_lines(
     return NearLines(start_m=start, end_m=end, kind=kind, distance_m=distance, valid=valid)
 
 
-def road_distance(scenes: Scene | Sequence[Scene], position_m: Any, *, world: Any = None) -> F32:
+def road_distance(
+    scenes: Scene | Sequence[Scene],
+    position_m: Any,
+    *,
+    elevation_m: Any = None,
+    world: Any = None,
+) -> F32:
     """Return the distances of places to the edge of the road, m, positive on the road.
 
     The road is what ``off_road`` goes by: the union of the drivable areas, else of the lanes'
@@ -193,6 +211,8 @@ def road_distance(scenes: Scene | Sequence[Scene], position_m: Any, *, world: An
         One scene, or several.
     position_m
         Places, scene frame, m, [..., 2].
+    elevation_m
+        Elevations of the places [...], m: the road of their levels alone.
     world
         Scene of each place along the first axis, [M]; left out for one scene.
 
@@ -217,8 +237,12 @@ def road_distance(scenes: Scene | Sequence[Scene], position_m: Any, *, world: An
     listed, numbers = _worlds(scenes, world, len(places) if world is None else shape[0])
     if world is not None:
         numbers = numbers.repeat(len(places) // max(shape[0], 1))
+    level = np.zeros(0, np.float32)
+    if elevation_m is not None:
+        level = _floats("elevation_m", elevation_m, shape[:-1]).reshape(-1)
     heading = np.zeros(len(places), np.float32)
-    return _native.map_road_distance((listed, numbers, places, heading)).reshape(shape[:-1])
+    found = _native.map_road_distance((listed, numbers, places, heading, level))
+    return found.reshape(shape[:-1])
 
 
 def lane_ahead(
@@ -229,6 +253,7 @@ def lane_ahead(
     points: int = 41,
     spacing_m: float = 2.0,
     reach_m: float = 5.0,
+    elevation_m: Any = None,
     world: Any = None,
 ) -> LaneAhead:
     """Return the lanes that agents are on, and the way along them, in the agents' frames.
@@ -248,6 +273,8 @@ def lane_ahead(
         Distance from one place to the next, m.
     reach_m
         Lanes farther than this are not looked at, m, at most 10.
+    elevation_m
+        Elevations of the agents [M], m: lanes of their levels alone.
     world
         Scene of each agent, index of ``scenes``, [M]; left out for one scene.
 
@@ -260,7 +287,7 @@ def lane_ahead(
     UnknownNameError
         If there is no scene of that number.
     """
-    places = _placed(scenes, position_m, heading_rad, world)
+    places = _placed(scenes, position_m, heading_rad, elevation_m, world)
     for name, value, most in (("spacing_m", spacing_m, 1000.0), ("reach_m", reach_m, 10.0)):
         if not isinstance(value, (int, float)) or not 0.0 < value <= most:
             raise ConfigError(f"{name} is {value!r}, expected a number above 0, at most {most:g}")

@@ -30,24 +30,31 @@ struct Places {
     /// Scene of each place.
     world: Vec<usize>,
     poses: Vec<Pose2>,
+    /// Elevation of each place, metres; empty where the level does not matter.
+    elevation_m: Vec<f32>,
 }
 
-/// Scenes, the number of the scene of each place [M], positions [M, 2] and headings [M].
+/// Scenes, the number of the scene of each place [M], positions [M, 2], headings [M] and elevations [M] or [0].
 type AskedPlaces<'py> = (
     Vec<PyRef<'py, PyScene>>,
     PyReadonlyArray1<'py, i64>,
     PyReadonlyArray2<'py, f32>,
     PyReadonlyArray1<'py, f32>,
+    PyReadonlyArray1<'py, f32>,
 );
 
 impl Places {
     /// The poses [M], each in its scene.
-    fn new(py: Python<'_>, (scenes, world, position, heading): &AskedPlaces<'_>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        (scenes, world, position, heading, elevation): &AskedPlaces<'_>,
+    ) -> PyResult<Self> {
         let n = position.shape()[0];
-        if position.shape() != [n, 2] || world.len() != n || heading.len() != n {
-            let got = (position.shape(), heading.shape(), world.shape());
-            let message =
-                format!("position_m, heading_rad, world have shapes {got:?}, expected [M, 2], [M], [M]");
+        let level = elevation.is_empty() || elevation.len() == n;
+        if position.shape() != [n, 2] || world.len() != n || heading.len() != n || !level {
+            let got = (position.shape(), heading.shape(), elevation.shape(), world.shape());
+            let names = "position_m, heading_rad, elevation_m, world";
+            let message = format!("{names} have shapes {got:?}, expected [M, 2], [M], [M], [M]");
             return Err(ShapeError::new_err(message));
         }
         let known = |w: &i64| usize::try_from(*w).ok().filter(|w| *w < scenes.len());
@@ -55,24 +62,26 @@ impl Places {
             let message = || format!("world {w}, expected 0 to {}", scenes.len().saturating_sub(1));
             known(w).ok_or_else(|| UnknownNameError::new_err(message()))
         });
-        let (position, heading) = (position.as_array(), heading.as_array());
+        let (position, heading, elevation) = (position.as_array(), heading.as_array(), elevation.as_array());
         let poses = position.rows().into_iter().zip(heading).enumerate().map(|(i, (at, heading))| {
-            let numbers = [at[0], at[1], *heading];
+            let numbers = [at[0], at[1], *heading, elevation.get(i).copied().unwrap_or(0.0)];
             match numbers.iter().all(|v| v.abs() < FARTHEST_M) {
                 true => Ok(Pose2::new(at[0], at[1], *heading)),
                 false => Err(ConfigError::new_err(format!(
-                    "place {i} is at {numbers:?} (x, y, heading), expected finite numbers below 1e6"
+                    "place {i} is at {numbers:?} (x, y, heading, elevation), expected finite numbers below 1e6"
                 ))),
             }
         });
         let (world, poses) = (numbers.collect::<PyResult<_>>()?, poses.collect::<PyResult<_>>()?);
         let scenes: Vec<&PyScene> = scenes.iter().map(|scene| &**scene).collect();
         let scenes = enter(py, || Ok(scenes.into_iter().map(PyScene::prepared).collect()))?;
-        Ok(Self { scenes, world, poses })
+        Ok(Self { scenes, world, poses, elevation_m: elevation.to_vec() })
     }
 
-    fn each(&self) -> impl Iterator<Item = (&PreparedScene, &Pose2)> {
-        self.world.iter().zip(&self.poses).map(|(w, pose)| (&*self.scenes[*w], pose))
+    fn each(&self) -> impl Iterator<Item = (&PreparedScene, &Pose2, Option<f32>)> {
+        let at =
+            |(i, w): (usize, &usize)| (&*self.scenes[*w], &self.poses[i], self.elevation_m.get(i).copied());
+        self.world.iter().enumerate().map(at)
     }
 }
 
@@ -97,8 +106,8 @@ fn map_near_pieces<'py>(
     let (mut ends, mut kind) = (vec![0.0; m * count * 4], vec![0; m * count]);
     let (mut distance_m, mut valid) = (vec![0.0; m * count], vec![false; m * count]);
     enter(py, || {
-        for (row, (scene, pose)) in places.each().enumerate() {
-            for (k, piece) in (row * count..).zip(scene.near_pieces(pose, count, wanted)) {
+        for (row, (scene, pose, z)) in places.each().enumerate() {
+            for (k, piece) in (row * count..).zip(scene.near_pieces(pose, z, count, wanted)) {
                 let [from, to] = piece.ends;
                 ends[4 * k..4 * k + 4].copy_from_slice(&[from.x, from.y, to.x, to.y]);
                 (kind[k], distance_m[k], valid[k]) = (piece.kind as u8, piece.distance_m, true);
@@ -119,12 +128,12 @@ fn map_near_pieces<'py>(
 fn map_road_distance<'py>(py: Python<'py>, places: AskedPlaces<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let places = Places::new(py, &places)?;
     let distances = enter(py, || {
-        let of = |(scene, pose): (&PreparedScene, &Pose2)| {
+        let of = |(scene, pose, z): (&PreparedScene, &Pose2, Option<f32>)| {
             let message = || {
                 let name = &scene.scene.name;
                 format!("scene {name:?}: no road: its map has neither a drivable area nor surfaces of lanes")
             };
-            scene.road_distance_m(pose.position).ok_or_else(|| SceneError::new_err(message()))
+            scene.road_distance_m(pose.position, z).ok_or_else(|| SceneError::new_err(message()))
         };
         places.each().map(of).collect::<PyResult<Vec<f32>>>()
     })?;
@@ -155,8 +164,8 @@ fn map_lane_ahead<'py>(
     let (mut points, mut valid) = (vec![0.0; m * num_points * 2], vec![false; m * num_points]);
     let (mut lane, mut lateral_m, mut heading_error_rad) = (vec![-1; m], vec![0.0; m], vec![0.0; m]);
     enter(py, || {
-        for (row, (scene, pose)) in places.each().enumerate() {
-            let Some(ahead) = scene.lane_ahead(pose, reach_m, length_m) else { continue };
+        for (row, (scene, pose, z)) in places.each().enumerate() {
+            let Some(ahead) = scene.lane_ahead(pose, z, reach_m, length_m) else { continue };
             lane[row] = i64::from(ahead.lane.lane_idx);
             (lateral_m[row], heading_error_rad[row]) = (ahead.lane.lateral_m, ahead.lane.heading_error_rad());
             for (k, i) in (row * num_points..).zip(0..num_points) {

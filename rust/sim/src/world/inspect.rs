@@ -325,7 +325,7 @@ impl VecWorld {
         let (states, scene) = (&world.episode.states, &world.scene);
         let off_m = |a: usize| {
             let corners = states.oriented_box(a, &scene.footprints[a]).corners();
-            let of_level = |c: &Point2| scene.road_distance_of_level_m(*c, states.elevation_m(a));
+            let of_level = |c: &Point2| scene.road_distance_m(*c, states.elevation_m(a));
             corners.iter().filter_map(of_level).map(|d| -d).fold(0.0, Real::max)
         };
         Ok(world.episode.slots.iter().map(|s| s.agent_idx.map_or(0.0, off_m)).collect())

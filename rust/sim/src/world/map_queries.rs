@@ -1,4 +1,4 @@
-//! What the map of a scene says of a place, asked from outside.
+//! What the map of a scene says of a place, asked from outside: that of the level of an elevation, where one is given.
 
 use crate::geom::{Point2, Polyline, Pose2, Real, Vector2};
 use crate::observe::{Segment, SegmentKind};
@@ -40,6 +40,7 @@ impl PreparedScene {
     pub fn near_pieces(
         &self,
         frame: &Pose2,
+        elevation_m: Option<Real>,
         count: usize,
         wanted: impl Fn(SegmentKind) -> bool,
     ) -> Vec<NearPiece> {
@@ -53,8 +54,9 @@ impl PreparedScene {
             let along = (-middle.coords.dot(&direction)).clamp(-half_m, half_m);
             (middle.coords + direction * along).norm_squared()
         };
-        let segments = self.segments.segments().enumerate().filter(|(_, s)| wanted(s.kind));
-        let mut near: Vec<(Real, usize)> = segments.map(|(i, s)| (distance_sq(&s), i)).collect();
+        let lines = &self.at(elevation_m).segments;
+        let wanted = lines.segments().enumerate().filter(|(_, s)| wanted(s.kind));
+        let mut near: Vec<(Real, usize)> = wanted.map(|(i, s)| (distance_sq(&s), i)).collect();
         let order = |a: &(Real, usize), b: &(Real, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
         if count < near.len() {
             near.select_nth_unstable_by(count, order);
@@ -62,7 +64,7 @@ impl PreparedScene {
         }
         near.sort_unstable_by(order);
         let piece = |(distance_sq, i): &(Real, usize)| {
-            let segment = self.segments.segment(*i);
+            let segment = lines.segment(*i);
             let (middle, direction) = place(&segment);
             let half = direction * segment.half_length_m;
             NearPiece {
@@ -77,19 +79,20 @@ impl PreparedScene {
     /// Distance of a place to the edge of the road, metres, negative off the road; `None` where the map has no road.
     ///
     /// The road ends where the map was cut out.
-    pub fn road_distance_m(&self, point: Point2) -> Option<Real> {
-        self.road_distance_of_level_m(point, None)
-    }
-
-    /// The same of the road of an elevation's level.
-    pub(crate) fn road_distance_of_level_m(&self, point: Point2, elevation_m: Option<Real>) -> Option<Real> {
+    pub fn road_distance_m(&self, point: Point2, elevation_m: Option<Real>) -> Option<Real> {
         self.at(elevation_m).road_distance_m(&self.scene.map, point)
     }
 
     /// The nearest lane that leads where a pose heads, to 90 degrees, and the way along it; `None` without one in reach (at
     /// most 10 m).
-    pub fn lane_ahead(&self, pose: &Pose2, reach_m: Real, length_m: Real) -> Option<LaneAhead> {
-        let lanes = self.lanes.as_ref()?;
+    pub fn lane_ahead(
+        &self,
+        pose: &Pose2,
+        elevation_m: Option<Real>,
+        reach_m: Real,
+        length_m: Real,
+    ) -> Option<LaneAhead> {
+        let lanes = self.at(elevation_m).lanes.as_ref()?;
         let lane = lanes.nearest_by_direction(pose.position, pose.cos, pose.sin, reach_m).agreeing?;
         let centreline = &self.scene.map.lanes[lane.lane_idx as usize].centreline;
         let start = Polyline::new(centreline.clone()).map(|line| line.at(lane.s_m).position);
