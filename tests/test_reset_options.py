@@ -136,3 +136,7 @@ def test_drivers_are_told_to_all_worlds_or_to_each(scenes):
         env.reset(seed=0, options={"scene": [one, two], "drivers": [{}, {only: "replay"}]})
     with pytest.raises(ConfigError, match="drivers has 3 entries"):
         env.reset(seed=0, options={"drivers": [{}, {}, {}]})
+    rows = AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm")
+    for door in (env, rows, AdversarySelectionVectorEnv(2, scenes=scenes)):
+        with pytest.raises(UnknownNameError, match="no scene has an agent 'nobody'"):
+            door.reset(seed=0, options={"drivers": {"nobody": "idm"}})

@@ -8,6 +8,7 @@ from array_scenes import TIMES_S, agent, array_scene, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.episode import begin, play, recorders_of
 
 EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
@@ -104,6 +105,17 @@ def test_contacts_between_them_never_count_and_the_trailer_is_no_agent_of_its_ow
     rows = ccdiff_env.parallel_env(scenes=[scene], agents="all", start_spread_steps=5)
     rows.reset(seed=0)
     assert rows.agents == ["ego"]
+
+
+def test_drivers_are_named_for_the_truck_alone():
+    made = {"scenes": [array_scene(EGO, *hitched(20.0 + 8.0 * TIMES_S))], "traffic": "idm"}
+    with pytest.raises(ConfigError, match=r"trailer.*no other one tows"):
+        EgoEnv(drivers={"trailer": "replay"}, **made)
+    env = EgoEnv(**made)
+    with pytest.raises(ConfigError, match="'trailer' of own is towed by 'truck'"):
+        env.reset(seed=0, options={"drivers": {"trailer": "replay"}})
+    env.reset(seed=0, options={"drivers": {"truck": "replay"}})
+    assert env.worlds.native.drivers(0)[1:] == ["replay", "replay"]
 
 
 def test_a_trailer_leaves_with_its_truck_at_the_goal():

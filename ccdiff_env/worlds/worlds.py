@@ -104,6 +104,7 @@ class Worlds:
         self.curriculum = None if criticality is None else Curriculum(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}
+        self._agent_ids: frozenset[str] = frozenset()
         #: Criticality that the present episode of a world was given by the curriculum.
         self.criticality: dict[int, float] = {}
         self.num_worlds = num_worlds
@@ -248,7 +249,7 @@ class Worlds:
         ConfigError
             If it is something else.
         UnknownNameError
-            If the batch has no such driver.
+            If the batch has no such driver, or none of its scenes has such a vehicle.
         """
         if choice is None:
             return {}
@@ -261,6 +262,10 @@ class Worlds:
                     f"driver of {agent!r} is {driver!r}, expected one of {', '.join(known)}; name "
                     "others in traffic or policies when the environment is made"
                 )
+        if choice and not self._agent_ids:
+            self._agent_ids = frozenset(a for scene in self.scenes for a in scene.agent_ids)
+        if nobody := [agent for agent in choice if agent not in self._agent_ids]:
+            raise UnknownNameError(f"drivers: no scene has an agent {nobody[0]!r}")
         return dict(choice)
 
     def assign(
@@ -279,6 +284,8 @@ class Worlds:
         ------
         UnknownNameError
             If the scene has no such vehicle.
+        ConfigError
+            If the vehicle is towed: it follows who tows it.
         """
         scene = self.scenes[self.native.status(world_idx).scene_idx]
         places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
@@ -288,7 +295,14 @@ class Worlds:
             raise UnknownNameError(
                 f"drivers: {scene.name} (world {world_idx}) has no agent {unknown[0]!r}"
             )
+        seats = self.native.slot_agents(world_idx)
+        leaders = {a: b for a, b in scene.towed if a not in seats} if found else {}
         for agent, driver in found.items():
+            if (leader := leaders.get(places[agent])) is not None:
+                raise ConfigError(
+                    f"drivers: {agent!r} of {scene.name} is towed by {scene.agent_ids[leader]!r}, "
+                    "name the driver of that one"
+                )
             self.native.assign(world_idx, [places[agent]], driver)
         self.drivers[world_idx] = found
 

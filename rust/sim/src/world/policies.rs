@@ -3,8 +3,9 @@
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::policy::{Driver, KINDS, Kind, PEDESTRIANS, PlanRequest, PlanState, TrafficPolicy};
-use crate::scene::{AgentKind, Scene};
-use crate::world::config::WorldConfig;
+use crate::scene::{AgentKind, EGO_ID, Scene};
+use crate::stage::hitches;
+use crate::world::config::{Controlled, WorldConfig};
 use crate::world::rng::Rng;
 use crate::world::traffic::{EXTERNAL, Traffic};
 use std::sync::Arc;
@@ -89,6 +90,16 @@ impl Policies {
             if !known.clone().any(|kind| kind == AgentKind::Vehicle) {
                 let expected = "the id of a vehicle".into();
                 return Err(SimError::Unknown { what: "agent of drivers", got: format!("{id:?}"), expected });
+            }
+            let is_towed = |s: &Arc<Scene>| {
+                let agent = s.agent_index(id).filter(|_| id != EGO_ID);
+                agent.is_some_and(|a| hitches(s).iter().any(|(towed, _)| *towed == a))
+            };
+            let is_named = matches!(config.controlled, Controlled::Ids(_) | Controlled::PerScene(_));
+            if !is_named && scenes.iter().any(is_towed) {
+                let expected =
+                    "the id of a vehicle that no other one tows: those follow who tows them".into();
+                return Err(SimError::Config { field: "drivers".into(), got: format!("{id:?}"), expected });
             }
             policies.by_id.push((id.clone(), policies.driver("drivers", name)?));
         }
