@@ -1,12 +1,10 @@
 //! Whom nuPlan's closed-loop metrics blame for a contact, and whom they expect to meet.
 
-use super::limits::{AHEAD_COS, STANDING_MPS};
+use super::limits::{AHEAD_COS, STANDING_MPS, STOPPED_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
 
-/// Speed up to which an agent counts as stopped in a contact, metres per second.
-const STOPPED_MPS: Real = 0.05;
 /// How far the rear axle lies behind the middle of a box, as a share of its length: 1.39 of the 4.08 m of nuScenes' car.
 pub const REAR_AXLE_SHARE: Real = 0.34;
 /// Steps of time at which boxes are looked at, seconds.

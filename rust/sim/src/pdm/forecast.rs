@@ -1,6 +1,7 @@
 //! Where the others will be: at constant speed along their headings, or as a network expects.
 
 use super::Scene;
+use crate::events::limits::STOPPED_MPS;
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2};
 use crate::scene::AgentKind;
 use crate::state::Footprint;
@@ -9,9 +10,6 @@ use crate::state::Footprint;
 pub(super) const HORIZON_S: Real = 4.0;
 /// Seconds ahead at which the time to contact is looked at.
 pub(super) const AHEAD_S: [Real; 4] = [0.0, 0.3, 0.6, 0.9];
-
-/// Who is no faster than this stands, m/s.
-pub(super) const STANDS_MPS: Real = 0.05;
 
 /// Another agent and its forecast.
 #[derive(Debug, Clone)]
@@ -130,7 +128,7 @@ impl Forecast {
             let heading = Vector2::new(cos, sin);
             let velocity = heading * speed_mps.copysign(states.velocity(j).dot(&heading));
             let (path, dt_s, beside) = (path(j).unwrap_or_default(), scene.dt_s, Vec::new());
-            let moves = speed_mps > STANDS_MPS || path.len() > 1;
+            let moves = speed_mps > STOPPED_MPS || path.len() > 1;
             let steps_m = path.windows(2).map(|pair| (pair[1].position - pair[0].position).norm());
             let most_mps = steps_m.fold(speed_mps, |most, step_m| most.max(step_m / dt_s));
             let mut other = Other {

@@ -1,11 +1,11 @@
 //! The score of proposals: what must not happen times a weighted mean of the rest, as nuPlan's closed loop.
 
 use super::comfort::is_calm;
-use super::forecast::{AHEAD_S, Forecast, Other, STANDS_MPS};
+use super::forecast::{AHEAD_S, Forecast, Other};
 use super::proposals::{Proposal, Rollout};
 use super::{Plan, Scene};
 use crate::events::REAR_AXLE_SHARE;
-use crate::events::limits::{ACCELERATION_MPS2, AHEAD_COS, STANDING_MPS};
+use crate::events::limits::{ACCELERATION_MPS2, AHEAD_COS, STANDING_MPS, STOPPED_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::LaneKind;
 use std::cell::OnceCell;
@@ -233,10 +233,10 @@ fn bearing_cos(scene: &Scene<'_>, rollout: &Rollout, step: usize, point: Point2)
 fn is_at_fault(scene: &Scene<'_>, rollout: &Rollout, step: usize, other: &Other) -> bool {
     let (state, direction) = (&rollout.states[step], rollout.directions[step]);
     let (centre, time_s) = (Point2::new(state.x, state.y), step as Real * scene.dt_s);
-    if state.speed_mps <= STANDS_MPS {
+    if state.speed_mps <= STOPPED_MPS {
         return false;
     }
-    if other.speed_mps <= STANDS_MPS {
+    if other.speed_mps <= STOPPED_MPS {
         return true;
     }
     if bearing_cos(scene, rollout, step, other.centre(time_s)) < -AHEAD_COS {
