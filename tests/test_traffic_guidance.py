@@ -172,6 +172,8 @@ def test_a_named_target_takes_the_place_of_the_ego(scenes):
         play.step(12)
     assert ego.native.digest(0) == plain.native.digest(0)
     assert other.native.digest(0) != plain.native.digest(0)
+    with pytest.raises(UnknownNameError, match=r"ccdiff.targets: no scene has an agent 'nobody'"):
+        Play(scenes[:1], ccdiff={"targets": ("ego", "nobody")})
 
 
 @pytest.mark.parametrize("steps", [1, 5])

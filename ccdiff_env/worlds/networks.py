@@ -7,9 +7,7 @@ from collections.abc import Sequence
 
 from ccdiff_env import _native
 from ccdiff_env.config import EgosConfig, WorldConfig
-from ccdiff_env.errors import (
-    CheckpointError,
-)
+from ccdiff_env.errors import CheckpointError, UnknownNameError
 from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import EGOS
@@ -29,12 +27,17 @@ def network_policies(
         A network needs torch, see :func:`~ccdiff_env.models.needs_torch`.
     ConfigError, CheckpointError, SceneError, DatasetNotFoundError
         Settings, weights or scenes do not fit; the message says which.
+    UnknownNameError
+        No scene has an agent that contacts shall be aimed at.
     """
 
     def made(name: str, kind: str, options: str) -> object:
         settings = json.loads(options)
         if kind == EGOS:
             return egos_policy(EgosConfig(**settings), config.dt_s)
+        if targets := set(settings.get("targets", ())):
+            for nobody in sorted(targets.difference(*(scene.agent_ids for scene in scenes))):
+                raise UnknownNameError(f"{name}.targets: no scene has an agent {nobody!r}")
         weights = weights_path(
             settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
         )
