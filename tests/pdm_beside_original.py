@@ -67,11 +67,11 @@ def main(source):
     logging.disable(logging.WARNING)
     scenes = [scene for scene in ccdiff_env.load(source) if scene.has_lanes]
     drive(SceneSet(scenes), Both, TRAFFIC["replay"], seed=0)
-    for name, found in [
-        *sorted(FOUND.items()),
-        ("all", [one for of in FOUND.values() for one in of]),
-    ]:
-        ours, theirs, before = np.reshape(found, (-1, 3)).T
+    FOUND["all"] = [one for found in FOUND.values() for one in found]
+    for name, found in FOUND.items():
+        if not found:
+            continue
+        ours, theirs, before = np.array(found).T
         wanted = np.clip(theirs, before - MOST_CHANGE_MPS2, before + MOST_CHANGE_MPS2)
         near = [f"{np.mean(np.abs(ours - wanted) <= m):.2f} within {m} m/s²" for m in (0.2, 0.5)]
         print(f"{name}: {', '.join(near)}, {len(ours)} decisions", flush=True)
