@@ -73,7 +73,7 @@ def test_a_planner_that_has_changed_is_driven_anew(desk):
     assert "anew" not in in_a_process(desk, *words, "--out", "run").stderr
     (desk / "helper.py").write_text("SPEED = -1.0\n")
     done = in_a_process(desk, *words, "--out", "run")
-    assert "1 result is made anew" in done.stderr
+    assert "1 result is made again" in done.stderr
     assert "planner was" in done.stderr
     in_a_process(desk, *words, "--out", "fresh")
     assert digests(desk / "run") == digests(desk / "fresh") != first
@@ -93,7 +93,7 @@ def test_a_file_that_was_trained_again_is_driven_anew(tmp_path, capsys):
     policy.write_bytes(SHIPPED["ego_replay"].read_bytes())
     capsys.readouterr()
     assert run(tmp_path / "run", "--planners", str(policy)) == 0
-    assert "1 result is made anew" in capsys.readouterr().err
+    assert "1 result is made again" in capsys.readouterr().err
     after = json.loads(first.read_text())
     digests = [row["digest"] for made in (before, after) for row in made["result"]]
     assert len(set(digests)) == 4

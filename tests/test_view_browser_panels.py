@@ -54,15 +54,8 @@ def test_one_run_alone_is_spoken_of_alone(visit):
     page.frames()
     assert page.evaluate("replay.told.map((run) => run.title)") == ["log"]
     assert "drove" not in page.inner_text("#events")
-    names = page.evaluate("replay.runs[1].agents.map((agent) => agent.label)")
-    pairs = {tuple(sorted((names[a], names[b]))): ttc
-             for a, b, ttc in page.evaluate("replay.runs[1].pairs(20)")}  # fmt: skip
-    for row in page.locator(".contact").all_inner_texts():
-        first, _, second, seconds = row.split()[:4]
-        assert pairs[tuple(sorted((first, second)))] == pytest.approx(float(seconds), abs=0.06)
-    page.keyboard.press("0")
-    page.frames()
-    assert page.locator(".contact .badge").count() == page.locator(".contact").count() > 0
+    least = page.evaluate("replay.runs[1].leastTtc(0)[20]")
+    assert ("contact in" in page.inner_text("#captions")) == (least < 10.0)
 
 
 def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
@@ -95,30 +88,6 @@ def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
     page.evaluate("replay.seek(7)")
     events.first.click()
     page.until("replay.playing && replay.time > replay.start + 1 && replay.time < replay.start + 3")
-    page.keyboard.press("End")
-    page.click(".events-head .chip")
-    assert page.state("flags.ego") is False
-    assert page.get_attribute(".events-head .chip", "aria-pressed") == "false"
-
-
-def test_the_soonest_contacts_are_of_the_chosen_agent_and_a_click_shows_both(visit):
-    page = visit("one.html")
-    page.evaluate("replay.seek(2)")
-    page.frames()
-    rows = page.locator(".contact")
-    assert 1 <= rows.count() <= 5
-    first = rows.first.inner_text().split()
-    assert first[0] == "ego" or first[2] == "ego"
-    names = page.evaluate("replay.runs[0].agents.map(a => a.label)")
-    pair = [names.index(first[0]), names.index(first[2])]
-    shown = {tuple(sorted((a, b))): ttc for a, b, ttc in page.evaluate("replay.runs[0].pairs(20)")}
-    assert float(first[3]) == pytest.approx(shown[tuple(sorted(pair))], abs=0.06)
-    rows.first.click()
-    box = page.locator(".map").bounding_box()
-    for agent in pair:
-        x, y = page.screen(page.evaluate("i => replay.runs[0].agents[i].id", agent))
-        assert box["x"] < x < box["x"] + box["width"]
-        assert box["y"] < y < box["y"] + box["height"]
 
 
 def test_every_control_is_reached_by_the_keyboard(visit):
@@ -211,19 +180,6 @@ def test_two_runs_keep_step_and_share_the_view(visit):
     a, b = first.bounding_box(), second.bounding_box()
     assert a["y"] == b["y"]
     assert b["x"] > a["x"] + 300
-
-
-def test_an_index_is_searched_and_sorted(browser, files):
-    page = browser.new_page()
-    page.goto((files / "index.html").as_uri())
-    titles = page.locator(".card:visible h2")
-    assert titles.all_inner_texts() == ["a", "b"]
-    page.fill("#find", "as recorded")
-    assert titles.all_inner_texts() == ["b"]
-    page.fill("#find", "")
-    page.select_option("#order", "bad")
-    assert titles.all_inner_texts() == ["a", "b"]
-    page.close()
 
 
 def test_a_phone_has_room_for_everything(visit):
@@ -360,17 +316,12 @@ def test_a_slider_chooses_the_run_that_is_seen_and_told(browser, tmp_path):
     assert page.faults == []
 
 
-def test_pictures_and_clips_are_saved_and_a_loop_begins_again(visit):
+def test_pictures_are_saved_and_a_loop_begins_again(visit):
     page = visit("two.html", accept_downloads=True)
     with page.expect_download() as got:
         page.click("#picture")
     assert got.value.suggested_filename == "left-turn-00-0.0s.png"
     assert got.value.path().read_bytes()[:4] == b"\x89PNG"
-    page.evaluate("replay.seek(replay.end - 0.3)")
-    with page.expect_download(timeout=20_000) as got:
-        page.click("#clip")
-    assert got.value.suggested_filename.endswith(".webm")
-    assert got.value.path().stat().st_size > 5_000
     page.click("#loop")
     page.evaluate("replay.seek(replay.end - 0.2); replay.playing = true")
     page.until("replay.playing && replay.time < replay.start + 2")
@@ -391,12 +342,3 @@ def test_a_tall_map_has_the_ego_heading_up_and_an_address_says_otherwise(visit):
     assert visit("two.html", viewport={"width": 900, "height": 1000}).state("headingUp") is True
     assert visit("one.html", hash="#t=0&up=north", **tall).state("headingUp") is False
     assert visit("one.html").state("headingUp") is False
-
-
-def test_a_curve_grows_at_a_click_on_its_name(visit):
-    page = visit("one.html")
-    name = page.locator("#figures .figure-name").first
-    small = page.locator("#figures .figure-curve").first.bounding_box()["height"]
-    name.click()
-    assert page.locator("#figures .figure-curve").first.bounding_box()["height"] > 3 * small
-    assert name.get_attribute("aria-expanded") == "true"

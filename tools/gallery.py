@@ -50,9 +50,8 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
         page = folder / f"{name}.html"
         home = ("index.html", "all replays")
         write_page(critical, page, compare=realistic, titles=TITLES, home=home)
-        story = _rank(critical, realistic)[0] < len(RANKS)
         beside = f"realistic: {outcome(realistic).line}"
-        entries.append(replace(entry(critical, name, page.name), story=story, beside=beside))
+        entries.append(replace(entry(critical, name, page.name), beside=beside))
     index = folder / "index.html"
     index.write_text(
         index_page("Gallery: the ego follows its log", entries, home=HOME), encoding="utf-8"

@@ -15,7 +15,7 @@ from ccdiff_env.bench.arguments import (
     counts,
     replan_steps,
 )
-from ccdiff_env.bench.methods import METHODS, PAPER_METHODS
+from ccdiff_env.bench.methods import PAPER_METHODS
 from ccdiff_env.bench.planner_cli import add_planner_benchmark
 from ccdiff_env.bench.run import Run
 from ccdiff_env.system.table import Table
@@ -93,8 +93,7 @@ def _traffic(args: argparse.Namespace) -> int:
     }
     chosen = report.choose_examples(by_condition, args.replays)
     pages = run.replays(
-        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen},
-        lambda key: f"{METHODS[key[0].method].label}, K = {key[0].k}: {key[1]}",
+        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
     )
     return run.report(
         "Traffic",
@@ -136,7 +135,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         write_sets,
     )
     from ccdiff_env.bench.intervals import grouped
-    from ccdiff_env.bench.planner_report import short_name, worst_scenes, worst_table
+    from ccdiff_env.bench.planner_report import worst_scenes, worst_table
 
     generators, planners = args.generators.split(","), args.planners.split(",")
     run = Run(
@@ -170,8 +169,7 @@ def _scenarios(args: argparse.Namespace) -> int:
             (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
             for planner in planners
             for name, row in worst_scenes(avoidable, planner, args.replays)
-        },
-        lambda key: f"{short_name(key[0])}, made against {short_name(key[1])}: {key[2]}",
+        }
     )
     heads, counted = report.sets_table(sets, realism)
     worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")

@@ -98,7 +98,7 @@ def run_jobs(
     if stale:
         first, changed = next(iter(stale.items()))
         are = "result is" if len(stale) == 1 else "results are"
-        print(f"{len(stale)} {are} made anew, as of {first}: {changed}", file=sys.stderr)
+        print(f"{len(stale)} {are} made again, as of {first}: {changed}", file=sys.stderr)
     done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
     open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}

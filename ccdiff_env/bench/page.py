@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
-from ccdiff_env.system.files import read_bytes, read_text, write_aside
+from ccdiff_env.system.files import read_text, write_aside
 from ccdiff_env.view.page import plain_html
 
 __all__ = ["anchor", "markdown_html", "write_report_page"]
@@ -41,7 +40,6 @@ def write_report_page(
     line: str,
     plots: Sequence[Path],
     parts: Mapping[str, str],
-    images: Sequence[tuple[str, str, Path]] = (),
     maps: str = "",
     command: str = "",
 ) -> None:
@@ -49,8 +47,7 @@ def write_report_page(
 
     ``parts`` are Markdown by heading (see :func:`markdown_html`), empty ones are left out; the
     first comes, up to its subheadings, before the ``plots`` (SVG) and says what was found. ``maps``
-    is HTML after them: heat maps. ``images`` are replays to show: title, address, and file of an
-    image (PNG). ``command`` made the page.
+    is HTML after them: heat maps. ``command`` made the page.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)
@@ -60,7 +57,6 @@ def write_report_page(
     ]
     first, rest = _split_lead(sections[0] if sections else "")
     drawn = "\n".join(map(_plot, plots))
-    cards = "\n".join(_card(*entry) for entry in images)
     body = "\n".join(
         [
             f"<nav>{contents}</nav>",
@@ -68,7 +64,6 @@ def write_report_page(
             _terms(" ".join(shown.values())),
             f'<div class="plots">{drawn}</div>' if drawn else "",
             maps,
-            f'<h2>To look at</h2>\n<div class="cards">{cards}</div>' if cards else "",
             rest,
             *sections[1:],
             f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",
@@ -94,15 +89,6 @@ def _plot(path: Path) -> str:
     text = read_text(path)
     named = f'<svg role="img" aria-label="{html.escape(path.stem)}" '
     return text[text.index("<svg") :].replace("<svg ", named, 1)
-
-
-def _card(title: str, address: str, path: Path) -> str:
-    image = ""
-    if path.exists():
-        data = base64.b64encode(read_bytes(path)).decode()
-        image = f'<img src="data:image/png;base64,{data}" alt="">'
-    href = f' href="{html.escape(address)}"' if re.fullmatch(ADDRESS, address) else ""
-    return f'<a class="card"{href}>{image}<span>{html.escape(title)}</span></a>'
 
 
 def _terms(text: str) -> str:

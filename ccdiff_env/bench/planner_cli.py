@@ -123,8 +123,7 @@ def _planners(args: argparse.Namespace) -> int:
             )
             for planner in planners
             for name, row in report.worst_scenes(found, planner, args.replays)
-        },
-        lambda key: f"{report.short_name(key[0])} in {TRAFFIC[key[1]].label}: {key[2]}",
+        }
     )
     privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
     scores = [

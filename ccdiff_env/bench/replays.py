@@ -5,20 +5,17 @@ from __future__ import annotations
 import hashlib
 import importlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job, results, run_jobs
-from ccdiff_env.errors import DatasetError, MissingFeatureError
+from ccdiff_env.errors import DatasetError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, reading
 from ccdiff_env.view import address, write_page
-from ccdiff_env.view.index import thumbnail
 from ccdiff_env.view.outcome import LEAD_S, outcome
-from ccdiff_env.view.render import save
 
 __all__ = ["make_replays", "play_again", "write_replay"]
 
@@ -111,8 +108,7 @@ def play_again(
 
 
 def write_replay(rollout: Rollout, path: Path) -> str:
-    """Write the page of an episode, and an image beside it; returns its address from the folder
-    above.
+    """Write the page of an episode; returns its address from the folder above.
 
     It opens two seconds before what matters, see :class:`~ccdiff_env.view.outcome.Outcome`, and
     follows who it is about.
@@ -120,8 +116,6 @@ def write_replay(rollout: Rollout, path: Path) -> str:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_page(rollout, path, home=("../report.html", "report"))
     fate = outcome(rollout)
-    with suppress(MissingFeatureError):  # reports do without images where Pillow is missing
-        save(thumbnail(rollout, fate.opening_s), path.with_suffix(".png"))
     follow, time_s = None, fate.opening_s
     hits = rollout.collisions("ego") or rollout.collisions()
     if hits:

@@ -8,7 +8,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,8 +33,6 @@ __all__ = ["Run", "episodes_table"]
 K = TypeVar("K", bound=Hashable)
 #: Arguments of jobs that name who drives, perhaps by a file.
 _DRIVE = ("planner", "generator", "ego", "method", "traffic", "start")
-#: Replays that a report shows with images.
-MAX_IMAGES = 8
 #: Fields of an episode that repeat it, too long for a table.
 _TAPE = ("actions", "action")
 
@@ -76,7 +74,6 @@ class Run:
             "progress": not args.quiet,
         }
         self._device: str = args.device
-        self._images: list[tuple[str, str, Path]] = []
         self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
         #: Weight files by network, in place of the shipped ones.
@@ -177,19 +174,11 @@ class Run:
             found += [{**of_job, **row} for row in rows]
         return found
 
-    def replays(
-        self, wanted: Mapping[K, tuple[Job, str]], title: Callable[[K], str]
-    ) -> dict[K, str]:
-        """Write replay pages of scenes of jobs; return their addresses from the run folder.
-
-        The report shows the first ones with their titles.
-        """
+    def replays(self, wanted: Mapping[K, tuple[Job, str]]) -> dict[K, str]:
+        """Write replay pages of scenes of jobs; return their addresses from the run folder."""
         dated = {key: (self._dated(job), scene) for key, (job, scene) in wanted.items()}
         pages, changed = make_replays(dated, self.folder, **self._options)
         self._num_changed += len(changed)
-        for key, address in list(pages.items())[:MAX_IMAGES]:
-            image = self.folder / Path(address.partition("#")[0]).with_suffix(".png")
-            self._images.append((title(key), address, image))
         return pages
 
     def report(
@@ -231,7 +220,6 @@ class Run:
             line=" · ".join(facts),
             plots=[plot for plot in plots if plot is not None],
             parts=texts,
-            images=self._images,
             maps=maps,
             command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
         )

@@ -35,8 +35,6 @@ class Entry:
     outcome: Outcome
     images: tuple[str, ...]
     """Data addresses of the thumbnail on light and on dark ground, or none."""
-    story: bool = False
-    """Whether it shows at once what the package is for."""
     beside: str = ""
     """What became of the run beside it."""
 
@@ -148,9 +146,7 @@ def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = 
     line = f"{counted(len(entries), 'replay')}: the ego {', '.join(told)}" if told else ""
     line = f"{line or counted(len(entries), 'replay')}; others collide in {others}"
     up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
-    story = '<option value="story">by story</option>' if any(e.story for e in entries) else ""
-    tools = _TOOLS.replace("<option", f"{story}<option", 1)
-    body = f'{up}{tools}\n<div class="cards">\n{cards}\n</div>'
+    body = f'{up}<div class="cards">\n{cards}\n</div>'
     return plain_html(title, line, style=part("index.css"), body=body)
 
 
@@ -164,17 +160,6 @@ def _short(entries: list[Entry]) -> list[Entry]:
     ]
 
 
-_TOOLS = """<div class="tools">
-<input id="find" type="search" placeholder="search" aria-label="search">
-<label>sort <select id="order"><option value="name">by name</option>
-<option value="bad">the ego's mishaps first</option>
-<option value="others">collisions of others first</option></select></label>
-<label>show <select id="only"><option value="">all</option>
-<option value="bad">mishaps of the ego</option>
-<option value="good">the ego at its goal</option></select></label>
-<span id="count" role="status"></span></div>"""
-
-
 def _card(entry: Entry) -> str:
     fate = entry.outcome
     alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
@@ -186,11 +171,9 @@ def _card(entry: Entry) -> str:
             f'<img src="{light}" alt="{alt}" loading="lazy"></picture>'
         )
     name = html.escape(entry.title, quote=True)
-    bad = int(fate.tone == "bad")
     return (
-        f'<a class="card" href="{html.escape(entry.href, quote=True)}" data-name="{name}" '
-        f'data-bad="{bad}" data-good="{int(fate.tone == "good")}" data-others="{fate.others}" '
-        f'data-story="{int(entry.story)}">{image}<h2 title="{name}">{name}</h2>'
+        f'<a class="card" href="{html.escape(entry.href, quote=True)}">{image}'
+        f'<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
         f"{f'<p>{html.escape(entry.beside)}</p>' if entry.beside else ''}"
         f"{f'<p>{html.escape(entry.line)}</p>' if entry.line else ''}</a>"

@@ -108,7 +108,7 @@ def _letters(runs: Sequence[Rollout]) -> list[str]:
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     """Return a page of text: a heading, a line below it, and HTML.
 
-    Cards of an index can be searched and sorted, tables of the class ``sorts`` sorted.
+    Tables of the class ``sorts`` are sorted by a click.
 
     Parameters
     ----------

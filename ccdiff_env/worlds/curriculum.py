@@ -71,8 +71,8 @@ class Curriculum:
         fine = all(low <= high for _, low, high in ranges)
         if not (fine and min(shares, default=-1.0) >= 0.0 and 0.0 < sum(shares) < np.inf):
             raise ConfigError(
-                f"criticality is {strength!r}, expected low <= high, and shares by these, not "
-                "negative"
+                f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "
+                "or shares by these: {0: 0.5, (1, 2): 0.5}"
             )
         return ranges
 

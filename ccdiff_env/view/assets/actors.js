@@ -27,7 +27,6 @@ class Actors {
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
     }
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
-    if (options.pair) this.pair(context, poses, options.pair, theme, pixel);
     for (const agent of [options.focus, options.hover]) {
       const plain = agent === options.focus && this.run.agents[agent]?.driver === "ego";
       if (agent >= 0 && !plain && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
@@ -215,19 +214,6 @@ class Actors {
   /** How far an arrow stays away from the centre of an agent, metres. */
   reach(agent) {
     return Math.min(this.run.agents[agent].width / 2 + 0.4, 1.8);
-  }
-
-  pair(context, poses, pair, theme, pixel) {
-    const p = poses[pair[0]], q = poses[pair[1]];
-    if (!p || !q) return;
-    context.strokeStyle = COLOURS[theme].collision;
-    context.lineWidth = 2.5 * pixel;
-    context.setLineDash([6 * pixel, 4 * pixel]);
-    context.beginPath();
-    context.moveTo(p.x, p.y);
-    context.lineTo(q.x, q.y);
-    context.stroke();
-    context.setLineDash([]);
   }
 
   ring(context, agent, pose, theme, pixel) {

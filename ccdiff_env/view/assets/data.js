@@ -170,16 +170,6 @@ class Run {
     return found;
   }
 
-  /** Time to contact of two agents at every step, seconds; the cap where they do not meet. */
-  pairSeries(a, b) {
-    const out = new Float32Array(this.numSteps).fill(this.ttcCap);
-    const { pairStart, pairA, pairB, pairTtc } = this.a;
-    for (let step = 0; step < this.numSteps; step++)
-      for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
-        if (pairA[k] === a && pairB[k] === b) out[step] = pairTtc[k];
-    return out;
-  }
-
   /** Influences at a step as [from, to, weight]: the plan's graph, else pairs that meet soon. */
   influences(step) {
     const plan = this.planAt(step);

@@ -100,7 +100,7 @@ class Drive {
     this.layers = { trails: true, plans: false, graph: false, labels: true, lanes: true, ghost: false };
     this.headingUp = !matchMedia("(prefers-reduced-motion)").matches;
     this.focus = "ego";
-    this.hover = this.pair = null;
+    this.hover = null;
     this.held = new Set();
     this.panes = this.runs = [];
     this.time = this.before = 0;
@@ -150,7 +150,6 @@ class Drive {
     if (turn !== this.turn) return;
     this.script = script;
     this.keys = [];
-    this.closest = null;
     this.asked = false;
     $("card").hidden = true;
     if (this.raced !== this.key) {
@@ -223,13 +222,6 @@ class Drive {
     this.states = states;
     this.done = done;
     this.info = this.named(info);
-    for (let i = 1; i < run.agents.length; i++) {
-      const at = i * STATE;
-      if (!states[at + 5]) continue;
-      // between circles as wide as the bodies, along three of them: near enough for a figure
-      const distance_m = gap(states, this.size(0), states.subarray(at), this.size(i));
-      if (!this.closest || distance_m < this.closest.distance_m) this.closest = { distance_m, agent: i, step: this.steps };
-    }
   }
 
   /** Figures of a step by name. */
@@ -277,10 +269,9 @@ class Drive {
     $("said").textContent = text;
   }
 
-  /** What became of it, the closest call, and the rivals. */
+  /** What became of it, and the rivals. */
   showCard() {
-    const { closest, results } = this, run = this.runs[0], lines = [];
-    if (closest && !this.info.collision) lines.push(`closest call: ${closest.distance_m.toFixed(1)} m from ${run.agents[closest.agent].title} at ${(closest.step * run.dt).toFixed(1)} s`);
+    const { results } = this, run = this.runs[0], lines = [];
     for (const [name, title] of Object.entries(RIVALS)) {
       const found = results[name];
       if (!found) lines.push(`${title}: still driving`);
@@ -402,18 +393,6 @@ class Drive {
     $("heading").setAttribute("aria-pressed", this.headingUp);
     $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
-}
-
-/** Metres between two bodies, about: between three circles along each. */
-function gap(a, [lengthA, widthA], b, [lengthB, widthB]) {
-  const circles = (s, length, width) => [-1, 0, 1].map((k) => {
-    const along = k * Math.max(length - width, 0) / 2;
-    return [s[0] + along * Math.cos(s[2]), s[1] + along * Math.sin(s[2])];
-  });
-  let least = Infinity;
-  for (const [x, y] of circles(a, lengthA, widthA))
-    for (const [u, v] of circles(b, lengthB, widthB)) least = Math.min(least, Math.hypot(x - u, y - v));
-  return Math.max(least - (widthA + widthB) / 2, 0);
 }
 
 function wireMap(pane, drive) {

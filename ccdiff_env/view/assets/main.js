@@ -1,16 +1,15 @@
 // Start of the page: reads the runs, wires buttons, keys and panels to the player.
 
-// Runs have colours that no driver has; letters and dashes tell them apart, too.
-const CHROME = {
-  light: { track: "#d5dae1", accent: "#0057b8", panel: "#ffffff", faint: "#66707d", text: "#1d242c",
-    runs: ["#1d242c", "#b0006d", "#00707a", "#7a4a12"], flags: flagsOf("light") },
-  dark: { track: "#37414e", accent: "#5aa9ff", panel: "#181e26", faint: "#93a0ae", text: "#e8edf3",
-    runs: ["#e8edf3", "#ff7ac8", "#4fd6e0", "#e0a870"], flags: flagsOf("dark") },
-};
-/** Colours of flags on the time line. */
-function flagsOf(theme) {
+/** Colours of the page by theme, as its style sheet has them. */
+const CHROME = {};
+function chromeOf({ theme }) {
+  const style = getComputedStyle(document.documentElement), of = (name) => style.getPropertyValue(`--${name}`);
   const { collision, goal, ink, "road divider": off_road } = COLOURS[theme];
-  return { collision, goal, off_road, plan: goal, other: ink };
+  return CHROME[theme] ??= {
+    track: of("line"), accent: of("accent"), panel: of("panel"), faint: of("quiet"), text: of("text"),
+    runs: [0, 1, 2, 3].map((run) => of(`run-${run}`)),
+    flags: { collision, goal, off_road, plan: goal, other: ink },
+  };
 }
 
 const PANEL_MS = 80; // panels change no faster than this while playing
@@ -40,7 +39,7 @@ const KEYS = [
   ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
   ["R", "loop", { r: (p) => toggleLoop(p) }],
-  ["I, V", "save a picture, a video", { i: (p) => savePicture(p), v: (p) => window.MediaRecorder && saveClip(p, $("clip")) }],
+  ["I", "save a picture", { i: (p) => savePicture(p) }],
   ["D", "dark or light", { d: (p) => setTheme(p, p.theme === "dark" ? "light" : "dark") }],
   ["S", "panels", { s: (p) => togglePanels(p) }],
   ["?", "this help", { "?": () => $("help").showModal() }],
@@ -50,22 +49,17 @@ async function main() {
   const runs = [];
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
 
-  let timeline = null, figures = null, contacts = null;
+  let timeline = null, figures = null;
   const player = new Player(runs, $("stage"), () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
-  timeline = new Timeline($("timeline"), runs, seek, (event) => player.flags[event.lane]);
+  timeline = new Timeline($("timeline"), runs, seek);
   /** Fill the panels: with what all runs, or one of them, have to tell. */
   const fill = (told) => {
-    for (const id of ["events", "figures", "contacts"]) $(id).replaceChildren();
+    for (const id of ["events", "figures"]) $(id).replaceChildren();
     timeline.runs = told;
     player.told = told;
-    new EventsPanel($("events"), told, player.flags,
-      (run, event) => player.goTo(run, event), () => player.touch());
+    new EventsPanel($("events"), told, (run, event) => player.goTo(run, event));
     figures = new FiguresPanel($("figures"), told, seek);
-    contacts = new ContactPanel($("contacts"), told, (run, pair) => {
-      player.pair = pair && pair.map((agent) => run.agents[agent].id);
-      player.touch();
-    }, (run, pair) => player.showPair(run, pair));
   };
   player.showing = (told) => fill(told);
   fill(runs);
@@ -76,16 +70,15 @@ async function main() {
 
   let shown = 0;
   const update = () => {
-    const chrome = CHROME[player.theme], now = performance.now();
+    const chrome = chromeOf(player), now = performance.now();
     timeline.draw(player.time, chrome);
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
-    said.at(player.time, player.flags);
+    said.at(player.time);
     timeline.speak(player.time);
     figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
-    contacts.draw(player.time, player.focus, chrome);
     showFocus(player);
     showControls(player);
     showLegend(player);
@@ -119,12 +112,12 @@ class Herald {
     this.before = null;
   }
 
-  at(time, flags) {
+  at(time) {
     const before = this.before;
     this.before = time;
     if (before === null || time <= before || time - before > 1) return;
     const now = this.runs.flatMap((run) => run.events.filter((event) =>
-      flags[event.lane] && run.timeOf(event) > before && run.timeOf(event) <= time + 1e-6));
+      flagged(event) && run.timeOf(event) > before && run.timeOf(event) <= time + 1e-6));
     if (now.length) this.node.textContent = now.map((event) => event.text).join("; ");
   }
 }
@@ -149,7 +142,7 @@ function readAddress(player) {
   if (wishes.has("up")) player.headUp(wishes.get("up") === "heading");
   if (wishes.has("loop")) player.loop = wishes.get("loop") === "1";
   document.body.classList.toggle("embed", wishes.get("embed") === "1");
-  if (wishes.get("theme") in CHROME) setTheme(player, wishes.get("theme"));
+  if (wishes.get("theme") in COLOURS) setTheme(player, wishes.get("theme"));
   player.touch();
   return wishes;
 }
@@ -207,8 +200,6 @@ function wireControls(player) {
   $("fit").addEventListener("click", () => player.fit());
   $("loop").addEventListener("click", () => toggleLoop(player));
   $("picture").addEventListener("click", () => savePicture(player));
-  $("clip").addEventListener("click", () => saveClip(player, $("clip")));
-  $("clip").hidden = !window.MediaRecorder;
   $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
   $("panels").addEventListener("click", () => togglePanels(player));
   $("link").addEventListener("click", () => copyLink(player));

@@ -1,27 +1,4 @@
-// Lists and tables of pages without replays: cards that are searched and sorted, tables that a click sorts.
-
-const find = document.getElementById("find"), order = document.getElementById("order");
-const only = document.getElementById("only");
-if (find) {
-  const cards = [...document.querySelectorAll(".card")];
-  const show = () => {
-    const words = find.value.toLowerCase().split(/\s+/);
-    for (const card of cards) {
-      const text = card.textContent.toLowerCase();
-      card.hidden = !words.every((word) => text.includes(word)) || (only.value && card.dataset[only.value] !== "1");
-    }
-    document.getElementById("count").textContent = `${cards.filter((card) => !card.hidden).length} shown`;
-  };
-  const sort = () => {
-    const key = order.value;
-    cards.sort((p, q) => key === "name" ? p.dataset.name.localeCompare(q.dataset.name, undefined, { numeric: true })
-      : q.dataset[key] - p.dataset[key] || p.dataset.name.localeCompare(q.dataset.name, undefined, { numeric: true }));
-    cards[0]?.parentNode.append(...cards);
-  };
-  find.addEventListener("input", show);
-  only.addEventListener("change", show);
-  order.addEventListener("change", sort);
-}
+// Tables that a click sorts.
 
 for (const table of document.querySelectorAll("table.sorts")) {
   // rows that leave their name to the row above keep it when they are sorted

@@ -49,7 +49,6 @@ class Pane {
     this.actors.draw(context, at, {
       layers, theme, pixel,
       focus: this.index(player.focus), hover: this.index(player.hover),
-      pair: player.pair && player.pair.map((id) => this.index(id)),
     });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
@@ -107,14 +106,11 @@ class Player {
     this.theme = "light";
     this.headingUp = false;
     this.loop = false;
-    this.clip = null; // what records a clip, while it does
     this.layers = { ...LAYERS_AT_START };
-    this.flags = { ego: true, guided: true, others: false };
     this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
     this.follow = this.focus;
     this.alone = null; // index of the run that has the stage to itself
     this.hover = null;
-    this.pair = null;
     this.told = runs; // those of which the panels speak
     this.showing = () => {};
     this.changed = changed;
@@ -143,7 +139,6 @@ class Player {
       this.track();
       this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
       this.changed(this);
-      this.clip?.draw();
     }
     requestAnimationFrame((next) => this.frame(next));
   }
@@ -278,19 +273,6 @@ class Player {
     this.touch();
   }
 
-  /** Show two agents of a run close by. */
-  showPair(run, pair) {
-    const poses = pair.map((agent) => run.pose(agent, run.stepAt(this.time)));
-    if (!poses[0] || !poses[1]) return;
-    const [xs, ys] = [poses.map((p) => p.x), poses.map((p) => p.y)];
-    const box = [Math.min(...xs) - 12, Math.min(...ys) - 12, Math.max(...xs) + 12, Math.max(...ys) + 12];
-    this.follow = null;
-    this.headingUp = false;
-    this.focus = run.agents[pair[0]].id;
-    this.camera.fit(box, this.shown.width, this.shown.height);
-    this.touch();
-  }
-
   /** Go to a moment before an event of a run, follow its agent, and play. */
   goTo(run, event) {
     this.seek(Math.max(run.timeOf(event) - LEAD_SECONDS, this.start));
@@ -298,10 +280,10 @@ class Player {
     this.playing = true;
   }
 
-  /** Go to the next event that has a flag (or the one before), two seconds early. */
+  /** Go to the next event with a flag (or the one before), two seconds early. */
   nextEvent(by) {
     const times = this.runs.flatMap((run) => run.events
-      .filter((event) => this.flags[event.lane])
+      .filter(flagged)
       .map((event) => Math.max(run.timeOf(event) - LEAD_SECONDS, this.start)));
     const sorted = [...new Set(times)].sort((a, b) => a - b);
     const next = by > 0 ? sorted.find((t) => t > this.time + 1e-6)

@@ -1,6 +1,4 @@
-// What is seen, as a picture or a clip: the panes on one canvas, with titles, verdicts and the time.
-
-const CLIP_FPS = 30;
+// What is seen, as a picture: the panes on one canvas, with titles, verdicts and the time.
 
 /** The panes as they lie on the screen, drawn onto a canvas. */
 function drawStage(player, canvas) {
@@ -31,49 +29,14 @@ function drawStage(player, canvas) {
   }
 }
 
-/** Give the reader a file. */
-function download(blob, name) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-}
-
-function fileName(player, suffix) {
-  const scene = document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "-");
-  return `${scene}-${(player.time - player.start).toFixed(1)}s.${suffix}`;
-}
-
 function savePicture(player) {
-  const canvas = document.createElement("canvas");
+  const canvas = document.createElement("canvas"), link = document.createElement("a");
+  const scene = document.querySelector("h1").textContent.replace(/[^\w.-]+/g, "-");
   drawStage(player, canvas);
-  canvas.toBlob((blob) => download(blob, fileName(player, "png")), "image/png");
-}
-
-/** Play from here to the end, or from the start, and save what is seen; a second call ends it early. */
-function saveClip(player, button) {
-  if (player.clip) return player.clip.stop();
-  const canvas = document.createElement("canvas"), parts = [], name = fileName(player, "webm");
-  drawStage(player, canvas);
-  const recorder = new MediaRecorder(canvas.captureStream(CLIP_FPS), { videoBitsPerSecond: 6e6 });
-  recorder.addEventListener("dataavailable", (event) => parts.push(event.data));
-  recorder.addEventListener("stop", () => {
-    player.clip = null;
-    button.classList.remove("done");
-    download(new Blob(parts, { type: "video/webm" }), name);
+  link.download = `${scene}-${(player.time - player.start).toFixed(1)}s.png`;
+  canvas.toBlob((blob) => {
+    link.href = URL.createObjectURL(blob);
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
   });
-  player.clip = {
-    stop: () => recorder.state === "recording" && recorder.stop(),
-    draw: () => {
-      drawStage(player, canvas);
-      if (!player.playing) setTimeout(player.clip.stop, 1000); // the verdict can be read
-    },
-  };
-  button.classList.add("done");
-  recorder.start();
-  if (player.time >= player.end - 1e-6) player.seek(player.start);
-  player.loop = false;
-  player.playing = true;
-  player.touch();
 }

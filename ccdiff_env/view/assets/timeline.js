@@ -1,13 +1,15 @@
 // The time line: where we are, and flags where something happens.
 
-const FLAG_HEIGHTS = { ego: 16, guided: 11, others: 7 };
+const FLAG_HEIGHTS = { ego: 16, guided: 11 };
+
+/** Whether an event has a flag: those of others would hide the ego's. */
+const flagged = (event) => event.lane !== "others";
 
 class Timeline {
-  /** seek(time) is called while the user drags; shows(event) says which flags are drawn. */
-  constructor(canvas, runs, seek, shows) {
+  /** seek(time) is called while the user drags. */
+  constructor(canvas, runs, seek) {
     this.canvas = canvas;
     this.runs = runs;
-    this.shows = shows;
     this.start = Math.min(...runs.map((run) => run.start));
     this.end = Math.max(...runs.map((run) => run.end));
     this.seek = seek;
@@ -45,7 +47,7 @@ class Timeline {
     const lines = [`${(time - this.start).toFixed(1)} s`];
     for (const run of this.runs)
       for (const event of run.events)
-        if (this.shows(event) && Math.abs(run.timeOf(event) - time) <= near) lines.push(event.text);
+        if (flagged(event) && Math.abs(run.timeOf(event) - time) <= near) lines.push(event.text);
     return lines.join("\n");
   }
 
@@ -104,7 +106,7 @@ class Timeline {
       context.fillRect(x(run.start + plan.made_at * run.dt) - 1, middle + 5, 2, 4);
     context.globalAlpha = 1;
     for (const event of run.events) {
-      if (!this.shows(event)) continue;
+      if (!flagged(event)) continue;
       const at = x(run.timeOf(event)), high = FLAG_HEIGHTS[event.lane];
       context.fillStyle = colours[event.kind] || colours.other;
       context.fillRect(at - 0.75, middle - high, 1.5, high);
