@@ -67,17 +67,12 @@ def test_markdown_of_reports_becomes_html():
 
 
 def test_pages_need_nothing_else(tmp_path):
-    image, plot, page = (tmp_path / name for name in ("image.png", "plot.svg", "report.html"))
-    image.write_bytes(b"\x89PNG")
+    plot, page = tmp_path / "plot.svg", tmp_path / "report.html"
     plot.write_text('<?xml version="1.0"?>\n<svg width="1"><path d=""/></svg>')
-    images = [("An episode", "replays/a.html", image)]
-    write_report_page(
-        page, title="A & B", line="{line}", plots=[plot], parts={"T": "x", "E": " "}, images=images
-    )
+    write_report_page(page, title="A & B", line="{line}", plots=[plot], parts={"T": "x", "E": " "})
     found = Parts(page.read_text(encoding="utf-8"))
-    assert found.links == ["#t", "replays/a.html"]
+    assert found.links == ["#t"]
     assert all(source.startswith("data:") for source in found.sources)
-    assert len(found.sources) == 2
     assert '<svg role="img" aria-label="plot" width="1">' in page.read_text(encoding="utf-8")
 
 

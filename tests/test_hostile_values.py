@@ -297,17 +297,17 @@ def test_results_of_jobs_are_rows(tmp_path, capsys):
         assert row.name in capsys.readouterr().err
     row.write_text(kept)
     assert main(words) == 0
-    assert page.read_text().count('class="card" href="replays/') == whole.count('class="card"') == 1
+    assert page.read_text().count('href="replays/') == whole.count('href="replays/') > 0
 
 
 def test_pages_run_their_own_script_alone(tmp_path):
     (tmp_path / "a.svg").write_text("<svg onload='alert(1)'><script>alert(2)</script></svg>")
     write_report_page(
-        tmp_path / "r.html", title="t", line="l", plots=[tmp_path / "a.svg"], parts={"x": "y"},
-        images=[(name, name, tmp_path / "none.png") for name in ADDRESSES],
+        tmp_path / "r.html", title="t", line="l", plots=[tmp_path / "a.svg"],
+        parts={"x": " ".join(f"[a]({address})" for address in ADDRESSES)},
     )  # fmt: skip
     report = (tmp_path / "r.html").read_text()
-    assert re.findall(r'class="card" href="([^"]*)"', report) == ["replays/a.html#t=1:0"]
+    assert re.findall(r'<a href="([^"#][^"]*)"', report) == ["replays/a.html#t=1:0"]
     for page in (report, page_html(rollout())):
         (policy,) = re.findall(r"script-src ([^;]*);", page)
         own = page[page.rindex("<script>") + 8 : page.rindex("</script>")]

@@ -92,6 +92,10 @@ def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]
     return figure, axes
 
 
+#: Colour of the text of an SVG that stands by itself.
+_INK = "<style>@media(prefers-color-scheme:dark){:root{color:#e8edf3}}</style>"
+
+
 def save_plot(figure: Figure, path: Path) -> Path:
     """Write a plot as vectors: PDF for papers, SVG for pages, whose text has the page's colour.
 
@@ -106,7 +110,9 @@ def save_plot(figure: Figure, path: Path) -> Path:
     drawn = path.with_suffix(".svg")
     figure.savefig(drawn, transparent=True, metadata={"Date": None})
     plt.close(figure)
-    write_aside(drawn, read_text(drawn).replace("#000000", "currentColor"))
+    head, element, rest = read_text(drawn).replace("#000000", "currentColor").partition("<svg ")
+    attributes, end, rest = rest.partition(">")
+    write_aside(drawn, head + element + attributes + end + _INK + rest)
     return drawn
 
 
