@@ -44,13 +44,9 @@ def test_scenes_and_sets_are_an_image_and_a_table():
     assert text.startswith('<img src="data:image/png;base64,')
     assert "left-turn-00 · ccdiff-town" in text
     table = scenes._repr_html_()
-    assert table.count("<tr>") == 31
+    assert table.count("ccdiff-town") == 30
     assert f"and {len(scenes) - 30} more" in table
-    assert SceneSet([])._repr_html_() == (
-        "<p>0 scenes</p><table><thead><tr><th>name</th><th>location</th><th>seconds</th>"
-        "<th>agents</th><th>vehicles</th></tr></thead><tbody></tbody></table>"
-    )
-    assert scenes.report._repr_html_() == f"<pre>{html.escape(str(scenes.report))}</pre>"
+    assert SceneSet([])._repr_html_().startswith("<pre>0 scenes")
 
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "examples/notebooks").glob("*.ipynb"))

@@ -169,7 +169,8 @@ def run(args: argparse.Namespace) -> int:
             )
         args.criticality = args.criticality or LEVELS
     _settle(args, PLAYED | DRAWN)
-    runs = _runs(args)
+    runs = _played(args) if args.traffic is not None else [_found(args, args.what)]
+    runs += [_found(args, word, like=runs[0].rollout) for word in args.compare]
     suffix = kinds[0] if kinds else "html"
     out = args.out or Path(file_name(runs[0].rollout.scene.name, f".{suffix}"))
     if kinds:
@@ -211,12 +212,6 @@ def _settle(args: argparse.Namespace, options: Mapping[str, Any], refused: str =
             raise ConfigError(f"--{name} {refused}")
         if not refused and given is None:
             setattr(args, name, default)
-
-
-def _runs(args: argparse.Namespace) -> list[Titled]:
-    runs = _played(args) if args.traffic is not None else [_found(args, args.what)]
-    first = runs[0].rollout
-    return runs + [_found(args, word, like=first) for word in args.compare]
 
 
 def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Titled:

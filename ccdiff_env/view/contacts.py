@@ -12,8 +12,6 @@ from ccdiff_env.record.rollout import Rollout, RolloutEvent
 
 TTC_CAP_S = 10.0
 """Pairs that meet later than this are left out."""
-OVERLAP = "overlap"
-"""Kind of the events of :func:`overlaps`."""
 MOVING_MPS = 0.5
 
 
@@ -49,7 +47,7 @@ def contacts(
 
 
 def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
-    """Return where boxes of :func:`contacts` begin to overlap while one of them moves.
+    """Return events ``"overlap"`` where boxes begin to overlap while one of them moves.
 
     In a log this is mostly noise of the annotations.
     """
@@ -61,6 +59,6 @@ def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
         touching = {(int(i), int(j)) for i, j, s in zip(a, b, seconds, strict=True) if s <= 0.0}
         for i, j in sorted(touching - before) if step else ():
             if max(speed[i, step], speed[j, step]) > MOVING_MPS:
-                events.append(RolloutEvent(step, ids[i], ids[j], OVERLAP))
+                events.append(RolloutEvent(step, ids[i], ids[j], "overlap"))
         before = touching
     return tuple(events)

@@ -34,14 +34,12 @@ class Entry:
     line: str
     outcome: Outcome
     images: tuple[str, ...]
-    """Data addresses of the thumbnail on light and on dark ground, or none."""
+    """Data addresses of the thumbnail on light and on dark ground."""
     beside: str = ""
     """What became of the run beside it."""
 
 
-def write_pages(
-    folder: Path, out: Path, *, compare_log: bool = False, thumbnails: bool = True
-) -> list[Path]:
+def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:
     """Write a page for each rollout below a folder, and ``index.html`` that links them.
 
     Parameters
@@ -52,8 +50,6 @@ def write_pages(
         Folder of the pages.
     compare_log
         Show the log of the scene beside each rollout.
-    thumbnails
-        Put an image of each rollout on the index.
 
     Returns
     -------
@@ -85,7 +81,7 @@ def write_pages(
         log = log_rollout(rollout.scene, like=rollout) if compare_log else None
         titles = (name,) if log is None else (name, "log")
         write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
-        entries.append(entry(rollout, name, page.name, image=thumbnails))
+        entries.append(entry(rollout, name, page.name))
         pages.append(page)
     if not pages:
         raise DatasetError(f"no rollout (.npz) below {folder} can be read")
@@ -94,7 +90,7 @@ def write_pages(
     return [index, *pages]
 
 
-def entry(rollout: Rollout, title: str, page: str, *, image: bool = True) -> Entry:
+def entry(rollout: Rollout, title: str, page: str) -> Entry:
     """Return the entry of a rollout, whose page has a name beside the index."""
     fate = outcome(rollout)
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
@@ -103,13 +99,11 @@ def entry(rollout: Rollout, title: str, page: str, *, image: bool = True) -> Ent
         title=title,
         line=subtitle(rollout),
         outcome=fate,
-        images=tuple(_data_address(thumbnail(rollout, moment, theme)) for theme in THEMES)
-        if image
-        else (),
+        images=tuple(_data_address(_thumbnail(rollout, moment, theme)) for theme in THEMES),
     )
 
 
-def thumbnail(rollout: Rollout, opening_s: float | None, theme: str = "light") -> Image:
+def _thumbnail(rollout: Rollout, opening_s: float | None, theme: str) -> Image:
     """The moment that matters, else the middle."""
     video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme)
     last = rollout.num_steps - 1
@@ -163,13 +157,11 @@ def _short(entries: list[Entry]) -> list[Entry]:
 def _card(entry: Entry) -> str:
     fate = entry.outcome
     alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
-    image = ""
-    if entry.images:
-        light, dark = entry.images
-        image = (
-            f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
-            f'<img src="{light}" alt="{alt}" loading="lazy"></picture>'
-        )
+    light, dark = entry.images
+    image = (
+        f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
+        f'<img src="{light}" alt="{alt}" loading="lazy"></picture>'
+    )
     name = html.escape(entry.title, quote=True)
     return (
         f'<a class="card" href="{html.escape(entry.href, quote=True)}">{image}'

@@ -7,7 +7,7 @@ import argparse
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
 from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
-from ccdiff_env.view.notebook import scene_row
+from ccdiff_env.view.notebook import HEADS, scene_row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,6 +18,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a table of the scenes."""
-    heads = ("scene", "location", "seconds", "agents", "vehicles")
-    say(str(Table(heads, [scene_row(scene) for scene in scenes_from(args)])))
+    say(str(Table(HEADS, [scene_row(scene) for scene in scenes_from(args)])))
     return 0

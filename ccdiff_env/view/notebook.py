@@ -1,22 +1,23 @@
-"""What notebooks show of scenes, sets of scenes, reports and rollouts: their ``_repr_html_``."""
+"""What notebooks show of scenes, sets of scenes and rollouts: their ``_repr_html_``."""
 
 from __future__ import annotations
 
 import base64
 import html
 import io
-from collections.abc import Iterable, Sequence
 
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.scenes.load_report import LoadReport
+from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import counted
 
 __all__ = ["install"]
 
 HEIGHT = 560
 """Of the frame that a replay is shown in, pixels."""
+HEADS = ("scene", "location", "seconds", "agents", "vehicles")
+"""Of tables of scenes."""
 ROWS = 30
 """Scenes of a set that are listed, at most."""
 
@@ -26,7 +27,6 @@ def install() -> None:
     Rollout._repr_html_ = rollout_html  # type: ignore[attr-defined]
     Scene._repr_html_ = scene_html  # type: ignore[attr-defined]
     SceneSet._repr_html_ = scene_set_html  # type: ignore[attr-defined]
-    LoadReport._repr_html_ = report_html  # type: ignore[attr-defined]
 
 
 def rollout_html(rollout: Rollout) -> str:
@@ -69,10 +69,9 @@ def scene_line(scene: Scene) -> str:
 
 def scene_set_html(scenes: SceneSet) -> str:
     """Return a table of the scenes."""
-    head = ("name", "location", "seconds", "agents", "vehicles")
-    table = _table(head, (scene_row(scene) for scene in scenes[:ROWS]))
-    more = f"<p>and {len(scenes) - ROWS} more</p>" if len(scenes) > ROWS else ""
-    return f"<p>{counted(len(scenes), 'scene')}</p>{table}{more}"
+    more = f"\nand {len(scenes) - ROWS} more" if len(scenes) > ROWS else ""
+    table = Table(HEADS, [scene_row(scene) for scene in scenes[:ROWS]])
+    return f"<pre>{counted(len(scenes), 'scene')}\n\n{html.escape(str(table))}{more}</pre>"
 
 
 def scene_row(scene: Scene) -> tuple[str, ...]:
@@ -80,17 +79,3 @@ def scene_row(scene: Scene) -> tuple[str, ...]:
     seconds = f"{(scene.num_steps - 1) * scene.dt:.1f}"
     vehicles = scene.agent_types.count("vehicle")
     return scene.name, scene.location, seconds, str(scene.num_agents), str(vehicles)
-
-
-def report_html(report: LoadReport) -> str:
-    """Return the report of a load as it is printed."""
-    return f"<pre>{html.escape(str(report))}</pre>"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], tag: str) -> str:
-        inner = "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells)
-        return f"<tr>{inner}</tr>"
-
-    body = "".join(line(row, "td") for row in rows)
-    return f"<table><thead>{line(head, 'th')}</thead><tbody>{body}</tbody></table>"

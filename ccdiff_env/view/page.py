@@ -74,7 +74,8 @@ def page_html(
     """
     others = [compare] if isinstance(compare, Rollout) else list(compare or ())
     runs = [rollout, *others]
-    names = list(titles) if titles is not None else _letters(runs)
+    letters = [chr(ord("A") + i) for i in range(len(runs))] if others else [rollout.scene.name]
+    names = letters if titles is None else list(titles)
     if len(names) != len(runs):
         raise ConfigError(f"titles: {len(names)} for {len(runs)} runs")
     data = "\n".join(
@@ -96,13 +97,7 @@ def page_html(
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
-    return _page("page.html", parts)
-
-
-def _letters(runs: Sequence[Rollout]) -> list[str]:
-    if len(runs) == 1:
-        return [runs[0].scene.name]
-    return [chr(ord("A") + i) for i in range(len(runs))]
+    return filled_page(part("page.html"), parts)
 
 
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
@@ -121,22 +116,16 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     """
     texts = {"title": html.escape(title), "line": html.escape(line)}
     script = part("plain.js")
-    return _page("plain.html", {**texts, "style": style, "body": body, "script": script})
-
-
-def _page(template: str, parts: Mapping[str, str]) -> str:
-    return filled_page(part(template), parts)
+    parts = {**texts, "style": style, "body": body, "script": script}
+    return filled_page(part("plain.html"), parts)
 
 
 def filled_page(template: str, parts: Mapping[str, str]) -> str:
     """Return a filled template whose own script is the only one that a browser runs."""
     script = f'\n(() => {{\n"use strict";\n{parts["script"]}\n}})();\n'
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return _filled(template, {**parts, "script": script, "policy": f"'sha256-{digest}'"})
-
-
-def _filled(template: str, parts: Mapping[str, str]) -> str:
-    return re.sub(r"\{\{(\w+)\}\}", lambda hole: parts[hole[1]], template)
+    found = {**parts, "script": script, "policy": f"'sha256-{digest}'"}
+    return re.sub(r"\{\{(\w+)\}\}", lambda hole: found[hole[1]], template)
 
 
 def address(

@@ -93,11 +93,6 @@ class Video:
         """Steps that can be drawn."""
         return self._rollout.num_steps
 
-    def frames(self, *, every: int = 1) -> Iterator[render.Image]:
-        """Yield images [H, W, 3] of every n-th step."""
-        for step in range(0, self._rollout.num_steps, every):
-            yield self.frame(step)
-
     @property
     def moment(self) -> int:
         """The step that matters: of a contact, else the middle."""

@@ -65,11 +65,11 @@ class Camera {
 
 /**
  * Mouse, touch and wheel on a canvas.
- * handlers: drag(dx, dy), zoom(factor, x, y), hover(x, y) or hover(null), tap(x, y), doubleTap(x, y).
+ * handlers: drag(dx, dy), zoom(factor, x, y), hover(x, y) or hover(null), tap(x, y).
  */
 function listenToGestures(canvas, handlers) {
   const pointers = new Map();
-  let moved = 0, spread = 0, lastTap = 0;
+  let moved = 0, spread = 0;
 
   const place = (event) => {
     const box = canvas.getBoundingClientRect();
@@ -113,10 +113,7 @@ function listenToGestures(canvas, handlers) {
     if (!pointers.delete(event.pointerId)) return;
     if (event.type !== "pointerup" || moved >= 5 || pointers.size) return;
     const { x, y } = place(event);
-    const now = performance.now();
-    if (now - lastTap < 350) handlers.doubleTap(x, y);
-    else handlers.tap(x, y);
-    lastTap = now;
+    handlers.tap(x, y);
   };
   canvas.addEventListener("pointerup", release);
   canvas.addEventListener("pointercancel", release);

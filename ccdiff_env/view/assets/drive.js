@@ -398,7 +398,7 @@ class Drive {
 function wireMap(pane, drive) {
   const nothing = () => {};
   listenToGestures(pane.canvas, {
-    drag: nothing, hover: nothing, tap: nothing, doubleTap: nothing,
+    drag: nothing, hover: nothing, tap: nothing,
     zoom(factor, x, y) {
       drive.camera.zoom(factor, x, y, pane.width, pane.height, true);
       drive.touch();

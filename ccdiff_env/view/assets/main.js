@@ -32,7 +32,7 @@ const KEYS = [
   ["N", "follow the next agent (shift: the one before)", { n: (p, e) => p.followNext(e.shiftKey ? -1 : 1) }],
   ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
   ["F", "show all, follow nobody", { f: (p) => p.fit() }],
-  ["H", "heading up", { h: (p) => p.toggleHeadingUp() }],
+  ["H", "heading up", { h: (p) => p.headUp(!p.headingUp) }],
   ["+ −", "zoom", { "+": zoomed(1.25), "=": zoomed(1.25), "-": zoomed(0.8) }],
   ["T P G", "trails, plans, causal graph", { t: layer("trails"), p: layer("plans"), g: layer("graph") }],
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
@@ -196,7 +196,7 @@ function wireControls(player) {
   for (const agent of player.runs[0].agents)
     if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
-  $("heading").addEventListener("click", () => player.toggleHeadingUp());
+  $("heading").addEventListener("click", () => player.headUp(!player.headingUp));
   $("fit").addEventListener("click", () => player.fit());
   $("loop").addEventListener("click", () => toggleLoop(player));
   $("picture").addEventListener("click", () => savePicture(player));
@@ -325,12 +325,6 @@ function wirePane(pane, player) {
     },
     tap(x, y) {
       player.choose(pane.find(player.camera, x, y, player.time, 14));
-    },
-    doubleTap(x, y) {
-      const id = pane.find(player.camera, x, y, player.time, 18);
-      if (id !== null) player.followAgent(id);
-      else player.camera.zoom(1.8, x, y, pane.width, pane.height, false);
-      player.touch();
     },
   });
 }

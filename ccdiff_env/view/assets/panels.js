@@ -182,20 +182,12 @@ class EventsPanel {
   constructor(container, runs, goTo) {
     for (const [lane, title] of Object.entries(LANE_TITLES)) {
       const found = runs.flatMap((run, index) => run.events
-        .filter((event) => event.lane === lane).map((event) => ({ run, index, event })));
+        .filter((event) => event.lane === lane && event.kind !== "overlap").map((event) => ({ run, index, event })));
       if (!found.length) continue;
       found.sort((p, q) => p.run.timeOf(p.event) - q.run.timeOf(q.event));
       const list = element("ul", "events");
-      const told = merged(found);
-      const exact = told.filter(({ event }) => event.kind !== "overlap");
-      const noise = told.filter(({ event }) => event.kind === "overlap");
-      list.append(...exact.map((entry) => this.entry(entry, runs.length > 1, goTo)));
+      list.append(...merged(found).map((entry) => this.entry(entry, runs.length > 1, goTo)));
       container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
-      if (!noise.length) continue;
-      const fold = element("details"), rest = element("ul", "events");
-      rest.append(...noise.map((entry) => this.entry(entry, runs.length > 1, goTo)));
-      fold.append(element("summary", "", `overlaps with the log · ${noise.length}`), rest);
-      container.append(fold);
     }
     if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
   }

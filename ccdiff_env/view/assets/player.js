@@ -248,10 +248,6 @@ class Player {
     this.followAgent(there[(at + by + there.length) % there.length]);
   }
 
-  toggleHeadingUp() {
-    this.headUp(!this.headingUp);
-  }
-
   headUp(wanted) {
     this.headingUp = wanted;
     if (!this.headingUp) this.camera.right = 0;
