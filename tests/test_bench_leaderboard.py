@@ -16,7 +16,7 @@ from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env_cli import main
 
 TEN = [0.0, 1.0] * 5
-IDM = "IDM, log's path and speed"
+IDM = "IDM on the log's path"
 MARKED = f"{IDM} †"
 
 

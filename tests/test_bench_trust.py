@@ -463,7 +463,7 @@ def test_differences_are_paired_and_p_is_that_of_all_signs():
     exact = np.mean(np.abs(pairs @ signs) >= abs(pairs.sum()) - 1e-12)
     line = next(line for line in text.splitlines() if line.startswith("| mine "))
     cells = [cell.strip() for cell in line.strip("|").split("|")]
-    assert cells[1] == "IDM, log's path and speed"
+    assert cells[1] == "IDM on the log's path"
     assert cells[2].startswith(f"{pairs.mean():+.3f} [")
     assert float(cells[3]) == pytest.approx(exact, abs=0.02)
     assert (cells[4] == "not significant") == (exact >= 0.05)

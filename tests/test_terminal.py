@@ -49,7 +49,7 @@ WIDE = (
     "Idm is best over all, and this sentence is so long that it would leave a window of eighty.\n\n"
     "| score | Log replay | CCDiff, no guidance | CCDiff, criticality 1 | mean | worst of all |\n"
     "|---|---:|---:|---:|---:|---:|\n"
-    "| IDM, log's path and speed | **0.90 [0.85, 0.95]** | 0.8 [0.75, 0.85] | 0.7 [0.6, 0.8] "
+    "| IDM on the log's path | **0.90 [0.85, 0.95]** | 0.8 [0.75, 0.85] | 0.7 [0.6, 0.8] "
     "| 0.8 [0.7, 0.9] | 0.7 [0.6, 0.8] |\n"
     "| constant velocity | 0.50 [0.45, 0.55] | 0.4 [0.3, 0.5] | 0.3 [0.2, 0.4] | 0.4 | 0.3 |\n"
 )

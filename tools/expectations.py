@@ -48,7 +48,7 @@ SEEDS = range(3)
 OTHERS = {
     "noop": ("zero action", "unicycle"),
     "constant_velocity": ("constant velocity", ""),
-    "idm": ("IDM, log's path and speed", ""),
+    "idm": ("IDM on the log's path", ""),
     "pdm": ("PDM-Closed", ""),
 }
 

@@ -293,10 +293,10 @@ def _grid(kept: dict[str, Any], column: Column) -> str:
 
 def _planner(name: str) -> str:
     """Title of a planner, with a dagger where it uses what a vehicle cannot know."""
-    from ccdiff_env.bench.planner_report import title_of
+    from ccdiff_env.bench.planner_report import short_name
     from ccdiff_env.bench.planners import is_privileged
 
-    return title_of(name) + (" †" if is_privileged(name) else "")
+    return short_name(name) + (" †" if is_privileged(name) else "")
 
 
 def rendered(page: str) -> str:

@@ -76,10 +76,15 @@ def write(folder: Path) -> None:
         # an image that stands still makes a small file
         way_m = played.position[0, : last + 1][played.valid[0, : last + 1]]
         x_m, y_m = (way_m.min(axis=0) + way_m.max(axis=0)) / 2
-        wide_m, high_m = np.ptp(way_m, axis=0)
-        span_m = max(float(wide_m), 2.0 * float(high_m), 50.0) + 40.0
+        short_m, long_m = sorted(map(float, np.ptp(way_m, axis=0)))
+        lies = np.ptp(way_m[:, 0]) > np.ptp(way_m[:, 1])
         video = Video(
-            played, size=SIZE, span_m=span_m, centre_m=(float(x_m), float(y_m)), captions=False
+            played,
+            size=SIZE,
+            span_m=max(long_m, 2.0 * short_m, 30.0) + 40.0,
+            centre_m=(float(x_m), float(y_m)),
+            up_rad=np.pi / 2 if lies else np.pi,
+            captions=False,
         )
         words = _words(played)
         steps = [*range(0, last, 2), *[last] * HOLD]

@@ -149,7 +149,7 @@ def _planners(args: argparse.Namespace) -> int:
         rows,
         files,
         plot_robustness(found, criticality, report.short_name, run.folder / "robustness"),
-        maps=heat_maps(found, pages, source, {p: report.title_of(p) for p in planners}),
+        maps=heat_maps(found, pages, source, {p: report.short_name(p) for p in planners}),
     )
 
 

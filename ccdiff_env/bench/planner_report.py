@@ -35,7 +35,6 @@ __all__ = [
     "parts_tables",
     "short_name",
     "summary",
-    "title_of",
     "verdict",
     "worst_scenes",
     "worst_table",
@@ -68,7 +67,7 @@ _REASONS = {
     "ttc": "close call",
 }
 #: What built-in planners are, where the name alone does not say it.
-_TITLES = {"idm": "IDM, log's path and speed"}
+_TITLES = {"idm": "IDM on the log's path", "replay": "Log replay"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
 #: Scenes with a lower score are listed; others where they have a replay.
@@ -160,7 +159,7 @@ def comparison(
             figure, p = difference(pairs)
             same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
             of = [name.replace("_", " ")] if len(names) > 1 else []
-            rows.append([*of, title_of(planner), title_of(other), figure, p, same])
+            rows.append([*of, short_name(planner), short_name(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
     heads = ["figure"] if len(names) > 1 else []
     count = len(next(iter(scene_means(found[planners[0], t], "score") for t in traffic)))
@@ -215,7 +214,7 @@ def parts_tables(found: Results) -> list[Block]:
         Table(
             ["planner", *columns],
             [
-                [title_of(p), *(mean_interval(found[p, t], part) for part in parts)]
+                [short_name(p), *(mean_interval(found[p, t], part) for part in parts)]
                 for p in planners
             ],
             f"Traffic: {TRAFFIC[t].label}",
@@ -228,12 +227,7 @@ def parts_tables(found: Results) -> list[Block]:
 
 def short_name(planner: str) -> str:
     """Return the name of a planner in words: of a file, its name without the suffix."""
-    return "Log replay" if planner == "replay" else planner_title(planner)
-
-
-def title_of(planner: str) -> str:
-    """Return the title of a planner in the tables of its benchmark."""
-    return _TITLES.get(planner, short_name(planner))
+    return _TITLES.get(planner) or planner_title(planner)
 
 
 def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:
@@ -334,7 +328,7 @@ def summary(
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
         cells = [mean_interval(found[planner, t], "score") for t in traffic]
         mark = " †" if planner in privileged else ""
-        lines.append([title_of(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
+        lines.append([short_name(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
     columns = [*scores, *(Column(name, title) for name, title in ends.items())]
     blocks: list[Block] = [Table(["score", *columns], lines)]
     if privileged:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planner_report import NUPLAN, title_of
+from ccdiff_env.bench.planner_report import NUPLAN, short_name
 from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -191,7 +191,7 @@ class Record:
         A file keeps its suffix: ``pdm.zip`` is none of the package's.
         """
         if result.planner_source is None:
-            return title_of(result.planner)
+            return short_name(result.planner)
         file = re.fullmatch(r"(?:.*/)?([^/:]+)", result.planner)
         return (file[1] if file else result.planner) + ("" if self.code else " (no code)")
 

@@ -40,6 +40,8 @@ class Video:
         Id of the agent in the middle; the first agent (the ego) by default.
     centre_m
         A point (x, y) of the scene in the middle instead, metres: the image stands still.
+    up_rad
+        Direction that points to the top.
     graph
         Draw the edges of the causal graph of the plan in force that reach the followed agent
         within two hops.
@@ -60,6 +62,7 @@ class Video:
         span_m: float = 90.0,
         follow: str | None = None,
         centre_m: tuple[float, float] | None = None,
+        up_rad: float = np.pi / 2,
         graph: bool = False,
         captions: bool = True,
         theme: str = "light",
@@ -69,7 +72,7 @@ class Video:
         if follow not in rollout.agent_ids:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout = rollout
-        self._size, self._span_m = size, span_m
+        self._size, self._span_m, self._up_rad = size, span_m, up_rad
         self._middle = rollout.agent_ids.index(follow)
         self._graph, self._captions, self.theme = graph, captions, theme
         self._title = rollout.scene.name if title is None else title
@@ -156,6 +159,7 @@ class Video:
             size=self._size,
             span_m=self._span_m,
             centre_m=(float(centre[0]), float(centre[1])),
+            up_rad=self._up_rad,
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else (),
             plans=list(self._planned(plan, selected=True)) if plan else (),
