@@ -17,6 +17,7 @@ const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
   lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
 };
+const toggleLoop = (p) => { p.loop = !p.loop; p.touch(); };
 const second = (player) => Math.round(1 / player.step);
 const zoomed = (factor) => (p) => { p.camera.zoom(factor, 0, 0, 0, 0, true); p.touch(); };
 const layer = (name) => (p) => p.toggle(name);
@@ -38,7 +39,7 @@ const KEYS = [
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
   ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
-  ["R", "loop", { r: (p) => toggleLoop(p) }],
+  ["R", "loop", { r: toggleLoop }],
   ["I", "save a picture", { i: (p) => savePicture(p) }],
   ["D", "dark or light", { d: (p) => setTheme(p, p.theme === "dark" ? "light" : "dark") }],
   ["S", "panels", { s: (p) => togglePanels(p) }],
@@ -241,11 +242,6 @@ function wireSlider(player) {
   $("choice").hidden = false;
   document.body.classList.add("sliding");
   choose();
-}
-
-function toggleLoop(player) {
-  player.loop = !player.loop;
-  player.touch();
 }
 
 function togglePanels(player) {
