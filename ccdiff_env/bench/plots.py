@@ -131,7 +131,7 @@ def plot_robustness(
     planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
     if len(names) < 2:
         return None
-    figure, axes = new_plot(7, 4.2)
+    figure, axes = new_plot(5.6, 3.8)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
     ends = []
     for (planner, style), by in zip(styles_of(planners).items(), aside, strict=True):
@@ -172,7 +172,7 @@ def name_ends(
 @_optional
 def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Path) -> Path | None:
     """Draw figures in [0, 1] by method and name as groups of bars with intervals."""
-    figure, axes = new_plot(7, 4.2)
+    figure, axes = new_plot(5.6, 3.8)
     styles, width = styles_of(table), 0.8 / len(table)
     names = list(next(iter(table.values())))
     for i, (method, by_name) in enumerate(table.items()):
@@ -227,7 +227,7 @@ def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> P
     at = {c: (rs, cs) for c, (cs, rs) in pairs.items() if np.isfinite(rs)}
     if not at:  # no road, no realism
         return None
-    figure, axes = new_plot(7, 5.2)
+    figure, axes = new_plot(5.6, 4.6)
     for method, look in styles_of(c.method for c in at).items():
         for j, (line, names) in enumerate(_lines([c for c in at if c.method == method])):
             points = np.array([at[c] for c in line])
