@@ -377,8 +377,9 @@ class Drive {
     const run = this.runs[0], pane = this.panes[0], pose = run.pose(0, run.stepAt(this.time));
     if (pose) {
       this.camera.right = this.headingUp ? pose.heading - Math.PI / 2 : 0;
-      // more of the road ahead than of that behind
-      const ahead = this.headingUp ? 0.18 * pane.height / this.camera.scale : 0;
+      // more of the road ahead than of that behind; on a phone the card lies below what it is about
+      const low = this.outcome && innerWidth <= 760 ? -0.2 : 0.18;
+      const ahead = this.headingUp ? low * pane.height / this.camera.scale : 0;
       this.camera.x = pose.x + ahead * Math.cos(pose.heading);
       this.camera.y = pose.y + ahead * Math.sin(pose.heading);
     }
