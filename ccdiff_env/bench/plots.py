@@ -93,7 +93,9 @@ def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]
 
 
 #: Colour of the text of an SVG that stands by itself.
-_INK = "<style>@media(prefers-color-scheme:dark){:root{color:#e8edf3}}</style>"
+_INK = (
+    "<style>text{fill:currentColor}@media(prefers-color-scheme:dark){:root{color:#e8edf3}}</style>"
+)
 
 
 def save_plot(figure: Figure, path: Path) -> Path:
