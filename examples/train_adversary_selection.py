@@ -1,7 +1,7 @@
 """Learn which vehicle to turn on an ego, when and how strongly; compare with rules.
 
     python examples/train_adversary_selection.py --dataroot <nuscenes> --split train \
-        --test-split val train_val --seeds 3 --test-seeds 5
+        --test-split val train_val --seeds 3 --test-seeds 3
 
 MaskablePPO of sb3-contrib decides once per plan of CCDiff traffic. Guidance is free at first, and
 grows dearer: where it is dear from the beginning, nobody is all that is learned. Policies,
@@ -23,7 +23,7 @@ from sb3_contrib import MaskablePPO
 from ccdiff_env import AdversarySelectionVectorEnv
 from ccdiff_env.bench import selection
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
-from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy, save_policy
+from ccdiff_env.envs.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.table import document
 
@@ -37,34 +37,31 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
-    parser.add_argument("--ego", default="idm", help="planner of the ego")
-    parser.add_argument("--counts", default="all", help="collisions that count, see docs/tasks.md")
-    parser.add_argument("--adversaries", type=int, default=1, help="vehicles that are guided")
-    parser.add_argument("--denoising-steps", type=int, default=1, help="of the traffic, in tests")
-    parser.add_argument("--steps", type=int, default=12_800, help="decisions of each stage")
-    parser.add_argument("--worlds", type=int, default=128)
-    parser.add_argument("--seeds", type=int, default=1, help="policies that are trained")
-    parser.add_argument("--test-seeds", type=int, default=1, help="episodes of each test scene")
-    parser.add_argument("--policies", type=Path, help="folder of policies that are there already")
-    parser.add_argument("--out", type=Path, default=Path("runs/adversary_selection"))
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    add = parser.add_argument
+    add("--ego", default="idm", help="planner of the ego")
+    add("--counts", default="all", help="collisions that count, see docs/tasks.md")
+    add("--adversaries", type=int, default=1, help="vehicles that are guided")
+    add("--avoidable", action="store_true", help="plans leave the ego a way out")
+    add("--denoising-steps", type=int, default=1, help="of the traffic, in tests")
+    add("--steps", type=int, default=12_800, help="decisions of each stage")
+    add("--worlds", type=int, default=128)
+    add("--seeds", type=int, default=1, help="policies that are trained")
+    add("--test-seeds", type=int, default=1, help="episodes of each test scene")
+    add("--policies", type=Path, help="folder of policies that are there already")
+    add("--out", type=Path, default=Path("runs/adversary_selection"))
+    add("--smoke", action="store_true", help="a run of seconds")
     return parser.parse_args()
 
 
-def scene_weights(scenes, options: dict) -> np.ndarray:
-    """Scenes in which the ego can be hit come oftener."""
-    everybody = selection.traffics("all", "4", 4.0, num_guided=None)
-    hits = selection.play(scenes, everybody, seeds=(0, 1), **options)["is_success"]
-    return 0.5 + 2.0 * np.array(hits)
-
-
-def train(args: argparse.Namespace, scenes, options: dict, weights, seed: int) -> None:
+def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int) -> None:
     """Train one policy in stages."""
     env = AdversarySelectionVectorEnv(args.worlds, scenes=scenes, num_threads=1, **options)
-    env.worlds.set_scene_weights(weights)
+    # scenes in which the ego can be hit come oftener
+    everybody = selection.traffics("all", "4", 4.0, num_guided=None)
+    hits = selection.play(scenes, everybody, seeds=(0, 1), **options)["is_success"]
+    env.worlds.set_scene_weights(0.5 + 2.0 * np.array(hits))
     per_episode = max(env.worlds.config.horizon_steps // env.decision_steps, 1)
-    stages = len(SHIFT_COSTS)
-    curve, begun, stage = [], time.process_time(), 0
+    stages, curve, begun, stage = len(SHIFT_COSTS), [], time.process_time(), 0
     model = MaskablePPO(
         CandidatePolicy,
         SelectionSB3VecEnv(env),
@@ -78,33 +75,18 @@ def train(args: argparse.Namespace, scenes, options: dict, weights, seed: int) -
         seed=seed * SEED_STRIDE,
         device="cpu",
     )
-    for stage, cost in enumerate(SHIFT_COSTS):
-        env.shift_cost = cost
+    print(f"policy {seed}: decisions, cost, share of the latest episodes with a collision")
+    for stage, env.shift_cost in enumerate(SHIFT_COSTS):
         model.learn(args.steps)
-        curve.append([(stage + 1) * args.steps, cost, float(np.mean(model.ep_success_buffer))])
+        hit = float(np.mean(model.ep_success_buffer))
+        curve.append([(stage + 1) * args.steps, env.shift_cost, hit])
+        print(curve[-1], flush=True)
     seconds = time.process_time() - begun
-    print(
-        f"policy {seed}: decisions, cost, share of the latest episodes with a collision",
-        *curve,
-        f"{seconds:.0f} s of a processor, {curve[-1][0] / seconds:.0f} decisions a second",
-        sep="\n",
-        flush=True,
-    )
-    (args.policies / f"curve-{seed}.json").write_text(json.dumps(curve))
+    print(f"{seconds:.0f} s of a processor, {curve[-1][0] / seconds:.0f} decisions a second")
+    path.with_name(f"curve-{seed}.json").write_text(json.dumps(curve))
     notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
-    save_policy(model, args.policies / f"policy-{seed}.safetensors", env.strengths, notes)
-    model.save(args.policies / f"policy-{seed}.zip")
-
-
-def learned(path: Path) -> selection.Choice:
-    """What a policy chooses; traffic chooses the same by its ``adversary_policy``."""
-    model = MaskablePPO.load(path, device="cpu")
-
-    def choose(env: AdversarySelectionVectorEnv):
-        obs, masks = env.observation(), env.action_masks()
-        return env.chosen(model.predict(obs, action_masks=masks, deterministic=True)[0])
-
-    return selection.Choice("learned", path.stem, choose)
+    save_policy(model, path.with_suffix(".safetensors"), env.strengths, **notes)
+    model.save(path)
 
 
 def main() -> None:
@@ -112,34 +94,29 @@ def main() -> None:
     torch.set_num_threads(1)
     scenes, unseen = scenes_from(args), scenes_from(args, other=True)
     options = {"ego": args.ego, "counts": args.counts, "num_adversaries": args.adversaries}
+    avoidable = {"avoidable_only": True} if args.avoidable else {}
     if args.smoke:
         args.steps, args.worlds, scenes, unseen = 16, 4, scenes[:2], unseen[:1]
     args.out.mkdir(parents=True, exist_ok=True)
-    args.policies = args.policies or args.out
-    paths = [args.policies / f"policy-{seed}.zip" for seed in range(args.seeds)]
-    untrained = [seed for seed, path in enumerate(paths) if not path.exists()]
-    if untrained:
-        fast = {**options, "ccdiff": {"plan_radius_m": 40.0}}
-        weights = scene_weights(scenes, fast)
-        for seed in untrained:
-            train(args, scenes, fast, weights, seed)
-    options["ccdiff"] = {"denoising_steps": args.denoising_steps}
-    file = args.out / "played.json"
+    paths = [(args.policies or args.out) / f"policy-{seed}.zip" for seed in range(args.seeds)]
+    for seed, path in enumerate(paths):
+        if not path.exists():
+            ccdiff = {"plan_radius_m": 40.0, **avoidable}
+            train(args, scenes, {**options, "ccdiff": ccdiff}, path, seed)
+    options["ccdiff"] = {"denoising_steps": args.denoising_steps, **avoidable}
+    file, seeds = args.out / "played.json", range(args.test_seeds)
     played = json.loads(file.read_text()) if file.exists() else {}
-    rules = [*selection.rivals(), *selection.gated(scenes, **options)]
-    if args.adversaries == 1:
-        rules.append(selection.forks())
-    for choice in [*rules[:: 8 if args.smoke else 1], *map(learned, paths)]:
+    choices = selection.rivals(forks=args.adversaries == 1) + selection.gated(scenes, **options)
+    models = [selection.learned(MaskablePPO.load(path, device="cpu"), path.stem) for path in paths]
+    for choice in [*choices[:: 8 if args.smoke else 1], *models]:
         points = played.setdefault(choice.line, {})
         if choice.point not in points:
-            seeds = range(args.test_seeds)
             points[choice.point] = selection.play(unseen, choice, seeds=seeds, **options)
             file.write_text(json.dumps(played))
-    text = document(
-        f"{len(unseen)} scenes that no training saw, {args.test_seeds} episodes of each, "
-        f"ego {args.ego}.",
-        *selection.table(played),
+    title = (
+        f"{len(unseen)} scenes that no training saw, {len(seeds)} episodes of each, ego {args.ego}."
     )
+    text = document(title, *selection.table(played))
     (args.out / "table.md").write_text(text)
     selection.plot(played, args.out / "tradeoff.png", ego=args.ego)
     print(text)

@@ -9,7 +9,7 @@ from sb3_contrib import MaskablePPO
 
 from ccdiff_env import AdversarySelectionVectorEnv, EgoVectorEnv
 from ccdiff_env.envs.sb3 import SB3VecEnv, SelectionSB3VecEnv
-from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy
+from ccdiff_env.envs.selection_policy import CandidatePolicy
 
 QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}
 

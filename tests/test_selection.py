@@ -17,25 +17,24 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import ccdiff_env
-from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv
+from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv, errors
 from ccdiff_env.bench import selection
-from ccdiff_env.envs.sb3 import SB3VecEnv, SelectionSB3VecEnv
-from ccdiff_env.envs.selection import FEATURES, fork_actions, rule_actions
-from ccdiff_env.envs.selection.sb3_policy import CandidatePolicy, save_policy
-from ccdiff_env.envs.selection.vector import SCALES
-from ccdiff_env.errors import (
-    ActionError,
-    CheckpointError,
-    ConfigError,
-    DatasetNotFoundError,
-    ResetNeededError,
-    ShapeError,
-)
+from ccdiff_env.bench.selection import fork_actions, rule_actions
+from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
+from ccdiff_env.envs.selection import FEATURES, SCALES
+from ccdiff_env.envs.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view import render
 
-ID = "ccdiff_env/AdversarySelection-v0"
 QUICK = {"ccdiff": {"replan_steps": 5}, "horizon_steps": 40}
+BLIND = {"ego": "constant_velocity", "on_off_road": "ignore", "terminate_at_goal": False}
+
+
+@pytest.fixture
+def vector(scenes):
+    return lambda num=1, **options: AdversarySelectionVectorEnv(
+        num, scenes=scenes, **{**QUICK, **options}
+    )
 
 
 def column(obs, name):
@@ -44,12 +43,13 @@ def column(obs, name):
 
 
 def test_gymnasiums_and_sb3s_checkers_pass(scenes):
-    check_env(gymnasium.make(ID, scenes=scenes, **QUICK).unwrapped, skip_render_check=True)
+    made = gymnasium.make("ccdiff_env/AdversarySelection-v0", scenes=scenes, **QUICK)
+    check_env(made.unwrapped, skip_render_check=True)
     sb3_check_env(AdversarySelectionEnv(scenes=scenes, **QUICK), warn=False)
 
 
-def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(scenes):
-    env = AdversarySelectionVectorEnv(len(scenes), scenes=scenes, max_candidates=4, **QUICK)
+def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(vector, scenes):
+    env = vector(len(scenes), max_candidates=4)
     obs, _ = env.reset(seed=3)
     assert env.observation_space.contains(obs)
     for e, row in enumerate(obs):
@@ -60,27 +60,26 @@ def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(scenes):
         logs = zip(scene.tracks()["position"], scene.tracks()["valid"], strict=True)
         moves = [bool(v.any()) and np.ptp(p[v], axis=0).max() > 1.5 for p, v in logs]
         cars = [kind == "vehicle" for kind in scene.agent_types]
-        there = np.flatnonzero(states["active"] & moves & cars)
-        gaps = {int(i): float(np.hypot(*(at[i] - at[0]))) for i in there if i}
-        nearest = sorted(gaps, key=gaps.__getitem__)[:4]
+        gaps = np.hypot(*(at - at[0]).T)
+        there = np.flatnonzero(states["active"] & moves & cars & (np.arange(len(at)) > 0))
+        nearest = sorted(there.tolist(), key=gaps.__getitem__)[:4]
         assert env.candidates[e] == nearest
         assert (column(row, "present") == (np.arange(4) < len(nearest))).all()
         assert (row[len(nearest) :, : FEATURES.index("ego_speed")] == 0.0).all()
         route = np.asarray(native.route(e, 0)[0])
         lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(route, axis=0).T))])
-        fine = np.linspace(0.0, lengths[-1], 4000)
 
         def along(places, route=route, lengths=lengths):
             return np.stack([np.interp(places, lengths, route[:, k]) for k in (0, 1)], axis=1)
 
+        fine = np.linspace(0.0, lengths[-1], 4000)
         start = fine[np.hypot(*(along(fine) - at[0]).T).argmin()]
         times, ahead = np.arange(9) * 0.5, start + 4.0 * np.arange(11)
         ego = along(start + max(float(states["speed"][0]), 0.0) * times)
         for seen, i in zip(row, nearest, strict=False):
             closing = turn @ (velocity[i] - velocity[0])
-            assert column(seen, "velocity_x") == pytest.approx(closing[0], abs=1e-4)
-            assert column(seen, "velocity_y") == pytest.approx(closing[1], abs=1e-4)
-            assert column(seen, "distance") == pytest.approx(min(gaps[i], 50.0), abs=1e-4)
+            found = [column(seen, name) for name in ("velocity_x", "velocity_y", "distance")]
+            assert found == pytest.approx([*closing, min(gaps[i], 50.0)], abs=1e-4)
             heading = float(states["heading"][i]) - angle
             assert column(seen, "sin_heading") == pytest.approx(np.sin(heading), abs=1e-5)
             approach = np.hypot(*(at[i] + times[:, None] * velocity[i] - ego).T).min()
@@ -89,38 +88,32 @@ def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(scenes):
             assert column(seen, "route_distance") == pytest.approx(min(from_route, 20.0), abs=0.15)
 
 
-def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(scenes):
+def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(vector, scenes):
     drawing = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
     env = AdversarySelectionEnv(
         scenes=scenes, render_mode="rgb_array", render_options=drawing, **QUICK
     )
 
-    def shows_an_adversary():
-        return (env.render() == render.legend()["adversary"]).all(axis=-1).any()
-
-    shifts = []
-    for strength in range(3):
-        found = []
-        for seed in range(4):
-            _, info = env.reset(seed=seed)
-            _, reward, *_, after = env.step(strength)
-            assert after["adversary"] == info["agent_ids"][0]
-            assert (after["guided"], after["steps"]) == (1.0, 5.0)
-            plan = env.worlds.explain(0)
-            guided = [env.scene.agent_ids[i] for i in plan.agents[plan.guided]]
-            assert guided == [after["adversary"]]
-            expected = after["collisions"] - 0.03 * after["shift_sigmas"]
-            assert reward == pytest.approx(expected, abs=1e-6)
-            found.append(after["shift_sigmas"])
-            assert shows_an_adversary()
-        shifts.append(np.mean(found))
-    assert 0.0 < shifts[0] < shifts[1] < shifts[2]
-    for action in (int(env.action_space.n) - 1, *np.flatnonzero(~env.action_masks())[:1]):
-        env.reset(seed=0)
+    def played(action, seed):
+        """Reward, info and whether the image shows an adversary."""
+        _, info = env.reset(seed=seed)
         _, reward, *_, after = env.step(action)
-        assert (reward, after["adversary"], after["guided"]) == (0.0, None, 0.0)
-        assert not shows_an_adversary()
-    two = AdversarySelectionVectorEnv(1, scenes=scenes, num_adversaries=2, **QUICK)
+        shown = (env.render() == render.legend()["adversary"]).all(axis=-1).any()
+        return reward, info["agent_ids"], after, shown
+
+    shifts = np.zeros((3, 4))
+    for strength, seed in np.ndindex(3, 4):
+        reward, ids, after, shown = played(strength, seed)
+        assert (after["adversary"], after["guided"], after["steps"], shown) == (ids[0], 1, 5, True)
+        plan = env.worlds.explain(0)
+        assert [env.scene.agent_ids[i] for i in plan.agents[plan.guided]] == [ids[0]]
+        assert reward == pytest.approx(after["collisions"] - 0.03 * after["shift_sigmas"], abs=1e-6)
+        shifts[strength, seed] = after["shift_sigmas"]
+    assert 0.0 < shifts[0].mean() < shifts[1].mean() < shifts[2].mean()
+    for action in (int(env.action_space.n) - 1, *np.flatnonzero(~env.action_masks())[:1]):
+        reward, _, after, shown = played(action, 0)
+        assert (reward, after["adversary"], after["guided"], shown) == (0.0, None, 0.0, False)
+    two = vector(num_adversaries=2)
     obs, _ = two.reset(seed=0)
     row = two.candidates[0]
     two.step([3])
@@ -132,18 +125,16 @@ def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(sc
 
 def test_collisions_count_as_asked(scenes):
     """An ego that does not look meets the strongest guidance."""
-    blind = {"ego": "constant_velocity", "on_off_road": "ignore", "terminate_at_goal": False}
     strong = selection.Choice(
         "", "", lambda env: env.chosen(rule_actions(env, "approach")), {"strengths": (8.0,)}
     )
     found = {
-        counts: selection.play(scenes, strong, counts=counts, **blind, **QUICK)
-        for counts in ("all", "ego_at_fault", "avoidable")
+        counts: selection.play(scenes, strong, counts=counts, **BLIND, **QUICK)
+        for counts in ("all", "ego_at_fault")
     }
     hits, at_fault = (np.array(found["all"][name]) for name in ("collisions", "ego_at_fault"))
     assert hits.sum() > 0
     assert found["ego_at_fault"]["collisions"] == (hits * at_fault).tolist()
-    assert (np.array(found["avoidable"]["collisions"]) <= hits).all()
 
 
 def test_worlds_of_the_vector_form_and_copies_run_as_single_ones(scenes):
@@ -151,28 +142,26 @@ def test_worlds_of_the_vector_form_and_copies_run_as_single_ones(scenes):
     many = AdversarySelectionVectorEnv(3, **options)
     alone = [AdversarySelectionEnv(**options) for _ in range(3)]
     obs, infos = many.reset(seed=7)
-    for i, env in enumerate(alone):
-        seen, said = env.reset(seed=7 + i)
-        assert said["scene"] == infos["scene"][i]
-        assert (seen == obs[i]).all()
+    begun = [env.reset(seed=7 + i) for i, env in enumerate(alone)]
+    assert [info["scene"] for _, info in begun] == infos["scene"].tolist()
+    assert (np.stack([seen for seen, _ in begun]) == obs).all()
     many.action_space.seed(0)
     ends = 0
     for decision in range(14):
         if decision == 5:
             many, alone = pickle.loads(pickle.dumps(many)), copy.deepcopy(alone)
         actions, masks = many.action_space.sample(), many.action_masks()
-        obs, rewards, terminated, truncated, infos = many.step(actions)
+        obs, *results, infos = many.step(actions)
         for i, env in enumerate(alone):
             assert (env.action_masks() == masks[i]).all()
-            seen, reward, dead, cut, said = env.step(actions[i])
-            assert rewards[i] == reward
-            assert (terminated[i], truncated[i]) == (dead, cut)
-            if dead or cut:
+            seen, *result, said = env.step(actions[i])
+            assert result == [of[i] for of in results]
+            if result[1]:
                 ends += 1
                 assert (seen == infos["final_obs"][i]).all()
                 metrics = infos["final_info"]["metrics"]
                 assert said["metrics"] == {name: metrics[name][i] for name in said["metrics"]}
-                with pytest.raises(ResetNeededError):
+                with pytest.raises(errors.ResetNeededError):
                     env.step(0)
                 seen, _ = env.reset()
             else:
@@ -181,33 +170,28 @@ def test_worlds_of_the_vector_form_and_copies_run_as_single_ones(scenes):
     assert ends > 2
 
 
-def test_rules_choose_what_their_names_say(scenes):
-    env = AdversarySelectionVectorEnv(6, scenes=scenes, **QUICK)
+def test_rules_choose_what_their_names_say(vector):
+    env = vector(6)
     obs, _ = env.reset(seed=2)
     there = column(obs, "present") > 0.5
     some = there.any(axis=1)
-    rows = {n: rule_actions(env, n, strength=1) for n in ("nearest", "ttc", "approach")}
-    for name, found in rows.items():
-        assert (found[~some] == env.nobody).all()
-        assert (found[some] % 3 == 1).all(), name
-    assert (rows["nearest"][some] // 3 == 0).all()
     gaps = np.where(there, column(obs, "approach"), np.inf)
-    assert (rows["approach"][some] // 3 == gaps[some].argmin(axis=1)).all()
     soonest = np.where(there, column(obs, "ttc"), -1.0)
-    assert (rows["ttc"][some] // 3 == soonest[some].argmax(axis=1)).all()
+    rows = {"nearest": np.zeros(6), "ttc": soonest.argmax(1), "approach": gaps.argmin(1)}
+    for name, row in rows.items():
+        assert (rule_actions(env, name) == np.where(some, 3 * row + 2, env.nobody)).all(), name
     gate = rule_actions(env, "approach", gate_m=6.0)
     assert ((gate != env.nobody) == (some & (gaps.min(axis=1) <= 6.0))).all()
     assert (rule_actions(env, "none") == env.nobody).all()
     draws = [rule_actions(env, "random", seed=seed).tolist() for seed in (1, 1, 2)]
     assert draws[0] == draws[1] != draws[2]
-    with pytest.raises(ConfigError, match="nearest"):
+    with pytest.raises(errors.ConfigError, match="nearest"):
         rule_actions(env, "crystal ball")
 
 
-def test_forks_choose_the_weakest_that_makes_contact_and_change_nothing(scenes):
-    env = AdversarySelectionVectorEnv(
-        len(scenes), scenes=scenes, ego="constant_velocity", max_candidates=3, strengths=(0.1, 6.0)
-    )
+def test_forks_choose_the_weakest_that_makes_contact_and_change_nothing(vector, scenes):
+    few = {"max_candidates": 3, "strengths": (0.1, 6.0), "ccdiff": {}, "horizon_steps": 100}
+    env = vector(len(scenes), ego="constant_velocity", **few)
     env.reset(seed=0, options={"scene": list(range(len(scenes)))})
     hits = 0
     while not env.ended.all():
@@ -215,41 +199,42 @@ def test_forks_choose_the_weakest_that_makes_contact_and_change_nothing(scenes):
         found = fork_actions(env, 1)
         assert [env.ego.snapshot(e) for e in range(len(scenes))] == before
         chose = (found != env.nobody) & ~env.ended
-        _, table = env.decide(env.chosen(found))
+        _, figures = env.decide(env.chosen(found))
         # a fork that made contact is what happens where it is chosen
-        assert (table["collisions"][chose] == 1.0).all()
+        assert (figures["collisions"][chose] == 1.0).all()
         hits += chose.sum()
     assert hits > 0
 
 
-def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path):
+@pytest.fixture
+def policy(vector, tmp_path):
+    """A policy after two updates, and its file."""
     torch.manual_seed(0)
-    env = SelectionSB3VecEnv(AdversarySelectionVectorEnv(4, scenes=scenes, **QUICK))
-    assert is_masking_supported(env)
-    PPO("MlpPolicy", env, n_steps=8, batch_size=16, n_epochs=1, seed=0).learn(32)
+    env = SelectionSB3VecEnv(vector(4))
     model = MaskablePPO(CandidatePolicy, env, n_steps=8, batch_size=16, n_epochs=1, seed=0)
     model.learn(64)
-    action, _ = model.predict(env.reset(), action_masks=get_action_masks(env))
-    assert get_action_masks(env)[np.arange(4), action].all()
-    model.save(tmp_path / "policy.zip")
-    model = MaskablePPO.load(tmp_path / "policy.zip")
     save_policy(model, tmp_path / "policy.safetensors", env.env.strengths)
+    return model, tmp_path / "policy.safetensors"
 
-    def in_torch(env):
-        masks = env.action_masks()
-        return env.chosen(
-            model.predict(env.observation(), action_masks=masks, deterministic=True)[0]
-        )
 
-    native = selection.traffics("", "", adversary_policy=str(tmp_path / "policy.safetensors"))
-    played = [selection.play(scenes, one) for one in (selection.Choice("", "", in_torch), native)]
+def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path, policy):
+    model, path = policy
+    env = model.get_env()
+    assert is_masking_supported(env)
+    masks = get_action_masks(env)
+    action, _ = model.predict(env.reset(), action_masks=masks)
+    assert masks[np.arange(4), action].all()
+    PPO("MlpPolicy", env, n_steps=8, batch_size=16, n_epochs=1, seed=0).learn(32)
+    model.save(tmp_path / "policy.zip")
+    loaded = selection.learned(MaskablePPO.load(tmp_path / "policy.zip"), "")
+    native = selection.traffics("", "", adversary_policy=str(path))
+    played = [selection.play(scenes, one) for one in (loaded, native)]
     assert played[0] == played[1]
     assert sum(played[0]["mean_shift_sigmas"]) > 0.0
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
+def test_damaged_policy_files_are_refused(tmp_path, policy):
+    for change, named in (
         (lambda t, h: t.pop("row.0.bias"), "row.0.bias"),
         (lambda t, h: t.update({"head.2.weight": t["head.2.weight"][:1]}), "head.2.weight"),
         (lambda t, h: t.update({"more": t["row.0.bias"]}), "more"),
@@ -257,19 +242,15 @@ def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path):
         (lambda t, h: h.update(strengths=[-1.0]), "strengths"),
         (lambda t, h: h.update(max_candidates=10**9), "strengths"),
         (lambda t, h: h.update(kind="ccdiff"), "kind"),
-    ],
-)
-def test_damaged_policy_files_are_refused(scenes, tmp_path, change, named):
-    env = SelectionSB3VecEnv(AdversarySelectionVectorEnv(1, scenes=scenes, **QUICK))
-    path = tmp_path / "policy.safetensors"
-    save_policy(MaskablePPO(CandidatePolicy, env, seed=0), path, (1.0, 2.0, 4.0))
-    tensors, metadata = read_tensors(path)
-    header = json.loads(metadata["ccdiff_env"])
-    change(tensors, header)
-    write_tensors(path, tensors, {"ccdiff_env": json.dumps(header)})
-    with pytest.raises(CheckpointError, match=named):
-        ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={"adversary_policy": str(path)})
-    with pytest.raises(DatasetNotFoundError, match="none"):
+    ):
+        tensors, metadata = read_tensors(policy[1])
+        header = json.loads(metadata["ccdiff_env"])
+        change(tensors, header)
+        path = tmp_path / "damaged.safetensors"
+        write_tensors(path, tensors, {"ccdiff_env": json.dumps(header)})
+        with pytest.raises(errors.CheckpointError, match=named):
+            ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={"adversary_policy": str(path)})
+    with pytest.raises(errors.DatasetNotFoundError, match="none"):
         ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={"adversary_policy": "none.safetensors"})
 
 
@@ -285,51 +266,37 @@ def test_shares_at_an_equal_shift_lie_on_the_line_between_points(monkeypatch, sc
     monkeypatch.setattr(
         selection, "play", lambda _, choice, **__: figures(*found.get(choice.point, (9.0, 0.0)))
     )
-    assert [choice.point for choice in selection.gated(scenes)] == [
-        "4 within 5 m", "4 within 30 m"
-    ]  # fmt: skip
+    kept = [choice.point for choice in selection.gated(scenes)]
+    assert kept == ["4 within 5 m", "4 within 30 m"]
 
 
-def test_models_and_paths_drive_the_ego_too(scenes, tmp_path):
-    train = ccdiff_env.make_vec(2, scenes=scenes, autoreset_mode="same_step")
-    model = PPO("MlpPolicy", SB3VecEnv(train), n_steps=8, batch_size=8, seed=0)
-    model.save(tmp_path / "ego.zip")
-    found = []
-    for ego in (model, tmp_path / "ego.zip", str(tmp_path / "ego.zip")):
-        env = AdversarySelectionEnv(scenes=scenes, ego=ego, **QUICK)
-        env.reset(seed=0)
-        found.append(env.step(0)[0].tolist())
-    assert found[0] == found[1] == found[2]
-
-
-def test_mistakes_are_named(scenes):
-    for options in (
-        {"max_candidates": 0},
-        {"max_candidates": 2.0},
-        {"num_adversaries": 0},
-        {"strengths": ()},
-        {"strengths": (1e9,)},
-        {"counts": "everything"},
-        {"shift_cost": float("nan")},
-        {"driver": "idm"},
-        {"controlled": "any"},
-        {"ego": "robot"},
-        {"traffic": "replay"},
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_candidates": 0}, {"max_candidates": 2.0}, {"num_adversaries": 0}, {"strengths": ()},
+        {"strengths": (1e9,)}, {"counts": "everything"}, {"shift_cost": float("nan")},
+        {"driver": "idm"}, {"controlled": "any"}, {"ego": "robot"}, {"traffic": "replay"},
         {"traffic": "idm"},
-    ):
-        with pytest.raises(ConfigError):
-            AdversarySelectionEnv(scenes=scenes, **options)
-    env = AdversarySelectionVectorEnv(2, scenes=scenes, **QUICK)
-    with pytest.raises(ResetNeededError):
+    ],
+    ids=str,
+)  # fmt: skip
+def test_options_that_cannot_be_had_are_refused(scenes, options):
+    with pytest.raises(errors.ConfigError):
+        AdversarySelectionEnv(scenes=scenes, **options)
+
+
+def test_actions_that_do_not_fit_are_refused(vector):
+    env = vector(2)
+    with pytest.raises(errors.ResetNeededError):
         env.step(np.zeros(2, np.int64))
     env.reset(seed=0)
     for actions in ([0], [[0, 0]]):
-        with pytest.raises(ShapeError):
+        with pytest.raises(errors.ShapeError):
             env.step(actions)
     for actions in ([0, env.single_action_space.n], [-1, 0], [0.0, 1.0]):
-        with pytest.raises(ActionError):
+        with pytest.raises(errors.ActionError):
             env.step(actions)
-    tokens = AdversarySelectionVectorEnv(1, scenes=scenes, traffic="tokens")
+    tokens = vector(traffic="tokens")
     tokens.reset(seed=0)
-    with pytest.raises(ConfigError, match="denoises"):
+    with pytest.raises(errors.ConfigError, match="denoises"):
         tokens.step([0])

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
-from ccdiff_env.envs.selection.vector import INFO_COLUMNS
+from ccdiff_env.envs.selection import INFO_COLUMNS
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
@@ -48,14 +48,10 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
 
 
 def _observation() -> str:
-    features = json.loads(_native.candidate_features_json())["features"]
+    _, features = json.loads(_native.candidate_features_json())
     rows = (
-        (
-            f"`{f['name']}`",
-            f"{f['doc']} ({f['unit']})" if f["unit"] else f["doc"],
-            f"{f['scale']:g}",
-        )
-        for f in features
+        (f"`{name}`", f"{doc} ({unit})" if unit else doc, f"{scale:g}")
+        for name, unit, scale, doc in features
     )
     return _table(("column", "what", "divided by"), rows)
 

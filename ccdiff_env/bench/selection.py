@@ -8,8 +8,9 @@ policies is the same of their means. Gates of the closest approach are chosen on
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,17 +19,68 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import difference
 from ccdiff_env.bench.plots import new_plot, save_plot
-from ccdiff_env.envs.selection import AdversarySelectionVectorEnv, fork_actions, rule_actions
+from ccdiff_env.envs.selection import FEATURES, SCALES, AdversarySelectionVectorEnv
+from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.table import Column, Table, TableRows
 
-__all__ = ["Choice", "gated", "play", "plot", "rivals", "table", "traffics"]
+__all__ = [
+    "RULES", "Choice", "fork_actions", "gated", "learned", "play", "plot", "rivals",
+    "rule_actions", "table", "traffics",
+]  # fmt: skip
 
 #: Figures by name, a number for each scene: means over seeds.
 Figures = Mapping[str, Sequence[float]]
+#: Rules that take the vehicle of the greatest value, and its column and sign: the nearest to the
+#: ego, the soonest contact with it, and the closest approach in the coming 4 s at constant
+#: velocity, the ego along its route. Others are nobody and chance.
+RANKED = {"nearest": ("distance", -1.0), "ttc": ("ttc", 1.0), "approach": ("approach", -1.0)}
+RULES = ("none", "random", *RANKED)
 #: Strengths at which rules are measured; gates of the closest approach that are tried, metres.
 RULE_STRENGTHS = (1.0, 2.0, 3.0, 4.0)
 GATES_M = (3.0, 5.0, 7.0, 10.0, 15.0, 30.0)
+
+
+def rule_actions(
+    env: AdversarySelectionVectorEnv, rule: str, *, gate_m: float = np.inf, seed: int = 0
+) -> npt.NDArray[np.int64]:
+    """Return what one of :data:`RULES` chooses in each world [E], at the last of the strengths.
+
+    Nobody where the closest approach of the vehicle found is farther than ``gate_m``, metres;
+    ``seed`` is for ``"random"``. Another rule raises :class:`.ConfigError`.
+    """
+    if rule not in RULES:
+        raise unknown("rule", rule, RULES)
+    obs, there = env.obs, env.action_masks()[:, : -1 : len(env.strengths)]
+    score: Any = np.random.default_rng(seed).random(there.shape)
+    if rule in RANKED:
+        column, sign = RANKED[rule]
+        score = sign * obs[..., FEATURES.index(column)]
+    rows = np.where(there, score, -np.inf).argmax(axis=1)
+    approach = FEATURES.index("approach")
+    near = obs[np.arange(len(obs)), rows, approach] * SCALES[approach] <= gate_m
+    acts = there.any(axis=1) & near & (rule != "none")
+    return np.where(acts, (rows + 1) * len(env.strengths) - 1, env.nobody)
+
+
+def fork_actions(env: AdversarySelectionVectorEnv, decisions: int = 2) -> npt.NDArray[np.int64]:
+    """Return, in each world [E], the weakest choice that makes contact in a fork, else nobody.
+
+    Every candidate is tried at every strength, for some ``decisions``; the worlds stay where they
+    are.
+    """
+    fork, found = copy.deepcopy(env), np.full(env.num_envs, env.nobody, np.int64)
+    saved = [env.ego.snapshot(e) for e in range(env.num_envs)]
+    for action in np.arange(env.nobody).reshape(-1, len(env.strengths)).T.ravel():
+        tried = env.action_masks()[:, action] & ~env.ended & (found == env.nobody)
+        for e in np.flatnonzero(tried).tolist():
+            fork.ego.restore(e, saved[e])
+            fork.adversaries[e] = set()
+        fork.ended = ~tried
+        for _ in range(decisions):
+            _, figures = fork.decide(env.chosen(np.full(env.num_envs, action)))
+            found[figures["collisions"] > 0.0] = action
+    return found
 
 
 class Choice(NamedTuple):
@@ -42,14 +94,13 @@ class Choice(NamedTuple):
     options: Mapping[str, Any] = {}
 
 
-def _rule(line: str, strength: float, gate_m: float = np.inf) -> Choice:
+def _rule(rule: str, strength: float, gate_m: float = np.inf) -> Choice:
     def choose(env: AdversarySelectionVectorEnv) -> Any:
         seed = int(env.worlds.native.status(0).elapsed_steps)
-        rule = line.partition(",")[0]
         return env.chosen(rule_actions(env, rule, gate_m=gate_m, seed=seed))
 
-    point = f"{strength:g}" + (f" within {gate_m:g} m" if np.isfinite(gate_m) else "")
-    return Choice(line, point, choose, {"strengths": (strength,)})
+    gate = ("", "") if gate_m == np.inf else (", gated", f" within {gate_m:g} m")
+    return Choice(rule + gate[0], f"{strength:g}" + gate[1], choose, {"strengths": (strength,)})
 
 
 def traffics(line: str, point: str, criticality: float = 1.0, **ccdiff: Any) -> Choice:
@@ -57,19 +108,24 @@ def traffics(line: str, point: str, criticality: float = 1.0, **ccdiff: Any) -> 
     return Choice(line, point, lambda env: [(None, criticality)] * env.num_envs, {"ccdiff": ccdiff})
 
 
-def rivals() -> list[Choice]:
-    """Return the rules, each at its strengths; ``causal`` is the ranking of the paper."""
+def learned(model: Any, name: str) -> Choice:
+    """Return the likeliest choice of a MaskablePPO of sb3-contrib."""
+
+    def choose(env: AdversarySelectionVectorEnv) -> Any:
+        masks = env.action_masks()
+        return env.chosen(model.predict(env.obs, action_masks=masks, deterministic=True)[0])
+
+    return Choice("learned", name, choose)
+
+
+def rivals(*, forks: bool = True) -> list[Choice]:
+    """Return the rules at their strengths, the ranking of the paper, and the search in forks."""
     found = [_rule("none", 1.0)]
-    for name in ("random", "nearest", "ttc", "approach"):
-        found += [_rule(name, strength) for strength in RULE_STRENGTHS]
-    for c in RULE_STRENGTHS:
-        found.append(traffics("causal", f"{c:g}", c, num_guided=1, ranking="cliques"))
-    return found
-
-
-def forks() -> Choice:
-    """Return who tries every choice in copies of the worlds, and takes the weakest that hits."""
-    return Choice("forks", "weakest of 1, 2, 4", lambda env: env.chosen(fork_actions(env)))
+    found += [_rule(rule, c) for rule in RULES[1:] for c in RULE_STRENGTHS]
+    causal = {"num_guided": 1, "ranking": "cliques"}
+    found += [traffics("causal", f"{c:g}", c, **causal) for c in RULE_STRENGTHS]
+    tries = Choice("forks", "weakest of 1, 2, 4", lambda env: env.chosen(fork_actions(env)))
+    return [*found, tries] if forks else found
 
 
 def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
@@ -77,18 +133,18 @@ def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
 
     ``scenes`` and ``options`` are those of :func:`play`; scenes that report are not among them.
     """
-    tried = [_rule("approach, gated", c, gate_m) for gate_m in GATES_M for c in (2.0, 4.0)]
-    found = [(_means(play(scenes, choice, **options)), choice) for choice in tried]
-    hull: list[tuple[tuple[float, float], Choice]] = [((0.0, 0.0), _rule("none", 1.0))]
-    for (shift, share), choice in sorted(found, key=lambda one: one[0]):
-        while len(hull) > 1:
-            (x, y), (before_x, before_y) = hull[-1][0], hull[-2][0]
-            if (share - before_y) * (x - before_x) < (y - before_y) * (shift - before_x):
-                break
-            hull.pop()
-        if share > hull[-1][0][1]:
-            hull.append(((shift, share), choice))
-    return [choice for _, choice in hull[1:]]
+    tried = [_rule("approach", c, gate_m) for gate_m in GATES_M for c in (2.0, 4.0)]
+    points = [((0.0, 0.0), tried[0])]
+    points += [(_means(play(scenes, choice, **options)), choice) for choice in tried]
+    points.sort(key=lambda point: point[0])
+
+    def mixed(shift: float) -> float:
+        """The most of two others at a shift."""
+        pairs = combinations([at for at, _ in points if at[0] != shift], 2)
+        found = [np.interp(shift, *zip(*pair, strict=True)) for pair in pairs if pair[0][0] < shift]
+        return float(max(found, default=0.0))
+
+    return [choice for (shift, share), choice in points[1:] if share > mixed(shift)]
 
 
 def play(
@@ -96,17 +152,8 @@ def play(
 ) -> dict[str, list[float]]:
     """Let somebody choose in every scene once for each seed.
 
-    Parameters
-    ----------
-    scenes, choice, seeds
-        The scenes, who chooses, and seeds of the episodes.
-    **options
-        Of the environment, such as ``ego="pdm"``.
-
-    Returns
-    -------
-    dict
-        The metrics of the environment, a number for each scene: means over the seeds.
+    ``options`` are those of the environment, such as ``ego="pdm"``. Returns its metrics, a number
+    for each scene: means over the seeds.
     """
     both = {**options, **choice.options}
     both["ccdiff"] = {**options.get("ccdiff", {}), **choice.options.get("ccdiff", {})}
@@ -132,29 +179,25 @@ def _interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 def at_shift(line: Iterable[Figures], shift: float) -> npt.NDArray[np.float64] | None:
     """Return collisions by scene of a line at a shift, between its points; ``None`` beyond them."""
-    for one, other in pairwise(sorted(line, key=_means)):
-        (low, _), (high, _) = _means(one), _means(other)
-        if low <= shift <= high and high > low:
-            share = (shift - low) / (high - low)
-            below, above = np.array([one["is_success"], other["is_success"]])
-            return np.asarray((1.0 - share) * below + share * above)
-    return None
+    points = sorted(line, key=_means)
+    at, hits = np.array([_means(one)[0] for one in points]), [one["is_success"] for one in points]
+    if not at[0] <= shift <= at[-1]:
+        return None
+    return np.array([np.interp(shift, at, of) for of in np.transpose(hits)])
 
 
 def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
     """Return all choices, and those of the line ``learned`` less each rule at the same shift.
 
-    Parameters
-    ----------
-    played
-        What :func:`play` gave, by line and point.
+    ``played`` is what :func:`play` gave, by line and point.
     """
+    percent: dict[str, Any] = {"unit": "%", "digits": 1, "factor": 100.0}
     heads = [
-        Column("is_success", head="ego collides", unit="%", digits=1, factor=100.0),
-        Column("ego_at_fault", head="at fault", unit="%", digits=1, factor=100.0, interval=False),
-        Column("mean_shift_sigmas", head="shift, sigmas", interval=False),
-        Column("mean_realism_cost", head="C(tau)", interval=False),
-        Column("guided", head="guided plans", unit="%", digits=0, factor=100.0, interval=False),
+        Column("is_success", "ego collides", **percent),
+        Column("ego_at_fault", "at fault", interval=False, **percent),
+        Column("mean_shift_sigmas", "shift, sigmas", interval=False),
+        Column("mean_realism_cost", "C(tau)", interval=False),
+        Column("guided", "guided plans", interval=False, **{**percent, "digits": 0}),
     ]
     whole: TableRows = [
         [line, point, *(_interval(figures[head.name]) for head in heads)]
@@ -163,9 +206,9 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
     ]
     less: TableRows = []
     for rule in (line for line in played if line not in ("none", "learned")):
-        line = [*played["none"].values(), *played[rule].values()]
         pairs, shares = [], []
         for point, figures in played["learned"].items():
+            line = [*played["none"].values(), *played[rule].values()]
             other = at_shift(line, _means(figures)[0])
             if other is None:
                 less.append([point, rule, None, None, "beyond its strongest"])
@@ -177,13 +220,11 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
         if len(pairs) > 1:
             figure, p = difference(np.mean(pairs, axis=0))
             less.append(["all", rule, float(np.mean(shares)), figure, f"{p:.4f}"])
-    shown = [
-        Column("share", head="collides at that shift", unit="%", digits=1, factor=100.0),
-        Column("difference", head="learned less it", digits=1, sign="+", factor=100.0),
-    ]
+    shown = Column("share", "collides at that shift", **percent)
+    gain = Column("difference", "learned less it", digits=1, sign="+", factor=100.0)
     return [
         Table(["chooses", "at", *heads], whole),
-        Table(["policy", "rule", *shown, "p"], less),
+        Table(["policy", "rule", shown, gain, "p"], less),
     ]
 
 

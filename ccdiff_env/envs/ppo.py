@@ -29,6 +29,7 @@ from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.traffic import EGOS, SWIFT
+from ccdiff_env.worlds.policy_file import LEARNED
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
@@ -75,6 +76,11 @@ class Worlds:
             "bank": {"traffic": "replay"},
             "styles": STYLES,
             "ccdiff": {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 1}, **critical},
+            LEARNED: {
+                "traffic": "ccdiff",
+                "ccdiff": {"denoising_steps": 1, "replan_steps": 20, "adversary_policy": LEARNED},
+                **critical,
+            },
             SWIFT: {"traffic": SWIFT, **critical},
             EGOS: {"traffic": EGOS, EGOS: {"policy": args.opponent}},
         }

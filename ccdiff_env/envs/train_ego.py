@@ -9,10 +9,11 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.policies.rules import RULES
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
+from ccdiff_env.worlds.policy_file import LEARNED
 
-#: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``bank`` what
-#: ``--bank`` recorded.
-LIVE = ("idm", "styles", EGOS, *NETWORKS)
+#: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``learned`` CCDiff
+#: whose adversaries the shipped policy chooses, ``bank`` what ``--bank`` recorded.
+LIVE = ("idm", "styles", EGOS, LEARNED, *NETWORKS)
 TRAFFIC = ("replay", *LIVE, "bank")
 
 

@@ -98,8 +98,9 @@ class Recorder:
         self._meta = meta
         self._episode: tuple[int, int, int] | None = None
         self._elapsed = 0
-        if hasattr(unwrapped, "on_step"):
-            unwrapped.on_step = self.step
+        steps_itself = getattr(unwrapped, "vector", unwrapped)
+        if hasattr(steps_itself, "on_step"):
+            steps_itself.on_step = self.step
         if self._worlds.native.begun(world_idx):
             self.start()
 

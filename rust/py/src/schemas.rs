@@ -70,8 +70,8 @@ fn plan_fields_json() -> PyResult<String> {
     to_json(&PLAN_FIELDS)
 }
 
-/// The features of rows of candidates as JSON: name, unit, scale and meaning of each, and the bound of all.
+/// The bound of all features of candidates and, of each, name, unit, scale and meaning, as JSON.
 #[pyfunction]
 fn candidate_features_json() -> PyResult<String> {
-    to_json(&serde_json::json!({ "bound": CANDIDATE_BOUND, "features": CANDIDATE_FEATURES }))
+    to_json(&(CANDIDATE_BOUND, CANDIDATE_FEATURES))
 }

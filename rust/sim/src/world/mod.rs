@@ -45,7 +45,7 @@ mod traffic;
 pub use actions::ActionDecoder;
 pub(crate) use assist::assisted_action;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
-pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, CandidateFeature, Candidates};
+pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 pub use config::{
     ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
     VehicleRanking, WorldConfig,

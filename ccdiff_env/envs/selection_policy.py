@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -13,7 +13,7 @@ from sb3_contrib.common.maskable.policies import MaskableActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-from ccdiff_env.envs.selection.vector import FEATURES
+from ccdiff_env.envs.selection import FEATURES
 from ccdiff_env.system.tensors import write_tensors
 
 __all__ = ["CandidatePolicy", "save_policy"]
@@ -31,24 +31,22 @@ class Scores(BaseFeaturesExtractor):
     row that holds only what the ego does.
     """
 
-    def __init__(self, observation_space: spaces.Box, num_strengths: int) -> None:
+    def __init__(self, observation_space: spaces.Box, strengths: int) -> None:
         num_rows, num_features = observation_space.shape
-        super().__init__(observation_space, num_rows * num_strengths + 2)
-        self.num_strengths = num_strengths
-        self.row = nn.Sequential(
-            nn.Linear(num_features, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU()
-        )
-        self.head = nn.Sequential(
-            nn.Linear(2 * WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, num_strengths + 2)
-        )
+        super().__init__(observation_space, num_rows * strengths + 2)
+        self.strengths = strengths
+        hidden = nn.Linear(num_features, WIDTH), nn.Linear(WIDTH, WIDTH)
+        self.row = nn.Sequential(hidden[0], nn.ReLU(), hidden[1], nn.ReLU())
+        ends = nn.Linear(2 * WIDTH, WIDTH), nn.Linear(WIDTH, strengths + 2)
+        self.head = nn.Sequential(ends[0], nn.ReLU(), ends[1])
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
         nobody = torch.cat([torch.zeros_like(rows[:, :1, :EGO]), rows[:, :1, EGO:]], dim=-1)
         found = self.row(torch.cat([rows, nobody], dim=1))
         greatest = (found[:, :-1] * rows[:, :, :1]).amax(dim=1, keepdim=True)
         out = self.head(torch.cat([found, greatest.expand_as(found)], dim=-1))
-        somebody = out[:, :-1, : self.num_strengths].flatten(1)
-        return torch.cat([somebody, out[:, -1, self.num_strengths :]], dim=1)
+        somebody = out[:, :-1, : self.strengths].flatten(1)
+        return torch.cat([somebody, out[:, -1, self.strengths :]], dim=1)
 
 
 class Columns(nn.Module):
@@ -63,22 +61,16 @@ class Columns(nn.Module):
 
 
 class CandidatePolicy(MaskableActorCriticPolicy):
-    """What is learned of one candidate holds for all: ``MaskablePPO(CandidatePolicy, env)``.
-
-    Parameters
-    ----------
-    observation_space, action_space, lr_schedule, **options
-        As stable-baselines3 hands them to policies.
-    """
+    """What is learned of one candidate holds for all: ``MaskablePPO(CandidatePolicy, env)``."""
 
     def __init__(
-        self, observation_space: spaces.Box, action_space: Any, lr_schedule: Any, **options: Any
+        self, observation_space: spaces.Box, action_space: Any, *args: Any, **options: Any
     ) -> None:
+        strengths = (int(action_space.n) - 1) // observation_space.shape[0]
+        options |= {"net_arch": [], "share_features_extractor": False}
         options["features_extractor_class"] = Scores
-        num_strengths = (int(action_space.n) - 1) // observation_space.shape[0]
-        options["features_extractor_kwargs"] = {"num_strengths": num_strengths}
-        options["net_arch"], options["share_features_extractor"] = [], False
-        super().__init__(observation_space, action_space, lr_schedule, **options)
+        options["features_extractor_kwargs"] = {"strengths": strengths}
+        super().__init__(observation_space, action_space, *args, **options)
 
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
@@ -90,33 +82,22 @@ class CandidatePolicy(MaskableActorCriticPolicy):
 
 
 def save_policy(
-    model: Any,
-    path: str | os.PathLike[str],
-    strengths: Sequence[float],
-    notes: Mapping[str, Any] | None = None,
+    model: Any, path: str | os.PathLike[str], strengths: Sequence[float], **notes: Any
 ) -> None:
-    """Write what traffic reads as ``ccdiff={"adversary_policy": path}``, without a line of code.
+    """Write a MaskablePPO with a :class:`CandidatePolicy` without a line of code.
 
-    Parameters
-    ----------
-    model
-        MaskablePPO with a :class:`CandidatePolicy`.
-    path
-        A ``.safetensors`` file.
-    strengths
-        Criticalities of the environment that it learned in.
-    notes
-        Kept in the header.
+    Traffic reads the ``.safetensors`` file as ``ccdiff={"adversary_policy": path}``. ``strengths``
+    are those of the environment that it learned in, ``notes`` are kept in the header.
     """
     policy = model.policy
-    tensors = policy.pi_features_extractor.state_dict()
     header = {
         "format": 1,
         "kind": "adversary_policy",
         "features": list(FEATURES),
         "max_candidates": int(policy.observation_space.shape[0]),
         "strengths": list(strengths),
-        "notes": dict(notes or {}),
+        "notes": notes,
     }
+    tensors = policy.pi_features_extractor.state_dict()
     arrays = {name: value.numpy() for name, value in tensors.items()}
     write_tensors(path, arrays, {"ccdiff_env": json.dumps(header)})

@@ -1,4 +1,4 @@
-"""Many worlds in which adversaries are chosen; the background plans for all of them at once."""
+"""The task of choosing who becomes adversarial: ``ccdiff_env/AdversarySelection-v0``."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -14,13 +15,12 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.as_vector import AsVector, with_masks
-from ccdiff_env.envs.drawing import FPS
+from ccdiff_env.envs.as_vector import AsVector
+from ccdiff_env.envs.drawing import DrawnWorld
+from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError, unknown
 from ccdiff_env.policies.planners import Ego
-from ccdiff_env.record.counterfactual import rollout_avoidability
-from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.traffic import KINDS
 from ccdiff_env.traffic.keywords import SelectionKeywords
 from ccdiff_env.worlds import Scenes, Worlds, scene_set
@@ -29,30 +29,21 @@ from ccdiff_env.worlds.spaces import InfoColumn
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = [
-    "DEFAULT_CCDIFF",
-    "FEATURES",
-    "INFO_COLUMNS",
-    "SCALES",
-    "STRENGTHS",
-    "AdversarySelectionVectorEnv",
-    "SelectionOptions",
-]
+__all__ = ["FEATURES", "STRENGTHS", "AdversarySelectionEnv", "AdversarySelectionVectorEnv"]
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 #: Agents that are guided in a world (``None``: those that the traffic chooses), and criticality.
 Choice = tuple[Sequence[int] | None, float]
-#: Which collisions of the ego with vehicles that were adversaries in the episode count: all, those
-#: that the ego is at fault for, those that another plan of the ego would have avoided
-#: (:func:`~ccdiff_env.record.counterfactual.rollout_avoidability`, up to a second each).
-Counts = Literal["all", "ego_at_fault", "avoidable"]
+#: Which collisions of the ego with vehicles that were adversaries in the episode count: all, or
+#: those that the ego is at fault for.
+Counts = Literal["all", "ego_at_fault"]
 
-_TABLE = json.loads(_native.candidate_features_json())
+_BOUND, _TABLE = json.loads(_native.candidate_features_json())
 #: Columns of an observation, and what each is divided by.
-FEATURES: tuple[str, ...] = tuple(feature["name"] for feature in _TABLE["features"])
-SCALES: tuple[float, ...] = tuple(feature["scale"] for feature in _TABLE["features"])
+FEATURES: tuple[str, ...] = tuple(name for name, *_ in _TABLE)
+SCALES: tuple[float, ...] = tuple(scale for _, _, scale, _ in _TABLE)
 _APPROACH = FEATURES.index("approach")
 #: Criticalities that a decision chooses from.
 STRENGTHS = (1.0, 2.0, 4.0)
@@ -60,8 +51,6 @@ STRENGTHS = (1.0, 2.0, 4.0)
 DEFAULT_CCDIFF = {"criticality": 1.0, "denoising_steps": 1, "replan_steps": 20}
 #: The least that can be observed: rows are a tenth of the time.
 _NO_ROWS = {"num_neighbors": 0, "num_map_segments": 0, "num_route_points": 1}
-#: Options of the worlds that are the environment's own.
-_OWN = ("autoreset_mode", "controlled", "copy", "criticality", "decision_steps", "driver", "info")
 
 #: Figures of a decision, keys of ``info``.
 INFO_COLUMNS: tuple[InfoColumn, ...] = (
@@ -73,6 +62,11 @@ INFO_COLUMNS: tuple[InfoColumn, ...] = (
     InfoColumn("steps", "", "steps of the world in the decision"),
 )
 _NAMES = tuple(column.name for column in INFO_COLUMNS)
+
+
+def _masked(found: Mapping[str, Any], mask: Bool) -> Info:
+    """Arrays [E], each with a mask of its own."""
+    return {k: v for name in found for k, v in ((name, found[name]), (f"_{name}", mask.copy()))}
 
 
 class SelectionOptions(SelectionKeywords, total=False):
@@ -114,9 +108,8 @@ class AdversarySelectionVectorEnv(AsVector):
     shift_cost
         Reward lost per standard deviation of shift; may be changed as training goes on.
     **options
-        ``scenes``, ``config``, ``num_threads``, ``render_mode``, ``render_options`` and fields of
-        :class:`~ccdiff_env.config.WorldConfig`, as for :class:`~ccdiff_env.EgoVectorEnv`. Traffic
-        is ``"ccdiff"`` with :data:`DEFAULT_CCDIFF` unless told otherwise; its plans set the pace.
+        As for :class:`~ccdiff_env.EgoVectorEnv`. Traffic is ``"ccdiff"`` with
+        :data:`DEFAULT_CCDIFF` unless told otherwise; its plans set the pace.
 
     Raises
     ------
@@ -125,11 +118,7 @@ class AdversarySelectionVectorEnv(AsVector):
     """
 
     reset_option_names = EgoVectorEnv.reset_option_names
-    metadata = {  # noqa: RUF012 (Gymnasium's form)
-        "render_modes": ["rgb_array"],
-        "render_fps": FPS,
-        "autoreset_mode": AutoresetMode.SAME_STEP,
-    }
+    metadata = EgoVectorEnv.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
 
     def __init__(
         self,
@@ -143,29 +132,27 @@ class AdversarySelectionVectorEnv(AsVector):
         shift_cost: float = 0.03,
         **options: Unpack[SelectionOptions],
     ) -> None:
-        given: dict[str, Any] = dict(options)
-        for name in _OWN:
-            if name in given:
-                raise ConfigError(f"{name} is not an option of adversary selection")
-        for name, number in (
-            ("max_candidates", max_candidates),
-            ("num_adversaries", num_adversaries),
-        ):
-            if type(number) is not int or not 1 <= number <= 64:
-                raise ConfigError(f"{name} is {number!r}, expected 1 to 64")
-        self.strengths = tuple(float(strength) for strength in strengths)
-        if not self.strengths or not all(0.0 < strength <= 10.0 for strength in self.strengths):
-            raise ConfigError(f"strengths is {strengths!r}, expected numbers above 0, at most 10")
-        if counts not in get_args(Counts):
-            raise unknown("counts", str(counts), get_args(Counts))
-        if not 0.0 <= shift_cost <= 1e6:
-            raise ConfigError(f"shift_cost is {shift_cost!r}, expected 0 to 1000000")
+        known, given = SelectionOptions.__optional_keys__, dict[str, Any](options)
+        for name in given:
+            if name not in known:
+                raise unknown("option", name, known)
+        many = {"max_candidates": max_candidates, "num_adversaries": num_adversaries}
+        fits = {n: (k, type(k) is int and 0 < k <= 64, "1 to 64") for n, k in many.items()}
+        sound = strengths and all(0.0 < float(strength) <= 10.0 for strength in strengths)
+        fits["strengths"] = strengths, sound, "numbers above 0, at most 10"
+        fits["counts"] = counts, counts in get_args(Counts), f"one of {get_args(Counts)}"
+        fits["shift_cost"] = shift_cost, 0.0 <= shift_cost <= 1e6, "0 to 1000000"
+        for name, (value, fit, expected) in fits.items():
+            if not fit:
+                raise ConfigError(f"{name} is {value!r}, expected {expected}")
+        self.strengths, self.num_adversaries = tuple(map(float, strengths)), num_adversaries
         self.counts, self.shift_cost = counts, shift_cost
         scenes, config = scene_set(given.pop("scenes", None)), given.pop("config", None)
+        ccdiff = given.get("ccdiff", {})
         if config is None and given.setdefault("traffic", "ccdiff") == "ccdiff":
-            ccdiff = given.get("ccdiff", {})
-            whole = {**DEFAULT_CCDIFF, **ccdiff} if isinstance(ccdiff, Mapping) else ccdiff
-            given["ccdiff"] = whole
+            given["ccdiff"] = (
+                {**DEFAULT_CCDIFF, **ccdiff} if isinstance(ccdiff, Mapping) else ccdiff
+            )
         if isinstance(ego, str) and ego in KINDS:  # the worlds drive it, and nobody observes
             config = config or WorldConfig(dt_s=scenes[0].dt)
             config = config.with_options(observation=_NO_ROWS)
@@ -181,12 +168,11 @@ class AdversarySelectionVectorEnv(AsVector):
                 "all traffic"
             )
         self.num_envs, self.max_candidates = num_envs, max_candidates
-        self.num_adversaries = num_adversaries
-        self.render_mode = self.ego.render_mode
-        rows, bound = (max_candidates, len(FEATURES)), _TABLE["bound"]
+        self.render_mode, self._render_options = self.ego.render_mode, self.ego._render_options
         #: The action that chooses nobody, the last one.
         self.nobody = max_candidates * len(self.strengths)
-        self.single_observation_space = spaces.Box(-bound, bound, rows, np.float32)
+        rows = (max_candidates, len(FEATURES))
+        self.single_observation_space = spaces.Box(-_BOUND, _BOUND, rows, np.float32)
         self.single_action_space = spaces.Discrete(self.nobody + 1)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -197,8 +183,8 @@ class AdversarySelectionVectorEnv(AsVector):
         self.adversaries: list[set[int]] = [set() for _ in range(num_envs)]
         #: Worlds [E] whose episode is over, or has not begun.
         self.ended = np.ones(num_envs, np.bool_)
-        self._obs = np.zeros((num_envs, *rows), np.float32)
-        self._recorders: dict[int, Recorder] = {}
+        #: Present observations [E, R, F], which the next decision overwrites.
+        self.obs = np.zeros((num_envs, *rows), np.float32)
         #: Sums of the episodes [K, E], and their decisions.
         self._totals = np.zeros((len(_NAMES) + 1, num_envs))
 
@@ -213,22 +199,14 @@ class AdversarySelectionVectorEnv(AsVector):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[F32, Info]:
-        """Begin new episodes, with the seeds and options of :meth:`EgoVectorEnv.reset`.
-
-        Returns
-        -------
-        obs, infos
-            Observations [E, R, F]; ``scene``, ``scene_token``, ``seed``, ``episode_idx``.
-        """
+        """Begin new episodes, as :meth:`EgoVectorEnv.reset`; observations [E, R, F], infos."""
         _, infos = self.ego.reset(seed=seed, options=options)
         which = infos["_scene"]
         for e in np.flatnonzero(which).tolist():
             self.adversaries[e] = set()
-            if self.counts == "avoidable":
-                self._recorders[e] = Recorder(self.ego, world_idx=e)
         self.ended[which], self._totals[:, which] = False, 0.0
         self._look(which)
-        return self._obs.copy(), infos
+        return self.obs.copy(), infos
 
     def step(self, actions: Any) -> tuple[F32, F32, Bool, Bool, Info]:
         """Choose adversaries in all worlds and advance until the next plans.
@@ -252,24 +230,18 @@ class AdversarySelectionVectorEnv(AsVector):
         ResetNeededError
             Before the first reset.
         """
-        rewards, table = self.decide(self.chosen(actions), all_running=True)
-        done, who = self.ended.copy(), table.pop("adversary")
-
-        def figures(mask: Bool) -> Info:
-            shown = with_masks(_NAMES, np.stack(list(table.values())), mask)
-            return {**shown, "adversary": who, "_adversary": mask}
-
-        infos = figures(~done)
+        rewards, figures = self.decide(self.chosen(actions), all_running=True)
+        done, infos = self.ended.copy(), _masked(figures, ~self.ended)
         if done.any():
-            final, metrics = figures(done), self.metrics()
-            final["metrics"] = with_masks(tuple(metrics), np.stack(list(metrics.values())), done)
-            final["is_success"], final["_is_success"] = metrics["is_success"] > 0.5, done
-            infos |= {"final_info": final, "_final_info": done, "_final_obs": done}
-            infos["final_obs"] = np.full(self.num_envs, None, object)
+            metrics = self.metrics()
+            ends = {"metrics": _masked(metrics, done), "is_success": metrics["is_success"] > 0.5}
+            last = np.full(self.num_envs, None, object)
             for e in np.flatnonzero(done):
-                infos["final_obs"][e] = self._obs[e].copy()
+                last[e] = self.obs[e].copy()
+            final = _masked(figures | ends, done)
+            infos |= _masked({"final_info": final, "final_obs": last}, done)
             infos |= self.reset(options={"reset_mask": done})[1]
-        return self._obs.copy(), rewards, done, np.zeros_like(done), infos
+        return self.obs.copy(), rewards, done, np.zeros_like(done), infos
 
     def chosen(self, actions: Any) -> list[Choice]:
         """Return the agents that actions [E] choose, and their criticality, world by world.
@@ -285,7 +257,7 @@ class AdversarySelectionVectorEnv(AsVector):
         if given.dtype.kind not in "iu" or (given < 0).any() or (given > self.nobody).any():
             raise ActionError(f"actions are {given.tolist()}, expected 0 to {self.nobody}")
         found: list[Choice] = []
-        for agents, seen, action in zip(self.candidates, self._obs, given.tolist(), strict=True):
+        for agents, seen, action in zip(self.candidates, self.obs, given.tolist(), strict=True):
             row, strength = divmod(action, len(self.strengths))
             order = seen[: len(agents), _APPROACH].argsort(kind="stable").tolist()
             first = [row, *(other for other in order if other != row)][: self.num_adversaries]
@@ -307,7 +279,7 @@ class AdversarySelectionVectorEnv(AsVector):
 
         Returns
         -------
-        rewards, table
+        rewards, figures
             Rewards [E]; :data:`INFO_COLUMNS` by name and ``adversary`` (id or ``None``), [E].
         """
         if all_running and self.ended.any():
@@ -327,13 +299,25 @@ class AdversarySelectionVectorEnv(AsVector):
                 break
             _, _, terminated, truncated, info = self.ego.step(still, active=running)
             table["steps"] += running
-            if step == 0:
-                self._guidance(running, table, who)
-            for e, recorder in self._recorders.items():
-                if running[e]:
-                    recorder.step()
+            for e in np.flatnonzero(running).tolist() if step == 0 else ():
+                if (found := native.guidance(e)) is None:
+                    continue
+                agent, shift_sigmas, table["realism_cost"][e] = found
+                if np.isnan(shift_sigmas):
+                    raise ConfigError(
+                        f"traffic is {self.config.traffic!r}, expected a network that denoises: "
+                        "the shift of its plans is the cost of guidance"
+                    )
+                table["shift_sigmas"][e] = shift_sigmas * self.num_adversaries
+                table["guided"][e] = 1.0
+                self.adversaries[e].add(agent)
+                who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
             for e in np.flatnonzero(info["collision"] > 0.0).tolist():
-                self._collision(e, table)
+                ego = native.status(e).ego_idx
+                hits = {j: at_fault for i, j, *_, at_fault in native.contacts(e) if i == ego}
+                table["ego_at_fault"][e] = any(hits.values())
+                faults = [hits[j] for j in hits if j in self.adversaries[e]]
+                table["collisions"][e] += any(faults) if self.counts != "all" else bool(faults)
             self.ended |= terminated | truncated
             if self.on_step is not None:
                 self.on_step()
@@ -342,66 +326,102 @@ class AdversarySelectionVectorEnv(AsVector):
         rewards = table["collisions"] - self.shift_cost * table["shift_sigmas"]
         return rewards.astype(np.float32), {**table, "adversary": who}
 
-    def _guidance(
-        self, running: Bool, table: dict[str, npt.NDArray[Any]], who: npt.NDArray[Any]
-    ) -> None:
-        """Note what the plans that were just made say about who is guided."""
-        native = self.worlds.native
-        for e in np.flatnonzero(running).tolist():
-            found = native.guidance(e)
-            if found is not None:
-                agent, shift_sigmas, table["realism_cost"][e] = found
-                table["shift_sigmas"][e] = shift_sigmas * self.num_adversaries
-                table["guided"][e] = 1.0
-                self.adversaries[e].add(agent)
-                who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
-        if np.isnan(table["shift_sigmas"]).any():
-            raise ConfigError(
-                f"traffic is {self.config.traffic!r}, expected a network that denoises: the shift "
-                "of its plans is the cost of guidance"
-            )
-
-    def _collision(self, e: int, table: dict[str, npt.NDArray[Any]]) -> None:
-        """Note the collision that the ego of a world just began."""
-        native = self.worlds.native
-        ego = native.status(e).ego_idx
-        hits = {j: at_fault for i, j, *_, at_fault in native.contacts(e) if i == ego}
-        table["ego_at_fault"][e] = float(any(hits.values()))
-        adversaries = [hits[j] for j in hits if j in self.adversaries[e]]
-        counts = bool(adversaries) and (self.counts != "ego_at_fault" or any(adversaries))
-        if counts and self.counts == "avoidable":
-            verdict = rollout_avoidability(self._recorders[e].rollout())
-            counts = verdict is None or bool(verdict.avoidable)
-        table["collisions"][e] += counts
-
     def metrics(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return figures [E] of the episodes so far; ``is_success``: a collision counted."""
         collisions, at_fault, shift, realism, guided, _, decisions = self._totals
-        means = np.array([shift, realism, guided]) / np.maximum(decisions, 1.0)
+        each = np.maximum(decisions, 1.0)
         return {
             "is_success": np.minimum(collisions, 1.0),
             "collisions": collisions.copy(),
             "ego_at_fault": np.minimum(at_fault, 1.0),
-            "mean_shift_sigmas": means[0],
-            "mean_realism_cost": means[1],
-            "guided": means[2],
+            "mean_shift_sigmas": shift / each,
+            "mean_realism_cost": realism / each,
+            "guided": guided / each,
             "decisions": decisions.copy(),
         }
 
     def action_masks(self) -> Bool:
         """Return which actions are legal [E, R S + 1], as MaskablePPO of sb3-contrib takes them."""
-        there = np.repeat(self._obs[:, :, 0] > 0.5, len(self.strengths), axis=1)
+        there = np.repeat(self.obs[:, :, 0] > 0.5, len(self.strengths), axis=1)
         return np.pad(there, ((0, 0), (0, 1)), constant_values=True)
-
-    def observation(self) -> F32:
-        """Return the present observations [E, R, F] as a new array."""
-        return self._obs.copy()
-
-    def render(self) -> Any:
-        """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
-        return self.ego.render()
 
     def _look(self, which: Bool) -> None:
         """Find the candidates of worlds and what is seen of them."""
         for e in np.flatnonzero(which).tolist():
-            self.candidates[e], self._obs[e] = self.worlds.native.candidates(e, self.max_candidates)
+            self.candidates[e], self.obs[e] = self.worlds.native.candidates(e, self.max_candidates)
+
+
+class SingleOptions(SelectionOptions, total=False):
+    """Options of :class:`AdversarySelectionVectorEnv`."""
+
+    ego: Ego
+    max_candidates: int
+    strengths: Sequence[float]
+    num_adversaries: int
+    counts: Counts
+    shift_cost: float
+
+
+class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
+    """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
+
+    Parameters
+    ----------
+    **options
+        As there, and ``render_mode="human"`` (needs pygame).
+    """
+
+    _title = "ccdiff_env/AdversarySelection"
+    metadata = EgoEnv.metadata
+
+    def __init__(self, **options: Unpack[SingleOptions]) -> None:
+        self.render_mode = options.get("render_mode")
+        if self.render_mode == "human":
+            options["render_mode"] = "rgb_array"
+        options.setdefault("num_threads", 1)
+        #: The worlds, of which there is one.
+        self.vector = AdversarySelectionVectorEnv(1, **options)
+        self._render_options = self.vector._render_options
+        self.observation_space = self.vector.single_observation_space
+        self.action_space = self.vector.single_action_space
+
+    @property
+    def worlds(self) -> Worlds:  # type: ignore[override]
+        """The native world."""
+        return self.vector.worlds
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[F32, Info]:
+        """Begin a new episode, as :meth:`EgoEnv.reset`; ``agent_ids`` says who is in which row."""
+        super().reset(seed=None if seed is None else seed % 2**63)
+        obs, _ = self.vector.reset(seed=seed, options=options)
+        if self.render_mode == "human":
+            self.render()
+        return obs[0], {**self.worlds.reset_info(0, "full"), "agent_ids": self.agent_ids()}
+
+    def step(self, action: Any) -> tuple[F32, float, bool, bool, Info]:
+        """Choose an adversary and advance until the next plan.
+
+        It takes, returns and raises what :meth:`AdversarySelectionVectorEnv.step` does, for one
+        world; ``info`` besides holds ``agent_ids`` of the next rows, and at the end ``metrics`` and
+        ``is_success``, after which it asks for a reset.
+        """
+        rewards, figures = self.vector.decide(self.vector.chosen([action]), all_running=True)
+        info = {name: of[0] for name, of in figures.items()} | {"agent_ids": self.agent_ids()}
+        done = bool(self.vector.ended[0])
+        if done:
+            info["metrics"] = {name: float(of[0]) for name, of in self.vector.metrics().items()}
+            info["is_success"] = info["metrics"]["is_success"]
+        if self.render_mode == "human":
+            self.render()
+        return self.vector.obs[0].copy(), float(rewards[0]), done, False, info
+
+    def agent_ids(self) -> tuple[str, ...]:
+        """Return the ids of the vehicles in the rows that actions choose from."""
+        return tuple(self.scene.agent_ids[agent] for agent in self.vector.candidates[0])
+
+    def action_masks(self) -> Bool:
+        """Return which actions are legal [R S + 1], as MaskablePPO of sb3-contrib takes them."""
+        masks: Bool = self.vector.action_masks()[0]
+        return masks
