@@ -77,15 +77,18 @@ def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(vector, scenes):
         times, ahead = np.arange(9) * 0.5, start + 4.0 * np.arange(11)
         ego = along(start + max(float(states["speed"][0]), 0.0) * times)
         for seen, i in zip(row, nearest, strict=False):
-            closing = turn @ (velocity[i] - velocity[0])
-            found = [column(seen, name) for name in ("velocity_x", "velocity_y", "distance")]
-            assert found == pytest.approx([*closing, min(gaps[i], 50.0)], abs=1e-4)
-            heading = float(states["heading"][i]) - angle
-            assert column(seen, "sin_heading") == pytest.approx(np.sin(heading), abs=1e-5)
+            closing, heading = turn @ (velocity[i] - velocity[0]), float(states["heading"][i])
             approach = np.hypot(*(at[i] + times[:, None] * velocity[i] - ego).T).min()
-            assert column(seen, "approach") == pytest.approx(min(approach, 30.0), abs=0.15)
             from_route = np.hypot(*(along(ahead) - at[i]).T).min()
-            assert column(seen, "route_distance") == pytest.approx(min(from_route, 20.0), abs=0.15)
+            for name, expected, off in (
+                ("velocity_x", closing[0], 1e-4),
+                ("velocity_y", closing[1], 1e-4),
+                ("sin_heading", np.sin(heading - angle), 1e-5),
+                ("distance", min(gaps[i], 50.0), 1e-4),
+                ("approach", min(approach, 30.0), 0.15),
+                ("route_distance", min(from_route, 20.0), 0.15),
+            ):
+                assert column(seen, name) == pytest.approx(expected, abs=off), name
 
 
 def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(vector, scenes):

@@ -24,11 +24,6 @@ from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.table import Column, Table, TableRows
 
-__all__ = [
-    "RULES", "Choice", "fork_actions", "gated", "learned", "play", "plot", "rivals",
-    "rule_actions", "table", "traffics",
-]  # fmt: skip
-
 #: Figures by name, a number for each scene: means over seeds.
 Figures = Mapping[str, Sequence[float]]
 #: Rules that take the vehicle of the greatest value, and its column and sign: the nearest to the
@@ -78,8 +73,9 @@ def fork_actions(env: AdversarySelectionVectorEnv, decisions: int = 2) -> npt.ND
             fork.adversaries[e] = set()
         fork.ended = ~tried
         for _ in range(decisions):
-            _, figures = fork.decide(env.chosen(np.full(env.num_envs, action)))
-            found[figures["collisions"] > 0.0] = action
+            if not fork.ended.all():
+                _, figures = fork.decide(env.chosen(np.full(env.num_envs, action)))
+                found[figures["collisions"] > 0.0] = action
     return found
 
 

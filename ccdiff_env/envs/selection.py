@@ -82,14 +82,12 @@ class SelectionOptions(SelectionKeywords, total=False):
 class AdversarySelectionVectorEnv(AsVector):
     """Choose, once per plan of the background, which vehicle becomes an adversary of the ego.
 
-    Worlds that ended restart within the step (SAME_STEP). World i of ``reset(seed=n)`` gets the
-    seed n + i and then runs as the single environment. Environments can be pickled and copied.
-
     Actions are Discrete(R S + 1): candidate ``action // S`` at criticality ``strengths[action %
     S]``, and nobody for the last index. Observations are rows [R, F] of :data:`FEATURES`, the
     candidates nearest to the ego first. The reward is 1 for a collision that counts, less
     ``shift_cost`` times the shift of the guided plan in standard deviations. Episodes end with the
-    ego's and with the horizon, which belongs to the task: both are terminations.
+    ego's and with the horizon, which belongs to the task: both are terminations. Worlds that ended
+    restart within the step (SAME_STEP); seeds and copies are those of :class:`EgoVectorEnv`.
 
     Parameters
     ----------
@@ -230,7 +228,7 @@ class AdversarySelectionVectorEnv(AsVector):
         ResetNeededError
             Before the first reset.
         """
-        rewards, figures = self.decide(self.chosen(actions), all_running=True)
+        rewards, figures = self.decide(self.chosen(actions))
         done, infos = self.ended.copy(), _masked(figures, ~self.ended)
         if done.any():
             metrics = self.metrics()
@@ -265,25 +263,26 @@ class AdversarySelectionVectorEnv(AsVector):
             found.append((guided, self.strengths[strength]))
         return found
 
-    def decide(
-        self, chosen: Sequence[Choice], *, all_running: bool = False
-    ) -> tuple[F32, dict[str, npt.NDArray[Any]]]:
+    def decide(self, chosen: Sequence[Choice]) -> tuple[F32, dict[str, npt.NDArray[Any]]]:
         """Advance the worlds that have not ended by one decision, without beginning new episodes.
 
         Parameters
         ----------
         chosen
             For each world, who is guided and how strongly.
-        all_running
-            Refuse worlds that have ended or were never reset.
 
         Returns
         -------
         rewards, figures
             Rewards [E]; :data:`INFO_COLUMNS` by name and ``adversary`` (id or ``None``), [E].
+
+        Raises
+        ------
+        ResetNeededError
+            Where all worlds have ended, or were never reset.
         """
-        if all_running and self.ended.any():
-            raise ResetNeededError(f"world {self.ended.argmax()} has ended or was never reset")
+        if self.ended.all():
+            raise ResetNeededError("all worlds have ended or were never reset")
         native, began = self.worlds.native, ~self.ended
         for e in np.flatnonzero(began).tolist():
             agents, criticality = chosen[e]
@@ -407,7 +406,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         world; ``info`` besides holds ``agent_ids`` of the next rows, and at the end ``metrics`` and
         ``is_success``, after which it asks for a reset.
         """
-        rewards, figures = self.vector.decide(self.vector.chosen([action]), all_running=True)
+        rewards, figures = self.vector.decide(self.vector.chosen([action]))
         info = {name: of[0] for name, of in figures.items()} | {"agent_ids": self.agent_ids()}
         done = bool(self.vector.ended[0])
         if done:
