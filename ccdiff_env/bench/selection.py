@@ -137,7 +137,7 @@ def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
     def mixed(shift: float) -> float:
         """The most of two others at a shift."""
         pairs = combinations([at for at, _ in points if at[0] != shift], 2)
-        found = [np.interp(shift, *zip(*pair, strict=True)) for pair in pairs if pair[0][0] < shift]
+        found = [np.interp(shift, [x, u], [y, v]) for (x, y), (u, v) in pairs if x < shift]
         return float(max(found, default=0.0))
 
     return [choice for (shift, share), choice in points[1:] if share > mixed(shift)]

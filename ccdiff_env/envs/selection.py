@@ -134,14 +134,16 @@ class AdversarySelectionVectorEnv(AsVector):
         for name in given:
             if name not in known:
                 raise unknown("option", name, known)
-        many = {"max_candidates": max_candidates, "num_adversaries": num_adversaries}
-        fits = {n: (k, type(k) is int and 0 < k <= 64, "1 to 64") for n, k in many.items()}
-        sound = strengths and all(0.0 < float(strength) <= 10.0 for strength in strengths)
-        fits["strengths"] = strengths, sound, "numbers above 0, at most 10"
-        fits["counts"] = counts, counts in get_args(Counts), f"one of {get_args(Counts)}"
-        fits["shift_cost"] = shift_cost, 0.0 <= shift_cost <= 1e6, "0 to 1000000"
-        for name, (value, fit, expected) in fits.items():
-            if not fit:
+        known_counts, sound = get_args(Counts), [0.0 < float(one) <= 10.0 for one in strengths]
+        asked: list[tuple[str, Any, bool, str]] = [
+            ("strengths", strengths, sound != [] and all(sound), "numbers above 0, at most 10"),
+            ("counts", counts, counts in known_counts, f"one of {known_counts}"),
+            ("shift_cost", shift_cost, 0.0 <= shift_cost <= 1e6, "0 to 1000000"),
+        ]
+        numbers = ("max_candidates", max_candidates), ("num_adversaries", num_adversaries)
+        asked += [(n, k, type(k) is int and 1 <= k <= 64, "1 to 64") for n, k in numbers]
+        for name, value, fits, expected in asked:
+            if not fits:
                 raise ConfigError(f"{name} is {value!r}, expected {expected}")
         self.strengths, self.num_adversaries = tuple(map(float, strengths)), num_adversaries
         self.counts, self.shift_cost = counts, shift_cost
