@@ -1,7 +1,7 @@
 """The animations of docs/tasks.md: one recorded episode of each task.
 
 ``python -m tools.task_videos docs`` writes ``task_ego.gif``, ``task_selection.gif`` and
-``task_multi_agent.gif`` anew.
+``task_multi_agent.gif``.
 """
 
 from __future__ import annotations
