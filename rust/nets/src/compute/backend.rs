@@ -123,8 +123,8 @@ pub trait Ops: Debug + Sized {
     /// Each row times its factor [R, 1].
     fn scaled(x: &Self::Tensor, factor: &Self::Tensor) -> Self::Tensor;
 
-    /// Each token and the greatest numbers among all of its row, [R, tokens, 2 · width].
-    fn with_greatest(x: &Self::Tensor) -> Self::Tensor;
+    /// The greatest numbers among all tokens of a row, [R, 1, width].
+    fn greatest(x: &Self::Tensor) -> Self::Tensor;
 
     /// The rows of a table [steps, width] that the steps name, [R, width].
     fn rows_of(table: &Self::Tensor, steps: &Self::Steps) -> Self::Tensor;

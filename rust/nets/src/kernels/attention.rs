@@ -6,23 +6,23 @@ use super::simd::{Checked, Work, at_level};
 
 /// Whom the rows see: pairs of a row follow each other.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Seen {
+pub struct Seen {
     /// First pair of each row, and one past the last of all, [R + 1].
-    pub(crate) start: Vec<usize>,
+    pub start: Vec<usize>,
     /// Row that is seen, [pairs].
-    pub(crate) other: Vec<usize>,
+    pub other: Vec<usize>,
     /// Its slot, [pairs].
-    pub(crate) slot: Vec<usize>,
+    pub slot: Vec<usize>,
 }
 
 impl Seen {
     /// Nobody yet.
-    pub(crate) fn empty() -> Self {
+    pub fn empty() -> Self {
         Self { start: vec![0], ..Self::default() }
     }
 
     /// Whom the next row sees: rows and slots.
-    pub(crate) fn push(&mut self, pairs: impl Iterator<Item = (usize, usize)>) {
+    pub fn push(&mut self, pairs: impl Iterator<Item = (usize, usize)>) {
         for (other, slot) in pairs {
             self.other.push(other);
             self.slot.push(slot);
@@ -101,7 +101,7 @@ impl Mix<'_> {
 }
 
 #[inline(always)]
-fn product_of(a: &[f32], b: &[f32]) -> f32 {
+pub(super) fn product_of(a: &[f32], b: &[f32]) -> f32 {
     let mut lanes = [0f32; PANEL];
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<PANEL>(), b.as_chunks::<PANEL>());
     for (a, b) in a.iter().zip(b) {
@@ -116,7 +116,7 @@ fn product_of(a: &[f32], b: &[f32]) -> f32 {
 }
 
 #[inline(always)]
-fn product_of_sum(a: &[f32], b: &[f32], c: &[f32]) -> f32 {
+pub(super) fn product_of_sum(a: &[f32], b: &[f32], c: &[f32]) -> f32 {
     let mut lanes = [0f32; PANEL];
     let ((a, a_rest), (b, b_rest), (c, c_rest)) =
         (a.as_chunks::<PANEL>(), b.as_chunks::<PANEL>(), c.as_chunks::<PANEL>());

@@ -1,7 +1,8 @@
 //! The arithmetic of layers. A number is one chain of sums over its inputs in their order, never fused with products, so it has
-//! the same bits whatever the batch, the threads and the instructions are.
+//! the same bits whatever the batch, the threads and the instructions are. Training fuses them.
 
 mod attention;
+mod back;
 mod groups;
 mod product;
 mod rows;
@@ -9,12 +10,12 @@ mod shape;
 mod simd;
 mod tile;
 
-pub(crate) use attention::{Seen, mix};
+pub use attention::{Seen, mix};
+pub use back::{MixBack, add_rows, gate_back, mix_back, norm_back, relu_back, softmax_columns_back};
 pub(crate) use groups::groups_mish;
-pub use product::Packed;
-pub(crate) use product::{Strided, convolve, filter, linear, matmul};
-pub(crate) use rows::{
-    add, add_cycle, add_norm, gate, most, norm, pixels, pixels_under, softmax_columns, transpose,
-};
-pub(crate) use shape::PANEL;
+pub use product::{Packed, Strided, trained, trained_matmul};
+pub(crate) use product::{convolve, filter, linear, matmul};
+pub use rows::{add, add_cycle, gate, norm, softmax_columns, transpose};
+pub(crate) use rows::{add_norm, most, pixels, pixels_under};
+pub use shape::PANEL;
 pub use simd::{Checked, Level, with_level};

@@ -2,7 +2,7 @@
 
 use super::shape::{PANEL, Product, Rows};
 use super::simd::Checked;
-use super::tile::multiply;
+use super::tile::{How, multiply};
 
 /// Weights [columns, inputs] in panels of 16 columns, [columns / 16][inputs][16], zeros beyond the last, with the bias.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,7 +15,7 @@ pub struct Packed {
 
 impl Packed {
     /// From rows of columns [columns, inputs], as weight files have them; no bias is one of zeros.
-    pub(crate) fn new(rows: &[f32], bias: &[f32], columns: usize, inputs: usize) -> Self {
+    pub fn new(rows: &[f32], bias: &[f32], columns: usize, inputs: usize) -> Self {
         let panels = columns.div_ceil(PANEL);
         let mut weights = vec![0.0; panels * inputs * PANEL];
         for (column, row) in rows.chunks_exact(inputs.max(1)).enumerate().take(columns) {
@@ -48,7 +48,13 @@ impl Packed {
 /// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
 pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
     let rows = x.len() / weights.inputs.max(1);
-    layer(level, x, (rows, Rows::apart(weights.inputs)), weights, relu, out);
+    layer(level, x, (rows, Rows::apart(weights.inputs)), weights, relu, out, How::Exact);
+}
+
+/// As [`linear`], with sums as training forms them.
+pub fn trained(x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
+    let rows = x.len() / weights.inputs.max(1);
+    layer(Checked::now(), x, (rows, Rows::apart(weights.inputs)), weights, relu, out, How::Fused);
 }
 
 /// Weights times windows of lines, each line `line` numbers: of each `places` windows, `step` numbers apart.
@@ -61,7 +67,7 @@ pub(crate) fn filter(
     out: &mut Vec<f32>,
 ) {
     let from = Rows { per: places, outer: line, inner: step };
-    layer(level, lines, (lines.len() / line.max(1) * places, from), weights, false, out);
+    layer(level, lines, (lines.len() / line.max(1) * places, from), weights, false, out, How::Exact);
 }
 
 fn layer(
@@ -71,6 +77,7 @@ fn layer(
     weights: &Packed,
     relu: bool,
     out: &mut Vec<f32>,
+    how: How,
 ) {
     let wide = weights.panels() * PANEL;
     let p = Product {
@@ -88,7 +95,7 @@ fn layer(
     };
     out.clear();
     out.resize(rows * wide, 0.0);
-    multiply(level, &p, x, &weights.weights, Some(&weights.bias), out, false);
+    multiply(level, &p, x, &weights.weights, Some(&weights.bias), out, how);
     if wide != weights.columns {
         for row in 0..rows {
             out.copy_within(row * wide..row * wide + weights.columns, row * weights.columns);
@@ -99,20 +106,46 @@ fn layer(
 
 /// Numbers in memory as one side of a product: row i and step j at i · `row` + j · `step`.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Strided<'a> {
-    pub(crate) numbers: &'a [f32],
-    pub(crate) row: usize,
-    pub(crate) step: usize,
+pub struct Strided<'a> {
+    /// All numbers.
+    pub numbers: &'a [f32],
+    /// From one row to the next.
+    pub row: usize,
+    /// From one step to the next.
+    pub step: usize,
 }
 
 /// a [rows, length] times b [length, columns], whose steps are `b_step` apart: [rows, `out_row`]. Columns are a multiple of 16.
 pub(crate) fn matmul(
     level: Checked,
     a: Strided<'_>,
+    shape: (usize, usize, usize),
+    b: (&[f32], usize),
+    out: &mut [f32],
+    out_row: usize,
+) {
+    strided(level, a, shape, b, out, out_row, How::Exact);
+}
+
+/// As [`matmul`], with sums as training forms them.
+pub fn trained_matmul(
+    a: Strided<'_>,
+    shape: (usize, usize, usize),
+    b: (&[f32], usize),
+    out: &mut [f32],
+    out_row: usize,
+) {
+    strided(Checked::now(), a, shape, b, out, out_row, How::Fused);
+}
+
+fn strided(
+    level: Checked,
+    a: Strided<'_>,
     (rows, length, columns): (usize, usize, usize),
     (b, b_step): (&[f32], usize),
     out: &mut [f32],
     out_row: usize,
+    how: How,
 ) {
     let p = Product {
         rows,
@@ -127,7 +160,7 @@ pub(crate) fn matmul(
         to: Rows::apart(out_row),
         relu: false,
     };
-    multiply(level, &p, a.numbers, b, None, out, false);
+    multiply(level, &p, a.numbers, b, None, out, how);
 }
 
 /// A convolution of 4 x 4 with stride 2 and ReLU: pixels [2 side + 2, 2 side + 2, channels] with a border of zeros to
@@ -155,7 +188,7 @@ pub(crate) fn convolve(
         to: Rows { per: side, outer: out_line, inner: weights.columns },
         relu: true,
     };
-    multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out, true);
+    multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out, How::Sparse);
 }
 
 #[cfg(test)]

@@ -8,7 +8,8 @@ macro_rules! at_levels {
     ($($(#[$doc:meta])* fn $name:ident<'a>($($arg:ident: $ty:ty),* $(,)?) $body:block)+) => {$(
         $(#[$doc])*
         #[allow(clippy::needless_lifetimes, reason = "the work has the same fields")]
-        pub(crate) fn $name<'a>(level: Checked, $($arg: $ty),*) {
+        #[allow(unreachable_pub, reason = "training uses some of them")]
+        pub fn $name<'a>(level: Checked, $($arg: $ty),*) {
             struct Call<'a> { $($arg: $ty,)* lives: std::marker::PhantomData<&'a ()> }
             impl<'a> Work for Call<'a> {
                 type Out = ();
@@ -26,7 +27,7 @@ pub(super) use at_levels;
 
 /// The sum of numbers of a row, by sixteen lanes, then halves of them.
 #[inline(always)]
-fn sum(row: &[f32], of: impl Fn(f32) -> f32) -> f32 {
+pub(super) fn sum(row: &[f32], of: impl Fn(f32) -> f32) -> f32 {
     let mut lanes = [0f32; PANEL];
     let (whole, rest) = row.as_chunks::<PANEL>();
     for part in whole {

@@ -1,7 +1,7 @@
 //! What a product of rows and columns reads and writes.
 
 /// Columns of a panel of weights.
-pub(crate) const PANEL: usize = 16;
+pub const PANEL: usize = 16;
 
 /// Where rows lie: row i at (i / `per`) · `outer` + (i % `per`) · `inner`.
 #[derive(Debug, Clone, Copy)]

@@ -1,6 +1,7 @@
 //! Vectors of each instruction set and the dispatch. `unsafe` is here and in [`super::tile`] alone.
 //!
-//! A product is never fused with its addition, so all levels, and processors of other families, compute the same bits.
+//! Plans never fuse a product with its addition, so all levels, and processors of other families, compute the same bits;
+//! training does.
 
 #![allow(unsafe_code, reason = "intrinsics")]
 
@@ -136,6 +137,16 @@ pub(super) trait Vector: Copy {
     /// The processor has the instructions.
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
 
+    /// self + a · b, rounded once where the processor can.
+    ///
+    /// # Safety
+    /// The processor has the instructions, and those of fused products.
+    #[inline(always)]
+    unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
+        // SAFETY: the caller's promise
+        unsafe { self.plus_product(a, b) }
+    }
+
     /// The greater of each number and zero.
     ///
     /// # Safety
@@ -209,7 +220,7 @@ static ONES: [Ones; 16] = {
     allow(unused_macros, reason = "of processors that have intrinsics")
 )]
 macro_rules! vector {
-    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)?) => {
+    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)*) => {
         // SAFETY of all: the caller's promises are those of the intrinsics
         impl Vector for $name {
             const LANES: usize = $lanes;
@@ -250,7 +261,7 @@ macro_rules! vector {
                 unsafe { $nonzero }
             }
 
-            $($more)?
+            $($more)*
         }
     };
 }
@@ -284,7 +295,11 @@ mod x86 {
         _mm256_max_ps,
         _mm256_setzero_ps,
         _mm256_or_ps,
-        x => _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(x, _mm256_setzero_ps())) as u32
+        x => _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(x, _mm256_setzero_ps())) as u32,
+        #[inline(always)]
+        unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
+            unsafe { _mm256_fmadd_ps(a, b, self) }
+        }
     );
     vector!(
         __m512,
@@ -298,6 +313,10 @@ mod x86 {
         _mm512_setzero_ps,
         _mm512_or_ps,
         x => u32::from(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(x, _mm512_setzero_ps())),
+        #[inline(always)]
+        unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
+            unsafe { _mm512_fmadd_ps(a, b, self) }
+        },
         #[inline(always)]
         unsafe fn list_ones(bits: u32, firsts: [u32; 2], lists: [*mut u32; 2]) -> usize {
             unsafe {

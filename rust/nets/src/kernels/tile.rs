@@ -1,6 +1,6 @@
 //! The product of rows and packed weights, in tiles that stay in registers.
 //!
-//! A product is never fused with its addition, so all levels, and processors of other families, compute the same bits.
+//! Plans never fuse a product with its addition, so all levels, and processors of other families, compute the same bits.
 
 #![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
 
@@ -11,8 +11,19 @@ use super::simd::Four;
 use super::simd::Level;
 use super::simd::{Checked, Vector};
 
-/// Computes a product at a level. With `skips`, inputs that are zero in all rows of a tile are left out, which no sum feels as
-/// long as weights are finite and no bias is -0: for inputs behind a ReLU, and others that are mostly zero.
+/// How sums are formed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum How {
+    /// All products, each rounded: the same bits on every processor.
+    Exact,
+    /// As `Exact`, but inputs that are zero in all rows of a tile are left out, which no sum feels as long as weights are finite
+    /// and no bias is -0: for inputs behind a ReLU, and others that are mostly zero.
+    Sparse,
+    /// All products, rounded with their sum where the processor can.
+    Fused,
+}
+
+/// Computes a product at a level.
 ///
 /// # Panics
 /// Where a row of either side or a column of weights lies outside of its slice: a mistake of this crate.
@@ -23,8 +34,9 @@ pub(super) fn multiply(
     columns: &[f32],
     bias: Option<&[f32]>,
     out: &mut [f32],
-    skips: bool,
+    how: How,
 ) {
+    let skips = how == How::Sparse;
     if p.rows == 0 || p.panels == 0 {
         return;
     }
@@ -45,15 +57,28 @@ pub(super) fn multiply(
         use std::arch::x86_64::{__m128, __m256, __m512};
         #[target_feature(enable = "avx2")]
         unsafe fn avx2(p: &Product, s: Sides, skips: bool) {
-            unsafe { if skips { sparse_product::<__m256>(p, s) } else { product::<__m256, 6>(p, s) } }
+            unsafe { if skips { sparse_product::<__m256>(p, s) } else { product::<__m256, 6, false>(p, s) } }
+        }
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn avx2_fused(p: &Product, s: Sides) {
+            unsafe { product::<__m256, 6, true>(p, s) }
         }
         #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
         unsafe fn avx512(p: &Product, s: Sides, skips: bool) {
-            unsafe { if skips { sparse_product::<__m512>(p, s) } else { product::<__m512, 12>(p, s) } }
+            unsafe { if skips { sparse_product::<__m512>(p, s) } else { product::<__m512, 12, false>(p, s) } }
         }
+        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
+        unsafe fn avx512_fused(p: &Product, s: Sides) {
+            unsafe { product::<__m512, 12, true>(p, s) }
+        }
+        let fused = how == How::Fused;
         match level.0 {
             Level::Base if skips => unsafe { sparse_product::<__m128>(p, sides) },
-            Level::Base => unsafe { product::<__m128, 6>(p, sides) },
+            Level::Base => unsafe { product::<__m128, 6, false>(p, sides) },
+            Level::Avx512 if fused => unsafe { avx512_fused(p, sides) },
+            Level::Avx2 if fused && std::arch::is_x86_feature_detected!("fma") => unsafe {
+                avx2_fused(p, sides);
+            },
             Level::Avx2 => unsafe { avx2(p, sides, skips) },
             Level::Avx512 => unsafe { avx512(p, sides, skips) },
         }
@@ -61,7 +86,7 @@ pub(super) fn multiply(
     #[cfg(not(target_arch = "x86_64"))]
     {
         let _ = level;
-        unsafe { if skips { sparse_product::<Four>(p, sides) } else { product::<Four, 4>(p, sides) } }
+        unsafe { if skips { sparse_product::<Four>(p, sides) } else { product::<Four, 4, false>(p, sides) } }
     }
 }
 
@@ -81,17 +106,17 @@ struct Sides {
 /// # Safety
 /// The processor has the instructions of `V`; the product fits its slices.
 #[inline(always)]
-unsafe fn product<V: Vector, const ROWS: usize>(p: &Product, s: Sides) {
+unsafe fn product<V: Vector, const ROWS: usize, const FUSED: bool>(p: &Product, s: Sides) {
     let columns = p.panels * PANEL;
     let mut column = 0;
     // SAFETY: columns stay below their number, which is a multiple of every width
     unsafe {
         while column + 2 * V::LANES <= columns {
-            all_rows::<V, ROWS, 2>(p, column, s);
+            all_rows::<V, ROWS, 2, FUSED>(p, column, s);
             column += 2 * V::LANES;
         }
         while column < columns {
-            all_rows::<V, ROWS, 1>(p, column, s);
+            all_rows::<V, ROWS, 1, FUSED>(p, column, s);
             column += V::LANES;
         }
     }
@@ -102,24 +127,28 @@ unsafe fn product<V: Vector, const ROWS: usize>(p: &Product, s: Sides) {
 /// # Safety
 /// As [`product`].
 #[inline(always)]
-unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize>(p: &Product, column: usize, s: Sides) {
+unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: bool>(
+    p: &Product,
+    column: usize,
+    s: Sides,
+) {
     let mut row = 0;
     // SAFETY: rows stay below their number
     unsafe {
         while row + ROWS <= p.rows {
-            tile::<V, ROWS, WIDE>(p, row, column, s);
+            tile::<V, ROWS, WIDE, FUSED>(p, row, column, s);
             row += ROWS;
         }
         while row + 4 <= p.rows {
-            tile::<V, 4, WIDE>(p, row, column, s);
+            tile::<V, 4, WIDE, FUSED>(p, row, column, s);
             row += 4;
         }
         while row + 2 <= p.rows {
-            tile::<V, 2, WIDE>(p, row, column, s);
+            tile::<V, 2, WIDE, FUSED>(p, row, column, s);
             row += 2;
         }
         if row < p.rows {
-            tile::<V, 1, WIDE>(p, row, column, s);
+            tile::<V, 1, WIDE, FUSED>(p, row, column, s);
         }
     }
 }
@@ -184,7 +213,7 @@ impl<V: Vector, const ROWS: usize, const WIDE: usize> Tile<V, ROWS, WIDE> {
     /// # Safety
     /// Both are there.
     #[inline(always)]
-    unsafe fn add(&mut self, at: usize, step: usize) {
+    unsafe fn add<const FUSED: bool>(&mut self, at: usize, step: usize) {
         // SAFETY: the caller's promise
         unsafe {
             let mut weights = [V::splat(0.0); WIDE];
@@ -194,7 +223,9 @@ impl<V: Vector, const ROWS: usize, const WIDE: usize> Tile<V, ROWS, WIDE> {
             for i in 0..ROWS {
                 let x = V::splat(*self.from[i].add(at));
                 for j in 0..WIDE {
-                    self.sums[i][j] = self.sums[i][j].plus_product(x, weights[j]);
+                    let sum = self.sums[i][j];
+                    self.sums[i][j] =
+                        if FUSED { sum.plus_fused(x, weights[j]) } else { sum.plus_product(x, weights[j]) };
                 }
             }
         }
@@ -222,7 +253,7 @@ impl<V: Vector, const ROWS: usize, const WIDE: usize> Tile<V, ROWS, WIDE> {
 /// # Safety
 /// As [`product`]; rows and columns of the tile are there.
 #[inline(always)]
-unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize>(
+unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: bool>(
     p: &Product,
     row: usize,
     column: usize,
@@ -236,7 +267,7 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize>(
         for run in 0..p.runs {
             let mut at = run * p.run_step;
             for _ in 0..p.length {
-                tile.add(at, step);
+                tile.add::<FUSED>(at, step);
                 step += p.weight_step;
                 at += p.input_step;
             }
@@ -382,7 +413,7 @@ unsafe fn sparse_tile<V: Vector, const ROWS: usize, const WIDE: usize>(
     unsafe {
         let mut tile = Tile::<V, ROWS, WIDE>::new(p, places, column, s);
         for (at, step) in list.at[..list.count].iter().zip(&list.step[..list.count]) {
-            tile.add(*at as usize, *step as usize);
+            tile.add::<false>(*at as usize, *step as usize);
         }
         tile.store(p, places, column);
     }
@@ -398,7 +429,7 @@ mod tests {
         let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
         let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
         let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
-        multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own, false);
+        multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own, How::Exact);
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
         let sides = Sides {
             a: a.as_ptr(),
@@ -408,7 +439,7 @@ mod tests {
             c: plain.as_mut_ptr(),
         };
         // SAFETY: it fits
-        unsafe { product::<Plain, 4>(&p, sides) };
+        unsafe { product::<Plain, 4, false>(&p, sides) };
         assert_eq!(plain, own);
     }
 
@@ -420,13 +451,13 @@ mod tests {
                 *x = 0.0;
             }
             let bias: Vec<f32> = (0..panels * PANEL).map(|i| i as f32 * 0.1 - 3.0).collect();
-            let bits = |level, skips| {
+            let bits = |level, how| {
                 let mut out = vec![0.0; rows * panels * PANEL];
-                multiply(Checked::at_most(level), &p, &a, &b, Some(&bias), &mut out, skips);
+                multiply(Checked::at_most(level), &p, &a, &b, Some(&bias), &mut out, how);
                 out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
             };
             for level in Level::available() {
-                assert_eq!(bits(level, true), bits(Level::Base, false));
+                assert_eq!(bits(level, How::Sparse), bits(Level::Base, How::Exact));
             }
         }
     }

@@ -70,7 +70,7 @@ impl<B: Backend> Trunk<B> {
             Some(tokens)
         });
         let (edges, slots) = B::edges_now(batch, config);
-        let edges = self.edges.forward(&edges);
+        let edges = self.edges.forward(&edges, false);
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);
         let token = B::normed(&self.norm, &x);
         let speed = B::standard_speed(batch, config);

@@ -223,17 +223,12 @@ impl Ops for Cpu {
         x.like(rows.flat_map(|(row, f)| row.iter().map(move |v| v * f)).collect())
     }
 
-    fn with_greatest(x: &Array) -> Array {
-        let mut greatest = vec![0.0; x.width];
-        let mut numbers = Vec::with_capacity(2 * x.numbers.len());
-        for row in x.numbers.chunks_exact(x.row()) {
-            kernels::most(Checked::now(), row, &mut greatest);
-            for token in row.chunks_exact(x.width) {
-                numbers.extend_from_slice(token);
-                numbers.extend_from_slice(&greatest);
-            }
+    fn greatest(x: &Array) -> Array {
+        let mut numbers = vec![0.0; x.rows() * x.width];
+        for (row, out) in x.numbers.chunks_exact(x.row()).zip(numbers.chunks_exact_mut(x.width.max(1))) {
+            kernels::most(Checked::now(), row, out);
         }
-        Array::new(x.tokens, 2 * x.width, numbers)
+        Array::new(1, x.width, numbers)
     }
 
     fn rows_of(table: &Array, step: &usize) -> Array {

@@ -28,13 +28,18 @@ impl<B: Ops> EdgeEncoder<B> {
         }
     }
 
-    /// Features to encoded edges.
-    pub fn forward(&self, edges: &B::Tensor) -> B::Tensor {
-        let part = |g: usize| {
+    /// Features to encoded edges. With `moved`, the tokens of an edge differ in its place alone.
+    pub fn forward(&self, edges: &B::Tensor, moved: bool) -> B::Tensor {
+        let part = |g: usize, edges: &B::Tensor| {
             let (first, norm, second) = &self.groups[g];
             B::apply(second, &B::normed_relu(norm, B::apply(first, &B::columns(edges, 2 * g as i64, 2))))
         };
-        let sum = (1..4).fold(part(0), |sum, g| B::sum(&sum, part(g)));
+        let sum = if moved {
+            let one = B::last(edges, 1);
+            (1..4).fold(part(0, edges), |sum, g| B::sum_token(sum, &part(g, &one)))
+        } else {
+            (1..4).fold(part(0, edges), |sum, g| B::sum(&sum, part(g, edges)))
+        };
         B::normed(&self.out_norm, &B::apply(&self.out, &B::normed_relu(&self.norm, sum)))
     }
 }

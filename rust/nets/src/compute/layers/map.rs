@@ -37,7 +37,7 @@ impl<B: Backend> MapNetwork<B> {
 #[derive(Debug)]
 pub struct LineEncoder<B: Backend> {
     line: [B::Linear; 2],
-    among_all: B::Linear,
+    among_all: B::Joint,
     norm: B::Norm,
 }
 
@@ -46,13 +46,14 @@ impl<B: Backend> LineEncoder<B> {
         let line = |name, inputs| B::linear(&B::sub(&B::sub(p, "line"), name), inputs, width);
         Self {
             line: [line("0", SEGMENT_FEATURES as i64), line("1", width)],
-            among_all: B::linear(&B::sub(&B::sub(p, "among_all"), "0"), 2 * width, width),
+            among_all: B::joint(&B::sub(&B::sub(p, "among_all"), "0"), width, width, width),
             norm: B::norm(&B::sub(p, "norm"), width),
         }
     }
 
     fn forward(&self, lines: &B::Tensor) -> B::Tensor {
         let x = B::apply_relu(&self.line[1], &B::apply_relu(&self.line[0], lines));
-        B::normed(&self.norm, &B::apply(&self.among_all, &B::with_greatest(&x)))
+        let (own, greatest) = B::apply_joint(&self.among_all, &x, &B::greatest(&x));
+        B::normed(&self.norm, &B::sum_token(own, &greatest))
     }
 }

@@ -131,7 +131,9 @@ impl<B: Backend> Denoises<B> for Network<B> {
             Some((embedding, route)) => B::sum(&history, embedding.forward(&route)),
             None => history,
         };
-        Context { history, edges: self.edges.forward(&edges), slots, map, mask, speed: B::speed(batch) }
+        // of one history token, that of now, which those of the plan move on
+        let edges = self.edges.forward(&edges, config.history == HistoryTokens::Summary);
+        Context { history, edges, slots, map, mask, speed: B::speed(batch) }
     }
 
     /// With the attention weights of the first edge-aware layer.
