@@ -9,9 +9,11 @@ use crate::plan_model::{PlanModel, Taught, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{self, Denoiser, SampleOptions, Samples};
 use crate::schedule::Schedule;
-use crate::torch::Torch;
+use crate::tape::{self, Parameters, Var};
+use crate::torch::{Torch, to_vec};
 use ccdiff_nets::networks::ccdiff::Network;
 use ccdiff_nets::networks::ctg::HalfUnet;
+use ccdiff_nets::networks::planner::{Denoises, Weighted};
 use tch::{Kind, Tensor, nn};
 
 /// CCDiff.
@@ -46,13 +48,16 @@ impl<D: Denoiser> Diffusion<D> {
 
 impl<D: Denoiser> Diffusion<D> {
     /// The distance of the plan made of the first noise in one step from the one that the teacher makes of it.
-    fn distillation_loss(&self, batch: &Batch, taught: &Taught) -> Tensor {
+    fn distillation_loss(
+        &self,
+        batch: &Batch,
+        taught: &Taught,
+        predict: impl FnOnce(&Batch, &Tensor, &[i64]) -> Tensor,
+    ) -> Tensor {
         let (space, last) = (self.space(), self.schedule.len());
         let numbers = batch.rows().noise(&taught.seeds, last as u64, 1, space.config().num_knots() * 2);
         let noise = Tensor::from_slice(&numbers).view_as(&taught.knots).to_device(taught.knots.device());
-        let steps = Tensor::full([batch.num_rows()], last as i64 - 1, (Kind::Int64, noise.device()));
-        let context = self.denoiser.encode(batch, true);
-        let (predicted, _) = self.denoiser.predict(&context, &noise, &steps);
+        let predicted = predict(batch, &noise, &vec![last as i64 - 1; batch.num_rows() as usize]);
         let states = space.states(&taught.knots, &batch.speed_mps);
         let valid = states.select(2, 0).ones_like();
         let targets = Targets { states, valid };
@@ -60,18 +65,16 @@ impl<D: Denoiser> Diffusion<D> {
         trajectory_loss(space, &planned, &targets, &targets.valid)
             + (predicted - &taught.knots).square().mean(Kind::Float)
     }
-}
-
-impl<D: Denoiser> PlanModel for Diffusion<D> {
-    fn space(&self) -> &PlanSpace {
-        self.denoiser.space()
-    }
 
     /// The loss of the plan predicted from the noised log, each scene at a diffusion step of its own, with G replaced by
     /// the identity in some scenes; with a teacher, the distance from its plans.
-    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+    fn loss_of(
+        &self,
+        step: &TrainingStep<'_>,
+        predict: impl FnOnce(&Batch, &Tensor, &[i64]) -> Tensor,
+    ) -> Tensor {
         if let Some(taught) = step.taught {
-            return self.distillation_loss(step.batch, taught);
+            return self.distillation_loss(step.batch, taught, predict);
         }
         let (batch, targets, space) = (step.batch, step.targets, self.space());
         let device = batch.speed_mps.device();
@@ -94,11 +97,36 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         };
         let noisy = &clean * of_noise(&f64::sqrt) + noise * of_noise(&|a| (1.0 - a).sqrt());
 
-        let context = self.denoiser.encode(&batch, true);
-        let steps = Tensor::from_slice(&k).to_device(device);
-        let (predicted, _) = self.denoiser.predict(&context, &noisy, &steps);
+        let predicted = predict(&batch, &noisy, &k);
         let share = || of_noise(&f64::sqrt).flatten(0, 2);
         plan_loss(space, &predicted, &batch, targets, step.config.collision_weight, share)
+    }
+}
+
+impl<D: Denoiser> PlanModel for Diffusion<D> {
+    fn space(&self) -> &PlanSpace {
+        self.denoiser.space()
+    }
+
+    fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
+        self.loss_of(step, |batch, noisy, steps| {
+            let context = self.denoiser.encode(batch, true);
+            let steps = Tensor::from_slice(steps).to_device(noisy.device());
+            self.denoiser.predict(&context, noisy, &steps).0
+        })
+    }
+
+    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
+        let config = self.space().config();
+        Some(tape::learnt(|| {
+            self.loss_of(step, |batch, noisy, steps| {
+                let network = D::Taped::new(&parameters.root(), config);
+                let context = network.encode(batch, true);
+                let knots = Var::data(config.num_knots(), 2, to_vec(noisy));
+                let steps = steps.iter().map(|k| *k as usize).collect();
+                tape::leaf(&network.predict(&context, &knots, &steps).0, &noisy.size())
+            })
+        }))
     }
 
     fn propose(

@@ -23,6 +23,7 @@ mod losses;
 pub mod plan_model;
 pub mod plan_space;
 pub mod sampler;
+pub mod tape;
 pub mod tokens;
 pub mod torch;
 pub mod torch_model;

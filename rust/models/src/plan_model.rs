@@ -7,6 +7,7 @@ use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
+use crate::tape::Parameters;
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
 use ccdiff_nets::networks::planner::{Asked, Proposes};
@@ -23,6 +24,11 @@ pub trait PlanModel: Debug + Send {
 
     /// Loss of one batch of a training step, with its gradient.
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor;
+
+    /// The same loss of these numbers of the network, to which its gradient is added; `None` where the tape has no such loss.
+    fn learn(&self, _step: &TrainingStep<'_>, _parameters: &Parameters) -> Option<f64> {
+        None
+    }
 
     /// Sum of the negative logarithms of the probabilities of the logged tokens, and their number; `None` for other networks.
     fn nats(&self, _batch: &Batch, _targets: &Targets) -> Option<(f64, usize)> {
@@ -46,6 +52,11 @@ pub trait PlanModel: Debug + Send {
 pub trait Imitates: Proposes<Torch> + Send {
     /// Loss of one batch of a training step, with its gradient.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
+
+    /// The same loss on the tape, as [`PlanModel::learn`].
+    fn learn(&self, _: &PlanSpace, _: &TrainingStep<'_>, _: &Parameters) -> Option<f64> {
+        None
+    }
 }
 
 /// A network that plans at once.
@@ -70,6 +81,10 @@ impl<N: Imitates> PlanModel for Proposing<N> {
 
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
         self.network.loss(&self.space, step)
+    }
+
+    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
+        self.network.learn(&self.space, step, parameters)
     }
 
     fn propose(

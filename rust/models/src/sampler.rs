@@ -6,6 +6,7 @@ use crate::batch::Batch;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::schedule::Schedule;
+use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
 use ccdiff_nets::networks::ccdiff::{Context, Network};
 use ccdiff_nets::networks::ctg::{Condition, HalfUnet};
@@ -16,6 +17,9 @@ use tch::{Device, Kind, Tensor};
 
 /// A network from noisy plans to clean ones, of which samples are drawn at once.
 pub trait Denoiser: Denoises<Torch> + Send {
+    /// The same network on the tape.
+    type Taped: Denoises<Tape>;
+
     /// The same context for N samples: rows are repeated sample by sample, [N · R].
     fn repeated(context: &Self::Context, samples: i64) -> Self::Context;
 }
@@ -96,6 +100,8 @@ fn repeated(t: &Tensor, samples: i64) -> Tensor {
 }
 
 impl Denoiser for HalfUnet<Torch> {
+    type Taped = HalfUnet<Tape>;
+
     fn repeated(context: &Condition<Torch>, samples: i64) -> Condition<Torch> {
         let repeat = |t| repeated(t, samples);
         Condition { token: repeat(&context.token), speed: repeat(&context.speed) }
@@ -103,6 +109,8 @@ impl Denoiser for HalfUnet<Torch> {
 }
 
 impl Denoiser for Network<Torch> {
+    type Taped = Network<Tape>;
+
     fn repeated(context: &Context<Torch>, samples: i64) -> Context<Torch> {
         let repeat = |t: &Tensor| repeated(t, samples);
         Context {

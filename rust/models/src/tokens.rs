@@ -7,6 +7,7 @@ use crate::guidance::Guidance;
 use crate::plan_model::{PlanModel, TorchKind, TrainingStep, proposed};
 use crate::plan_space::PlanSpace;
 use crate::sampler::{SampleOptions, Samples};
+use crate::tape::{self, Parameters, Tape};
 use crate::torch::{Torch, to_vec};
 use crate::train::config::TrainConfig;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
@@ -79,6 +80,33 @@ impl Tokens {
         self.network.logits(&own.unsqueeze(1), near, lines).squeeze_dim(1)
     }
 
+    /// The loss of the logits that are made of own numbers, neighbours and lines.
+    fn loss_of(
+        &self,
+        step: &TrainingStep<'_>,
+        logits: impl FnOnce(&Tensor, &Tensor, &Tensor) -> Tensor,
+    ) -> Tensor {
+        let draw = step.draw(2);
+        let Some((rows, mirrors)) = Self::labelled(step.batch, step.targets, |row| draw.uniform(row) < 0.5)
+        else {
+            return (self.beside.sum(Kind::Float) * 0.0).set_requires_grad(true);
+        };
+        let mirrors: Vec<f32> = mirrors.into_iter().map(|m| f32::from(u8::from(m))).collect();
+        let mirrors = Tensor::from_slice(&mirrors).to_device(rows.own.device());
+        let [own, near, lines] = &self.mirrors;
+        let logits = logits(
+            &mirrored(&rows.own, own, &mirrors),
+            &mirrored(&rows.near, near, &mirrors),
+            &mirrored(&rows.lines, lines, &mirrors),
+        );
+        let log_p = logits.log_softmax(-1, Kind::Float);
+        let soft = |axis: i64| self.beside.index_select(0, &rows.bins.select(1, axis));
+        let soft = (soft(0).unsqueeze(2) * soft(1).unsqueeze(1)).flatten(1, 2) * SMOOTHED;
+        let hard = log_p.gather(1, &token(&rows.bins), false).squeeze_dim(1) * (1.0 - SMOOTHED);
+        let soft = (soft * &log_p).sum_dim_intlist([1i64].as_slice(), false, Kind::Float);
+        -(hard + soft).mean(Kind::Float)
+    }
+
     /// The rows of a batch whose next token is logged, those mirrored that `mirrored` says; `None` without any.
     fn labelled(
         batch: &Batch,
@@ -129,25 +157,19 @@ impl PlanModel for Tokens {
     }
 
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
-        let draw = step.draw(2);
-        let Some((rows, mirrors)) = Self::labelled(step.batch, step.targets, |row| draw.uniform(row) < 0.5)
-        else {
-            return self.beside.sum(Kind::Float) * 0.0;
-        };
-        let mirrors: Vec<f32> = mirrors.into_iter().map(|m| f32::from(u8::from(m))).collect();
-        let mirrors = Tensor::from_slice(&mirrors).to_device(rows.own.device());
-        let [own, near, lines] = &self.mirrors;
-        let logits = self.logits(
-            &mirrored(&rows.own, own, &mirrors),
-            &mirrored(&rows.near, near, &mirrors),
-            &mirrored(&rows.lines, lines, &mirrors),
-        );
-        let log_p = logits.log_softmax(-1, Kind::Float);
-        let soft = |axis: i64| self.beside.index_select(0, &rows.bins.select(1, axis));
-        let soft = (soft(0).unsqueeze(2) * soft(1).unsqueeze(1)).flatten(1, 2) * SMOOTHED;
-        let hard = log_p.gather(1, &token(&rows.bins), false).squeeze_dim(1) * (1.0 - SMOOTHED);
-        let soft = (soft * &log_p).sum_dim_intlist([1i64].as_slice(), false, Kind::Float);
-        -(hard + soft).mean(Kind::Float)
+        self.loss_of(step, |own, near, lines| self.logits(own, near, lines))
+    }
+
+    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
+        Some(tape::learnt(|| {
+            self.loss_of(step, |own, near, lines| {
+                let network = Network::<Tape>::new(&parameters.root(), self.space.config());
+                let tokens = |x: &Tensor| tape::data(x, x.size()[1] as usize);
+                let own = tape::data(own, 1);
+                let logits = network.logits(&own, &tokens(near), &tokens(lines));
+                tape::leaf(&logits, &[near.size()[0], NUM_TOKENS as i64])
+            })
+        }))
     }
 
     fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)> {

@@ -163,9 +163,8 @@ impl Ops for Torch {
         x * factor
     }
 
-    fn with_greatest(x: &Tensor) -> Tensor {
-        let greatest = x.amax([1i64].as_slice(), true).expand_as(x);
-        Tensor::cat(&[x, &greatest], 2)
+    fn greatest(x: &Tensor) -> Tensor {
+        x.amax([1i64].as_slice(), true)
     }
 
     fn rows_of(table: &Tensor, steps: &Tensor) -> Tensor {
@@ -223,7 +222,7 @@ impl Ops for Torch {
     }
 
     fn last(x: &Tensor, count: i64) -> Tensor {
-        x.narrow(1, x.size()[1] - count, count)
+        x.narrow(-2, x.size()[x.dim() - 2] - count, count)
     }
 }
 

@@ -16,6 +16,8 @@ use crate::grad::guarded;
 use crate::kinds::build;
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
 use crate::sampler::SampleOptions;
+use crate::tape::{Parameters, Tape};
+use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
 use optimiser::{Adam, MovingAverage};
 use serde::{Deserialize, Serialize};
@@ -78,9 +80,11 @@ impl Trainer {
         guarded(true, "building the network", || {
             let store = nn::VarStore::new(device);
             let network = build(&store.root(), &model)?;
-            let average = tch::no_grad(|| MovingAverage::new(&store, |p| build(p, &model)))?;
+            let adam = Adam::new(&store);
+            let average =
+                tch::no_grad(|| MovingAverage::new(&store, &adam.parameters, |p| build(p, &model)))?;
             Ok(Self {
-                adam: Adam::new(&store),
+                adam,
                 store,
                 network,
                 average,
@@ -203,15 +207,13 @@ impl Trainer {
                     step: self.step,
                     taught: taught.as_ref(),
                 };
-                let loss = self.network.loss(&step);
-                let value = loss.double_value(&[]);
+                let (value, gradient) = self.learnt(&step)?;
                 if !value.is_finite() {
                     return Err(ModelError::Diverged { step: self.step, loss: value });
                 }
-                loss.backward();
                 let rate = self.learning_rate();
                 tch::no_grad(|| {
-                    self.adam.step(self.step + 1, rate, self.config.clip_norm);
+                    self.adam.step(&gradient, self.step + 1, rate, self.config.clip_norm);
                     self.step += 1;
                     let decay = if self.step <= self.config.ema_start { 0.0 } else { self.config.ema_decay };
                     self.average.follow(decay);
@@ -220,6 +222,21 @@ impl Trainer {
             }
             Ok(losses)
         })
+    }
+
+    /// The loss of a step and its gradient: on the tape where the network fits it, else on torch.
+    fn learnt(&self, step: &TrainingStep<'_>) -> Result<(f64, Tensor)> {
+        let device = self.store.device();
+        if device == Device::Cpu && Tape::fits(&self.model) {
+            let flat = &self.adam.parameters;
+            let parameters = Parameters::new(to_vec(&flat.numbers), flat.places());
+            if let Some(loss) = self.network.learn(step, &parameters) {
+                return Ok((loss, Tensor::from_slice(&parameters.gradient())));
+            }
+        }
+        let loss = self.network.loss(step);
+        loss.backward();
+        Ok((loss.double_value(&[]), self.adam.parameters.gradient()))
     }
 
     /// Open-loop errors of the averaged weights on `count` samples of another data set, spread evenly over it.
@@ -291,7 +308,8 @@ impl Trainer {
                 tensors.extend(part.into_iter().map(|(n, t)| (format!("{prefix}{n}"), t)));
             }
             for (prefix, part) in [("first.", &self.adam.first), ("second.", &self.adam.second)] {
-                tensors.extend(part.iter().map(|(n, t)| (format!("{prefix}{n}"), t.shallow_clone())));
+                let part = self.adam.parameters.views(part);
+                tensors.extend(part.into_iter().map(|(n, t)| (format!("{prefix}{n}"), t)));
             }
             checkpoint::write(path, &header, &tensors)
         })
@@ -324,8 +342,9 @@ impl Trainer {
             checkpoint::fill(path, &part("weights."), "weights.", &mut variables(&self.store))?;
             let average = &mut variables(&self.average.store);
             checkpoint::fill(path, &part("average."), "average.", average)?;
-            checkpoint::fill(path, &part("first."), "first.", &mut self.adam.first)?;
-            checkpoint::fill(path, &part("second."), "second.", &mut self.adam.second)?;
+            for (prefix, moments) in [("first.", &self.adam.first), ("second.", &self.adam.second)] {
+                checkpoint::fill(path, &part(prefix), prefix, &mut self.adam.parameters.views(moments))?;
+            }
             self.step = checkpoint::field(path, &header, "step")?;
             self.cooldown = checkpoint::field(path, &header, "cooldown")?;
             Ok(())

@@ -6,54 +6,96 @@ use crate::plan_model::PlanModel;
 use std::collections::BTreeMap;
 use tch::{Kind, Tensor, nn};
 
+/// The trainable numbers of a network, one tensor after the other in the order of their names, which share their memory.
+#[derive(Debug)]
+pub(crate) struct Flat {
+    parameters: BTreeMap<String, Tensor>,
+    pub(crate) numbers: Tensor,
+}
+
+impl Flat {
+    /// Moves the tensors of a store into one.
+    fn new(store: &nn::VarStore, trainable: impl Fn(&str) -> bool) -> Self {
+        let mut parameters = variables(store);
+        parameters.retain(|name, _| trainable(name));
+        let numbers = tch::no_grad(|| {
+            let numbers = Tensor::cat(&parameters.values().map(|p| p.flatten(0, -1)).collect::<Vec<_>>(), 0);
+            let views: Vec<Tensor> = Self::parts(&parameters, &numbers).into_values().collect();
+            for (parameter, view) in parameters.values_mut().zip(&views) {
+                parameter.set_data(view);
+            }
+            numbers
+        });
+        Self { parameters, numbers }
+    }
+
+    /// Where the tensors begin.
+    pub(crate) fn places(&self) -> BTreeMap<String, usize> {
+        let mut next = 0;
+        let mut place = |p: &Tensor| {
+            next += p.numel();
+            next - p.numel()
+        };
+        self.parameters.iter().map(|(name, p)| (name.clone(), place(p))).collect()
+    }
+
+    /// As many numbers, as tensors of these names.
+    pub(crate) fn views(&self, numbers: &Tensor) -> BTreeMap<String, Tensor> {
+        Self::parts(&self.parameters, numbers)
+    }
+
+    fn parts(parameters: &BTreeMap<String, Tensor>, numbers: &Tensor) -> BTreeMap<String, Tensor> {
+        let mut next = 0;
+        let mut view = |p: &Tensor| {
+            let count = p.numel() as i64;
+            next += count;
+            numbers.narrow(0, next - count, count).view(p.size().as_slice())
+        };
+        parameters.iter().map(|(name, p)| (name.clone(), view(p))).collect()
+    }
+
+    /// The gradients that torch has summed up, which are cleared.
+    pub(crate) fn gradient(&self) -> Tensor {
+        let grads: Vec<Tensor> = self
+            .parameters
+            .values()
+            .map(|p| Some(p.grad()).filter(Tensor::defined).unwrap_or_else(|| p.zeros_like()).flatten(0, -1))
+            .collect();
+        let all = Tensor::cat(&grads, 0);
+        self.parameters.values().for_each(|p| p.shallow_clone().zero_grad());
+        all
+    }
+}
+
 /// Adam (Kingma and Ba) without weight decay.
 #[derive(Debug)]
 pub(crate) struct Adam {
-    parameters: BTreeMap<String, Tensor>,
+    pub(crate) parameters: Flat,
     /// First moments.
-    pub(crate) first: BTreeMap<String, Tensor>,
+    pub(crate) first: Tensor,
     /// Second moments.
-    pub(crate) second: BTreeMap<String, Tensor>,
+    pub(crate) second: Tensor,
 }
 
 const BETA: (f64, f64) = (0.9, 0.999);
 
 impl Adam {
     pub(crate) fn new(store: &nn::VarStore) -> Self {
-        let parameters: BTreeMap<String, Tensor> =
-            variables(store).into_iter().filter(|(_, t)| t.requires_grad()).collect();
-        let zeros = || parameters.iter().map(|(n, t)| (n.clone(), t.zeros_like().detach())).collect();
+        let known = variables(store);
+        let parameters = Flat::new(store, |name| known[name].requires_grad());
+        let zeros = || parameters.numbers.zeros_like();
         Self { first: zeros(), second: zeros(), parameters }
     }
 
-    /// Clips the gradients to a global norm, takes step number `step` (from 1) and clears them; returns the norm.
-    pub(crate) fn step(&mut self, step: u64, learning_rate: f64, clip_norm: f64) -> f64 {
-        let grads: BTreeMap<&String, Tensor> =
-            self.parameters.iter().map(|(n, p)| (n, p.grad())).filter(|(_, g)| g.defined()).collect();
-        let squares: Vec<Tensor> = grads.values().map(|g| g.square().sum(Kind::Float)).collect();
-        let norm = if squares.is_empty() {
-            0.0
-        } else {
-            Tensor::stack(&squares, 0).sum(Kind::Float).double_value(&[]).sqrt()
-        };
-        let scale = (clip_norm / norm.max(1e-12)).min(1.0);
-        let t = step as f64;
-        let (c1, c2) = (1.0 - BETA.0.powf(t), 1.0 - BETA.1.powf(t));
-        for (name, grad) in &grads {
-            let (Some(m), Some(v)) = (self.first.get_mut(*name), self.second.get_mut(*name)) else {
-                continue;
-            };
-            let grad = grad * scale;
-            let _ = m.lerp_(&grad, 1.0 - BETA.0);
-            let _ = v.lerp_(&grad.square(), 1.0 - BETA.1);
-            let change = &*m / ((&*v * (1.0 / c2)).sqrt() + 1e-8) * (learning_rate / c1);
-            let mut parameter = self.parameters[*name].shallow_clone();
-            let _ = parameter.g_sub_(&change);
-        }
-        for parameter in self.parameters.values_mut() {
-            parameter.zero_grad();
-        }
-        norm
+    /// Clips a gradient to a norm and takes step number `step` (from 1).
+    pub(crate) fn step(&mut self, gradient: &Tensor, step: u64, learning_rate: f64, clip_norm: f64) {
+        let norm = gradient.square().sum(Kind::Float).double_value(&[]).sqrt();
+        let gradient = gradient * (clip_norm / norm.max(1e-12)).min(1.0);
+        let (c1, c2) = (1.0 - BETA.0.powf(step as f64), 1.0 - BETA.1.powf(step as f64));
+        let _ = self.first.lerp_(&gradient, 1.0 - BETA.0);
+        let _ = self.second.lerp_(&gradient.square(), 1.0 - BETA.1);
+        let change = &self.first / ((&self.second * (1.0 / c2)).sqrt() + 1e-8) * (learning_rate / c1);
+        let _ = self.parameters.numbers.g_sub_(&change);
     }
 }
 
@@ -62,6 +104,7 @@ impl Adam {
 pub(crate) struct MovingAverage {
     pub(crate) store: nn::VarStore,
     pub(crate) model: Box<dyn PlanModel>,
+    /// Numbers that follow others: all that are trained, and each tensor that is not.
     pairs: Vec<(Tensor, Tensor)>,
 }
 
@@ -69,13 +112,18 @@ impl MovingAverage {
     /// The average of the network that `build` makes, in a store of its own.
     pub(crate) fn new(
         source: &nn::VarStore,
+        trained: &Flat,
         build: impl FnOnce(&nn::Path) -> Result<Box<dyn PlanModel>>,
     ) -> Result<Self> {
         let mut store = nn::VarStore::new(source.device());
         let model = build(&store.root())?;
         store.freeze();
-        let pairs: Vec<(Tensor, Tensor)> =
-            variables(&store).into_values().zip(variables(source).into_values()).collect();
+        let own = Flat::new(&store, |name| trained.parameters.contains_key(name));
+        let mut pairs = vec![(own.numbers, trained.numbers.shallow_clone())];
+        let others = variables(&store).into_iter().zip(variables(source).into_values());
+        pairs.extend(
+            others.filter(|((name, _), _)| !trained.parameters.contains_key(name)).map(|((_, a), b)| (a, b)),
+        );
         let mut average = Self { store, model, pairs };
         average.follow(0.0);
         Ok(average)
@@ -84,7 +132,7 @@ impl MovingAverage {
     /// average ← decay · average + (1 - decay) · source.
     pub(crate) fn follow(&mut self, decay: f64) {
         for (average, source) in &mut self.pairs {
-            let _ = average.lerp_(&source.detach(), 1.0 - decay);
+            let _ = average.lerp_(source, 1.0 - decay);
         }
     }
 }

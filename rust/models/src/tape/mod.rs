@@ -1,0 +1,173 @@
+//! The backend that networks are trained with on a processor: the kernels of `ccdiff-nets`, with gradients.
+//!
+//! Every operation notes on this thread how gradients go through it; [`learnt`] walks the notes from the last to the first. Losses
+//! are torch's.
+//! Sums are those of [`kernels::trained`]: the same bits in every run on one kind of processor.
+
+mod attention;
+mod layers;
+mod ops;
+
+pub use layers::{Parameters, Place};
+
+use crate::config::{HistoryTokens, MapEncoder, ModelConfig};
+use crate::torch::to_vec;
+use ccdiff_nets::kernels::{self, Checked, PANEL};
+use std::cell::{Cell, RefCell};
+use std::fmt;
+use std::rc::Rc;
+use tch::Tensor;
+
+/// Layers on the kernels, with gradients.
+#[derive(Debug)]
+pub struct Tape;
+
+impl Tape {
+    /// Whether it has all layers of a network.
+    pub fn fits(config: &ModelConfig) -> bool {
+        let lines = config.map.as_ref().is_none_or(|map| map.encoder == MapEncoder::Polylines);
+        let tokens = config.network().is_ok_and(|network| network.samples_tokens);
+        let head = if tokens { config.edge_width } else { config.width / config.heads };
+        lines && config.history == HistoryTokens::Summary && head % PANEL as i64 == 0
+    }
+}
+
+thread_local! {
+    /// How gradients of what was made become those of what it was made of.
+    static NOTES: RefCell<Vec<Box<dyn FnOnce()>>> = const { RefCell::new(Vec::new()) };
+}
+
+fn note(pull: impl FnOnce() + 'static) {
+    NOTES.with_borrow_mut(|notes| notes.push(Box::new(pull)));
+}
+
+/// Numbers [rows, tokens, width] and, once they are known, their gradient.
+pub struct Node {
+    tokens: usize,
+    width: usize,
+    numbers: Vec<f32>,
+    /// Whether they depend on weights.
+    learns: bool,
+    gradient: Cell<Vec<f32>>,
+}
+
+/// A node that several operations read.
+#[derive(Clone)]
+pub struct Var(Rc<Node>);
+
+impl fmt::Debug for Var {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "[{}, {}, {}]", self.rows(), self.tokens, self.width)
+    }
+}
+
+impl std::ops::Deref for Var {
+    type Target = Node;
+
+    fn deref(&self) -> &Node {
+        &self.0
+    }
+}
+
+impl Node {
+    /// Numbers of a row.
+    fn row(&self) -> usize {
+        (self.tokens * self.width).max(1)
+    }
+
+    fn rows(&self) -> usize {
+        self.numbers.len() / self.row()
+    }
+
+    /// The numbers.
+    pub fn numbers(&self) -> &[f32] {
+        &self.numbers
+    }
+
+    /// Adds to the gradient, where one is wanted.
+    fn learn(&self, gradient: Vec<f32>) {
+        if !self.learns {
+            return;
+        }
+        let mut known = self.gradient.take();
+        if known.is_empty() {
+            known = gradient;
+        } else {
+            kernels::add(Checked::now(), &mut known, &gradient);
+        }
+        self.gradient.set(known);
+    }
+}
+
+impl Var {
+    /// Numbers that depend on no weight.
+    pub fn data(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
+        Self(Rc::new(Node { tokens, width, numbers, learns: false, gradient: Cell::default() }))
+    }
+
+    /// What an operation made; `learns` says whether it read weights or what depends on them.
+    fn made(
+        tokens: usize,
+        width: usize,
+        numbers: Vec<f32>,
+        learns: bool,
+        pull: impl FnOnce(&Node, Vec<f32>) + 'static,
+    ) -> Self {
+        let made = Self(Rc::new(Node { tokens, width, numbers, learns, gradient: Cell::default() }));
+        if learns {
+            let made = made.clone();
+            note(move || {
+                let gradient = made.gradient.take();
+                if !gradient.is_empty() {
+                    pull(&made, gradient);
+                }
+            });
+        }
+        made
+    }
+
+    /// Another form of the same number of tokens: numbers and gradients go through functions.
+    fn through(
+        &self,
+        tokens: usize,
+        width: usize,
+        numbers: Vec<f32>,
+        pull: impl FnOnce(&Node, Vec<f32>) -> Vec<f32> + 'static,
+    ) -> Self {
+        let from = self.clone();
+        Self::made(tokens, width, numbers, self.learns, move |made, gradient| {
+            from.learn(pull(made, gradient))
+        })
+    }
+
+    fn shaped(&self, tokens: usize, width: usize) -> Self {
+        self.through(tokens, width, self.numbers.clone(), |_, gradient| gradient)
+    }
+}
+
+/// A tensor [R, .., width] that depends on no weight, as rows of so many tokens.
+pub fn data(tensor: &Tensor, tokens: usize) -> Var {
+    let numbers = to_vec(tensor);
+    let width = numbers.len() / (tensor.size()[0] as usize * tokens).max(1);
+    Var::data(tokens, width, numbers)
+}
+
+/// Numbers [..size] as a leaf of torch's, which hands back the gradient that it has then.
+pub fn leaf(x: &Var, size: &[i64]) -> Tensor {
+    let leaf = Tensor::from_slice(&x.numbers).view(size).set_requires_grad(true);
+    let (x, read) = (x.clone(), leaf.shallow_clone());
+    note(move || x.learn(to_vec(&read.grad())));
+    leaf
+}
+
+/// The loss that is made of leaves; brings its gradient to all weights that they depend on.
+pub fn learnt(loss: impl FnOnce() -> Tensor) -> f64 {
+    // what a step that failed has left
+    drop(NOTES.take());
+    let loss = loss();
+    loss.backward();
+    for pull in NOTES.take().into_iter().rev() {
+        pull();
+    }
+    loss.double_value(&[])
+}
