@@ -37,6 +37,8 @@ pub struct NetworkKind {
     pub routes: bool,
     /// Whether it reads agents by the trunk that rivals share.
     pub trunk: bool,
+    /// Whether its goals or its losses are read from pixels of the map.
+    pub pixels: bool,
     /// Whether it draws tokens, of which guidance chooses some.
     pub samples_tokens: bool,
     /// Its sizes from those of a preset.
@@ -65,6 +67,7 @@ impl NetworkKind {
             causal: false,
             routes: false,
             trunk: false,
+            pixels: false,
             samples_tokens: false,
             sizes: by_distance,
             fits: |_| Ok(()),
@@ -94,7 +97,7 @@ impl NetworkKind {
         }
         (self.fits)(config)?;
         let Some(map) = &config.map else { return Ok(()) };
-        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.trunk) {
+        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.pixels) {
             let expected = "an encoder of rasters for history channels and this model";
             return fail("model.map.encoder", map.encoder.name().to_owned(), expected);
         }

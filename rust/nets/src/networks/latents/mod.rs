@@ -29,7 +29,8 @@ use descent::{Gaussian, descended};
 pub const TRAFFICSIM: NetworkKind =
     NetworkKind::with_trunk("trafficsim", "TrafficSim", proposing::<Cvae<Cpu>>);
 /// Latents of each agent under a learned prior, optimised.
-pub const STRIVE: NetworkKind = NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>);
+pub const STRIVE: NetworkKind =
+    NetworkKind { pixels: true, ..NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>) };
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
