@@ -1,4 +1,4 @@
-//! The backend on libtorch: with gradients, on any device. What networks are trained with.
+//! The backend on libtorch: with gradients, on any device. What trains networks that [`crate::tape`] has not all layers of.
 
 use crate::batch::Batch;
 use crate::config::{MapConfig, ModelConfig};

@@ -270,19 +270,10 @@ impl Ops for Tape {
     }
 
     fn mish(x: &Var) -> Var {
-        // tanh(ln(1 + e^x)), and its derivative times x
-        let parts = |x: f32| {
-            let x = f64::from(x);
-            let gate = libm::tanh(libm::log1p(libm::exp(x.min(30.0))));
-            (gate, x * (1.0 - gate * gate) / (1.0 + libm::exp(-x)))
-        };
-        let numbers = x.numbers.iter().map(|x| (f64::from(*x) * parts(*x).0) as f32).collect();
-        let from = x.clone();
+        let (mut numbers, from) = (x.numbers.clone(), x.clone());
+        kernels::mish(Checked::now(), &mut numbers);
         x.through(x.tokens, x.width, numbers, move |_, mut gradient| {
-            for (g, x) in gradient.iter_mut().zip(&from.numbers) {
-                let (gate, slope) = parts(*x);
-                *g = (f64::from(*g) * (gate + slope)) as f32;
-            }
+            kernels::mish_back(Checked::now(), &mut gradient, &from.numbers);
             gradient
         })
     }

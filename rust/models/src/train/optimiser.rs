@@ -94,7 +94,9 @@ impl Adam {
         let (c1, c2) = (1.0 - BETA.0.powf(step as f64), 1.0 - BETA.1.powf(step as f64));
         let _ = self.first.lerp_(&gradient, 1.0 - BETA.0);
         let _ = self.second.lerp_(&gradient.square(), 1.0 - BETA.1);
-        let change = &self.first / ((&self.second * (1.0 / c2)).sqrt() + 1e-8) * (learning_rate / c1);
+        let mut spread = &self.second * (1.0 / c2);
+        let _ = spread.sqrt_().g_add_scalar_(1e-8);
+        let change = (&self.first / spread).g_mul_scalar_(learning_rate / c1);
         let _ = self.parameters.numbers.g_sub_(&change);
     }
 }

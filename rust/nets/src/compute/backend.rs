@@ -1,7 +1,8 @@
 //! The operations that layers are made of, and the inputs of networks. A network is defined once over them; a backend computes them in
 //! its own way.
 //!
-//! Two backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and the one of `ccdiff-models`, on libtorch, which has gradients.
+//! Three backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and two of `ccdiff-models` with gradients: on the
+//! kernels, and on libtorch.
 
 use crate::config::{MapConfig, ModelConfig};
 use std::fmt::Debug;

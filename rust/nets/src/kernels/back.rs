@@ -1,6 +1,7 @@
 //! Gradients through the loops over rows and through attention, for training.
 
 use super::attention::{Seen, product_of, product_of_sum};
+use super::groups;
 use super::rows::{at_levels, exp, sum};
 use super::shape::PANEL;
 use super::simd::{Checked, Work, at_level};
@@ -146,6 +147,23 @@ at_levels! {
             *g = d * (*x - *a) * gate * (1.0 - gate);
             *x = d * gate;
             *a = d - *x;
+        }
+    }
+
+    /// Mish, in place.
+    fn mish<'a>(x: &'a mut [f32]) {
+        for x in x {
+            *x = groups::mish(*x);
+        }
+    }
+
+    /// Gradients in front of Mish of x, in place of those behind it.
+    fn mish_back<'a>(gradient: &'a mut [f32], x: &'a [f32]) {
+        for (g, x) in gradient.iter_mut().zip(x) {
+            let e = exp(if *x > 20.0 { 20.0 } else { *x });
+            let n = e * (e + 2.0);
+            let gate = n / (n + 2.0);
+            *g *= gate + x * (1.0 - gate * gate) * (e / (1.0 + e));
         }
     }
 

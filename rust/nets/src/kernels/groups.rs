@@ -5,7 +5,7 @@ use super::simd::{Checked, Work, at_level};
 
 /// x · tanh(ln(1 + exp x)), which is x · n / (n + 2) with n = exp x · (exp x + 2).
 #[inline(always)]
-fn mish(x: f32) -> f32 {
+pub(super) fn mish(x: f32) -> f32 {
     // from 20 on it is x
     let e = exp(if x > 20.0 { 20.0 } else { x });
     let n = e * (e + 2.0);

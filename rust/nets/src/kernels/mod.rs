@@ -11,7 +11,9 @@ mod simd;
 mod tile;
 
 pub use attention::{Seen, mix};
-pub use back::{MixBack, add_rows, gate_back, mix_back, norm_back, relu_back, softmax_columns_back};
+pub use back::{
+    MixBack, add_rows, gate_back, mish, mish_back, mix_back, norm_back, relu_back, softmax_columns_back,
+};
 pub(crate) use groups::groups_mish;
 pub use product::{Packed, Strided, trained, trained_matmul};
 pub(crate) use product::{convolve, filter, linear, matmul};

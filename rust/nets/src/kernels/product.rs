@@ -18,9 +18,12 @@ impl Packed {
     pub fn new(rows: &[f32], bias: &[f32], columns: usize, inputs: usize) -> Self {
         let panels = columns.div_ceil(PANEL);
         let mut weights = vec![0.0; panels * inputs * PANEL];
-        for (column, row) in rows.chunks_exact(inputs.max(1)).enumerate().take(columns) {
-            for (input, weight) in row.iter().enumerate() {
-                weights[(column / PANEL * inputs + input) * PANEL + column % PANEL] = *weight;
+        let size = (inputs * PANEL).max(1);
+        for (panel, stored) in weights.chunks_exact_mut(size).zip(rows.chunks(size)) {
+            for (column, row) in stored.chunks_exact(inputs.max(1)).enumerate() {
+                for (to, weight) in panel[column..].iter_mut().step_by(PANEL).zip(row) {
+                    *to = *weight;
+                }
             }
         }
         let mut padded = vec![0.0; panels * PANEL];
