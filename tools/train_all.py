@@ -61,7 +61,9 @@ def _train(training: dict[str, Any], folder: Path, scenes: list[str]) -> dict[st
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "ccdiff_env.cli", "train", "--quiet", "--out", str(folder)]
     # what one training made, another may begin with
-    arguments = [argument.replace("{out}", str(folder.parent)) for argument in training["arguments"]]
+    arguments = [
+        argument.replace("{out}", str(folder.parent)) for argument in training["arguments"]
+    ]
     command += [*scenes, *arguments]
     begun, before = time.time(), resource.getrusage(resource.RUSAGE_CHILDREN)
     with (folder / "log.txt").open("a", encoding="utf-8") as log:
