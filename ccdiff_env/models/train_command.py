@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--polylines",
         action="store_true",
-        help="the network reads the map as lines, not as a raster (not bits and strive; preset fast)",
+        help="the network reads the map as lines, not as a raster (not bits, strive; preset fast)",
     )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
