@@ -49,7 +49,7 @@ impl Shape {
     }
 
     /// Rows of queries, keys and values, one after the other.
-    fn rows<'a>(self, [q, k, v]: [&'a [f32]; 3]) -> impl Iterator<Item = [&'a [f32]; 3]> {
+    fn rows(self, [q, k, v]: [&[f32]; 3]) -> impl Iterator<Item = [&[f32]; 3]> {
         let [queries, keys] = [self.queries, self.keys].map(|tokens| tokens * self.width);
         let rows = q.chunks_exact(queries).zip(k.chunks_exact(keys)).zip(v.chunks_exact(keys));
         rows.map(|((q, k), v)| [q, k, v])
