@@ -148,11 +148,9 @@ class AdversarySelectionVectorEnv(AsVector):
         self.strengths, self.num_adversaries = tuple(map(float, strengths)), num_adversaries
         self.counts, self.shift_cost = counts, shift_cost
         scenes, config = scene_set(given.pop("scenes", None)), given.pop("config", None)
-        ccdiff = given.get("ccdiff", {})
+        own = given.get("ccdiff", {})
         if config is None and given.setdefault("traffic", "ccdiff") == "ccdiff":
-            given["ccdiff"] = (
-                {**DEFAULT_CCDIFF, **ccdiff} if isinstance(ccdiff, Mapping) else ccdiff
-            )
+            given["ccdiff"] = {**DEFAULT_CCDIFF, **own} if isinstance(own, Mapping) else own
         if isinstance(ego, str) and ego in KINDS:  # the worlds drive it, and nobody observes
             config = config or WorldConfig(dt_s=scenes[0].dt)
             config = config.with_options(observation=_NO_ROWS)
@@ -161,12 +159,9 @@ class AdversarySelectionVectorEnv(AsVector):
         self.ego = EgoVectorEnv(num_envs, autoreset_mode="disabled", **given)
         networks = self.ego.config.guided_traffic("choice of adversaries")
         #: Steps of the worlds from one decision to the next.
-        self.decision_steps, *others = dict.fromkeys(one.replan_steps for one in networks)
-        if others:
-            raise ConfigError(
-                f"replan_steps are {self.decision_steps} and {others[0]}, expected one number for "
-                "all traffic"
-            )
+        self.decision_steps = networks[0].replan_steps
+        if len(paces := {one.replan_steps for one in networks}) > 1:
+            raise ConfigError(f"replan_steps are {sorted(paces)}, expected one for all traffic")
         self.num_envs, self.max_candidates = num_envs, max_candidates
         self.render_mode, self._render_options = self.ego.render_mode, self.ego._render_options
         #: The action that chooses nobody, the last one.
@@ -193,12 +188,7 @@ class AdversarySelectionVectorEnv(AsVector):
         """The native worlds."""
         return self.ego.worlds
 
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[F32, Info]:
+    def reset(self, *, seed: Any = None, options: Info | None = None) -> tuple[F32, Info]:
         """Begin new episodes, as :meth:`EgoVectorEnv.reset`; observations [E, R, F], infos."""
         _, infos = self.ego.reset(seed=seed, options=options)
         which = infos["_scene"]
@@ -314,10 +304,10 @@ class AdversarySelectionVectorEnv(AsVector):
                 self.adversaries[e].add(agent)
                 who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
             for e in np.flatnonzero(info["collision"] > 0.0).tolist():
-                ego = native.status(e).ego_idx
-                hits = {j: at_fault for i, j, *_, at_fault in native.contacts(e) if i == ego}
+                ego, contacts = native.status(e).ego_idx, native.contacts(e)
+                hits = {j: at_fault for i, j, *_, at_fault in contacts if i == ego}
                 table["ego_at_fault"][e] = any(hits.values())
-                faults = [hits[j] for j in hits if j in self.adversaries[e]]
+                faults = [hits[j] for j in self.adversaries[e] & hits.keys()]
                 table["collisions"][e] += any(faults) if self.counts != "all" else bool(faults)
             self.ended |= terminated | truncated
             if self.on_step is not None:
@@ -391,9 +381,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         """The native world."""
         return self.vector.worlds
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[F32, Info]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[F32, Info]:
         """Begin a new episode, as :meth:`EgoEnv.reset`; ``agent_ids`` says who is in which row."""
         super().reset(seed=None if seed is None else seed % 2**63)
         obs, _ = self.vector.reset(seed=seed, options=options)
