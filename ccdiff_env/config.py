@@ -21,7 +21,7 @@ from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic import (
     KINDS,
     NETWORKS,
-    Policy,
+    NamedDriver,
     PythonTraffic,
     driver_names,
     read_ranking,
@@ -88,24 +88,24 @@ class WorldConfig(WorldOptions):
     ccdiff: CcdiffConfig = field(default_factory=CcdiffConfig)
     #: Further drivers by custom names, as options of their kind: two styles of IDM are
     #: ``{"calm": IdmConfig(headway_s=2.0), "hasty": IdmConfig(headway_s=0.6)}``.
-    policies: Mapping[str, Policy] = field(default_factory=dict, hash=False)
+    named_drivers: Mapping[str, NamedDriver] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         own = {
-            name: policy if isinstance(policy, Policy) else Policy.of(policy)
-            for name, policy in self.policies.items()
+            name: driver if isinstance(driver, NamedDriver) else NamedDriver.of(driver)
+            for name, driver in self.named_drivers.items()
         }
-        object.__setattr__(self, "policies", own)
+        object.__setattr__(self, "named_drivers", own)
         for entry in dataclasses.fields(self):
             make: Any = entry.default_factory
             value = getattr(self, entry.name)
             if hasattr(make, "__dataclass_fields__") and not isinstance(value, make):
                 # a dictionary of the fields to change
                 object.__setattr__(self, entry.name, _formed(entry.name, value, make, make()))
-        for name, policy in own.items():
+        for name, driver in own.items():
             kind = KINDS.get(name)
-            if name == "external" or (kind and (kind.always or name != policy.kind)):
-                raise ConfigError(f"config: policies: {name!r} is a driver already")
+            if name == "external" or (kind and (kind.always or name != driver.kind)):
+                raise ConfigError(f"config: named_drivers: {name!r} is a driver already")
         known = driver_names(own)
         for what, names, also in (
             ("traffic", self._shares(), ()),
@@ -125,7 +125,7 @@ class WorldConfig(WorldOptions):
             Fields by name. Nested configurations may be dataclasses, or dictionaries of the fields
             to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``,
             ``bev`` as the field of ``observation``, kinds of drivers without a field of their own
-            (``simnet={"weights": ...}``) as entries of ``policies``. Drivers may be given as
+            (``simnet={"weights": ...}``) as entries of ``named_drivers``. Drivers may be given as
             objects (``traffic=PythonTraffic(model)``) and as paths to import (``"module:Class"``,
             ``"module:Class?option=value"``).
 
@@ -144,7 +144,7 @@ class WorldConfig(WorldOptions):
         inner = ("dynamics", "discrete", "grid")
         shortcuts: dict[str, Any] = {name: given.pop(name) for name in inner if name in given}
         rasters = {"bev": given.pop("bev")} if "bev" in given else {}
-        config = _made(WorldConfig, self, _with_policies(given, self.policies), "")
+        config = _made(WorldConfig, self, _with_named_drivers(given, self.named_drivers), "")
         action = _made(ActionConfig, config.action, shortcuts, "action.")
         observation = _made(ObservationConfig, config.observation, rasters, "observation.")
         return dataclasses.replace(config, action=action, observation=observation)
@@ -165,13 +165,13 @@ class WorldConfig(WorldOptions):
 
     def takes_ccdiff(self) -> bool:
         """Return whether somebody drives by a network without options of its own."""
-        return bool(self._driving() & set(NETWORKS) - set(self.policies))
+        return bool(self._driving() & set(NETWORKS) - set(self.named_drivers))
 
     def takes_idm(self) -> bool:
         """Return whether the options of ``idm`` differ from the default, or drive somebody: by
         name, in assisted dynamics, or round a network.
         """
-        own = [policy.options for policy in self.policies.values()]
+        own = [driver.options for driver in self.named_drivers.values()]
         networks = [n for n in (self.ccdiff, *own) if isinstance(n, CcdiffConfig)]
         return (
             self.idm != IdmConfig()
@@ -189,7 +189,7 @@ class WorldConfig(WorldOptions):
             If there are none: nobody can be guided; ``what`` was to guide them.
         """
         names = [*self._shares(), *self.drivers.values()]
-        own = {name: policy.options for name, policy in self.policies.items()}
+        own = {name: driver.options for name, driver in self.named_drivers.items()}
         networks = dict.fromkeys(NETWORKS, self.ccdiff)
         options = [own.get(name, networks.get(name)) for name in names]
         found = tuple(one for one in options if isinstance(one, CcdiffConfig))
@@ -210,11 +210,13 @@ class WorldConfig(WorldOptions):
     def with_criticality(self, criticality: float) -> WorldConfig:
         """Return the configuration with one criticality for all networks."""
         own = {
-            name: Policy(policy.kind, dataclasses.replace(policy.options, criticality=criticality))
-            for name, policy in self.policies.items()
-            if isinstance(policy.options, CcdiffConfig)
+            name: NamedDriver(
+                driver.kind, dataclasses.replace(driver.options, criticality=criticality)
+            )
+            for name, driver in self.named_drivers.items()
+            if isinstance(driver.options, CcdiffConfig)
         }
-        config = dataclasses.replace(self, policies={**self.policies, **own})
+        config = dataclasses.replace(self, named_drivers={**self.named_drivers, **own})
         if not config.takes_ccdiff():
             return config
         return config.with_options(ccdiff={"criticality": criticality})
@@ -239,10 +241,10 @@ class WorldConfig(WorldOptions):
             fields = parsed_object(text)
         except (TypeError, ValueError) as error:
             raise ConfigError(f"config: not JSON ({error})") from None
-        policies = fields.get("policies")
-        if isinstance(policies, dict) and isinstance(policies.get("ccdiff"), dict):
-            fields |= policies["ccdiff"]
-            fields["policies"] = {k: v for k, v in policies.items() if k != "ccdiff"}
+        named = fields.get("named_drivers")
+        if isinstance(named, dict) and isinstance(named.get("ccdiff"), dict):
+            fields |= named["ccdiff"]
+            fields["named_drivers"] = {k: v for k, v in named.items() if k != "ccdiff"}
         return _made(cls, cls(), fields, "")
 
 
@@ -312,7 +314,7 @@ def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
         if not all(isinstance(name, str) for name in value):
             raise ConfigError(f"config: {path} is {value!r}, expected values by name")
         of = next((typing.get_args(p)[1] for p in parts if typing.get_origin(p) is Mapping), Any)
-        form = _policy if of is Policy else _formed
+        form = _named_driver if of is NamedDriver else _formed
         return {name: form(f"{path}.{name}", entry, of, None) for name, entry in value.items()}
     if hasattr(value, "__iter__") and not isinstance(value, (str, bytes)):
         of = next((typing.get_args(p)[0] for p in parts if typing.get_origin(p) is tuple), Any)
@@ -320,24 +322,26 @@ def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
     return value
 
 
-def _policy(path: str, value: Any, *_: Any) -> Policy:
+def _named_driver(path: str, value: Any, *_: Any) -> NamedDriver:
     """Options of a kind of driver, also as ``{kind: options}``."""
-    if isinstance(value, Policy):
+    if isinstance(value, NamedDriver):
         return value
     known: dict[str, Any] = {k: kind.options for k, kind in KINDS.items() if kind.options}
     if isinstance(value, tuple(known.values())):
-        return Policy.of(typing.cast("Any", value))
+        return NamedDriver.of(typing.cast("Any", value))
     if not isinstance(value, Mapping) or len(value) != 1:
         kinds = ", ".join(known)
         raise ConfigError(f"config: {path} is {value!r}, expected {{kind: options}} of {kinds}")
     ((name, options),) = value.items()
     if name not in known:
         raise unknown(path, str(name), known)
-    return Policy(name, _formed(f"{path}.{name}", options, known[name], None))
+    return NamedDriver(name, _formed(f"{path}.{name}", options, known[name], None))
 
 
-def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict[str, Any]:
-    """Options in which drivers that are objects, or paths to import, are policies by name."""
+def _with_named_drivers(
+    options: dict[str, Any], known: Mapping[str, NamedDriver]
+) -> dict[str, Any]:
+    """Options in which drivers that are objects, or paths to import, are named drivers."""
     found: dict[str, Any] = {}
     for kind in KINDS:
         if kind in options and kind not in _fields_of(WorldConfig):
@@ -356,10 +360,10 @@ def _with_policies(options: dict[str, Any], known: Mapping[str, Policy]) -> dict
             found["python"] = value
             options = {**options, field_name: "python"}
     if found:
-        more = options.get("policies", known)
+        more = options.get("named_drivers", known)
         if not isinstance(more, Mapping):
-            raise ConfigError(f"config: policies is {more!r}, expected values by name")
-        options = {**options, "policies": {**more, **found}}
+            raise ConfigError(f"config: named_drivers is {more!r}, expected values by name")
+        options = {**options, "named_drivers": {**more, **found}}
     return options
 
 
@@ -383,9 +387,11 @@ def _plain(value: Any) -> Any:
         f.name: _plain_field(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)
     }
     if isinstance(value, WorldConfig):
-        own = {name: {p.kind: _plain(p.options)} for name, p in value.policies.items()}
+        own = {name: {p.kind: _plain(p.options)} for name, p in value.named_drivers.items()}
         options = fields.pop("ccdiff")
-        fields["policies"] = ({"ccdiff": {"ccdiff": options}} if value.takes_ccdiff() else {}) | own
+        fields["named_drivers"] = (
+            {"ccdiff": {"ccdiff": options}} if value.takes_ccdiff() else {}
+        ) | own
         if not value.takes_idm():
             del fields["idm"]
     if isinstance(value, PythonTraffic):

@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from ccdiff_env import SceneSet, WorldConfig
-from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.record.counterfactual import avoidability, rollout_avoidability
 from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from

@@ -18,7 +18,7 @@ import numpy as np
 import ccdiff_env
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.interop.nuplan import nuplan_planner
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.planners.rules import RULES
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds.worlds_view import behind
 

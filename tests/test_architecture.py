@@ -219,7 +219,7 @@ ROOMS = [
     "models",
     "worlds",
     "interop",
-    "policies",
+    "planners",
     "record",
     "envs",
     "view",

@@ -7,7 +7,7 @@ import pytest
 
 from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.steering import Steering
+from ccdiff_env.planners.steering import Steering
 from ccdiff_env.record.counterfactual import avoidability
 
 

@@ -26,7 +26,7 @@ from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.bench.verify import verify
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.models import weight_files
-from ccdiff_env.policies import SHIPPED
+from ccdiff_env.planners import SHIPPED
 from ccdiff_env.system.table import document
 from ccdiff_env.worlds.worlds_view import worlds_view
 

@@ -40,7 +40,7 @@ def test_defaults_are_those_of_rust():
 def test_json_holds_the_options_of_drivers_that_drive_alone():
     def held(**options):
         made = json.loads(WorldConfig().with_options(**options).to_json())
-        return {*made["policies"], *({"idm"} & set(made))}
+        return {*made["named_drivers"], *({"idm"} & set(made))}
 
     assert held() == set()
     assert held(traffic="idm") == held(driver="idm") == held(dynamics="assisted") == {"idm"}
@@ -57,7 +57,11 @@ def test_json_holds_the_options_of_drivers_that_drive_alone():
         {},
         {"traffic": "idm", "horizon_steps": 7},
         {"traffic": {"idm": 0.5, "ccdiff": 0.3, "replay": 0.2}, "ccdiff": {"criticality": 1.0}},
-        {"policies": {"calm": {"idm": {"headway_s": 2.0}}}, "traffic": "calm", "driver": "calm"},
+        {
+            "named_drivers": {"calm": {"idm": {"headway_s": 2.0}}},
+            "traffic": "calm",
+            "driver": "calm",
+        },
         {"simnet": {"weights": "mine.safetensors"}, "drivers": {"ego": "simnet"}},
         {"controlled": ("a", "b"), "num_slots": 2},
         {"controlled": {"scene-1": ["a"], "scene-2": ["ego", "b"]}, "num_slots": 2},
@@ -117,10 +121,10 @@ def test_numpy_numbers_are_numbers():
         ({"traffic": {"idn": 1.0}}, "did you mean 'idm'"),
         ({"drivers": {"ego": "calm"}}, "unknown driver 'calm'"),
         ({"drivers": "idm"}, "values by name"),
-        ({"policies": {"calm": {"idm": {"headway": 2.0}}}}, "headway_s"),
-        ({"policies": {"calm": {"crazy": {}}}}, "unknown policies.calm 'crazy'"),
-        ({"policies": {"calm": "idm"}}, "expected {kind: options}"),
-        ({"policies": {"replay": {"idm": {}}}}, "'replay' is a driver already"),
+        ({"named_drivers": {"calm": {"idm": {"headway": 2.0}}}}, "headway_s"),
+        ({"named_drivers": {"calm": {"crazy": {}}}}, "unknown named_drivers.calm 'crazy'"),
+        ({"named_drivers": {"calm": "idm"}}, "expected {kind: options}"),
+        ({"named_drivers": {"replay": {"idm": {}}}}, "'replay' is a driver already"),
         ({"traffic": "nowhere:Model"}, "nowhere"),
         ({"dt_s": "0.1"}, "expected a number"),
         ({"dt_s": float("nan")}, "expected a number"),
@@ -154,7 +158,7 @@ def test_ranges_are_checked_by_rust():
         {"dt_s": 2.0},
         {"num_slots": 3},
         {"idm": {"headway_s": -1.0}},
-        {"policies": {"calm": {"idm": {"headway_s": 0.0}}}},
+        {"named_drivers": {"calm": {"idm": {"headway_s": 0.0}}}},
         {"traffic": {"idm": 0.5, "replay": 0.6}},
     ):
         with pytest.raises(CcdiffError):

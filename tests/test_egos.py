@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import WorldConfig, policies
+from ccdiff_env import WorldConfig, planners
 from ccdiff_env.config import EgosConfig, UnicycleLimits
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.policies.ego import OBSERVATION, load_ego, save_ego
+from ccdiff_env.planners.ego import OBSERVATION, load_ego, save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.worlds import Worlds
 
@@ -48,7 +48,7 @@ def test_a_dial_sets_what_the_network_observes_last(scenes, tmp_path):
         seen[str(style)] = policy.act(obs[:, : entry.offset])
         np.testing.assert_allclose(seen[str(style)], expected, atol=1e-5)
     assert len({found.tobytes() for found in seen.values()}) == 3
-    named = policies.find_policy(f"{path}?comfort=4")
+    named = planners.find_policy(f"{path}?comfort=4")
     np.testing.assert_array_equal(named.act(obs[:, : entry.offset]), seen["{'comfort': 4.0}"])
     # worlds of the benchmark, which have no dial, take it
     policy.check(Worlds(scenes[:1], policy.config, num_worlds=1))
@@ -64,7 +64,7 @@ def test_a_dial_sets_what_the_network_observes_last(scenes, tmp_path):
 )
 def test_a_dial_that_is_not_there_is_refused(name, message):
     with pytest.raises(ConfigError, match=message):
-        policies.find_policy(name)
+        planners.find_policy(name)
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(unicycl
         if not moves:
             continue
         agent = moves[0]
-        own = {"policies": {"egos": EgosConfig(policy=str(unicycle))}}
+        own = {"named_drivers": {"egos": EgosConfig(policy=str(unicycle))}}
         policy = load_ego(unicycle)
         config = policy.config.with_options(
             traffic="replay", horizon_steps=60, on_traffic_collision="ignore"
@@ -151,7 +151,7 @@ def test_a_dial_drives_traffic_otherwise(scenes, tmp_path):
             ConfigError,
             "style: comfort is 9.0, expected .*comfort 0 to 4",
         ),
-        ({"policies": "ego"}, ConfigError, "policies"),
+        ({"named_drivers": "ego"}, ConfigError, "named_drivers"),
     ],
 )
 def test_what_does_not_fit_is_refused_by_name(options, error, message, scenes):
@@ -160,7 +160,7 @@ def test_what_does_not_fit_is_refused_by_name(options, error, message, scenes):
 
 
 def test_weights_that_are_not_finite_or_have_other_shapes_are_refused(scenes, tmp_path):
-    tensors, metadata = read_tensors(policies.SHIPPED["ego"])
+    tensors, metadata = read_tensors(planners.SHIPPED["ego"])
     path = tmp_path / "bad.safetensors"
     for change in ({"mean": np.zeros(3, np.float32)}, {"policy.0.bias": np.zeros(3, np.float32)}):
         write_tensors(path, {**tensors, **change}, metadata)

@@ -22,7 +22,7 @@ import pytest
 from array_scenes import agent, array_scene
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, policies
+from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, planners
 from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.arguments import add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
@@ -30,7 +30,7 @@ from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.run import Run
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.models import TrajectoryModel, shipped_weights
-from ccdiff_env.policies.planners import load_sb3
+from ccdiff_env.planners.built_in import load_sb3
 from ccdiff_env.record.bank import load_bank, record_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, unpack
@@ -93,7 +93,7 @@ DOORS = {
     "settings of a run": (run_in, "run.json"),
     "bank": (bank, "0.scenes"),
     "settings of a bank": (lambda path: record_bank("val", path.parent), "bank.json"),
-    "policy": (policies.load, "a.safetensors"),
+    "policy": (planners.load, "a.safetensors"),
     "policy of stable-baselines3": (load_sb3, "a.zip"),
     "weights": (TrajectoryModel, "a.safetensors"),
     "weights of traffic": (
@@ -211,7 +211,7 @@ def tensors(source: Path, change):
     return struct.pack("<Q", len(made)) + made + data[8 + length :]
 
 
-EGO = policies.SHIPPED["ego"]
+EGO = planners.SHIPPED["ego"]
 
 
 def policy(header=None, *, arrays=None, tail=b"", **metadata):
@@ -221,7 +221,7 @@ def policy(header=None, *, arrays=None, tail=b"", **metadata):
         path, (before, about) = path.with_suffix(".safetensors"), read_tensors(EGO)
         write_tensors(path, {**before, **(arrays or {})}, {**about, **metadata})
         path.write_bytes(tensors(path, header or (lambda _: None)) + tail)
-        return policies.load(path)
+        return planners.load(path)
 
     return read
 

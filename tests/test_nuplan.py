@@ -18,7 +18,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import source_digest
 from ccdiff_env.errors import ConfigError, MissingFeatureError, PolicyError
 from ccdiff_env.interop.nuplan.devkit import VARIABLE, checkouts, find_devkit
-from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.record.episode import begin
 from ccdiff_env_cli import main
 
@@ -366,7 +366,7 @@ def test_the_bench_plays_them_with_a_column_of_nuplans_score(tmp_path, monkeypat
     assert {"planner", "traffic", "seed", "scene", "score", "nuplan_score"} <= set(header)
     assert "nuplan score" in (tmp_path / "run" / "table.md").read_text()
     # a check plays recorded actions, never the planner
-    monkeypatch.setattr("ccdiff_env.policies.planners.nuplan_planner", None)
+    monkeypatch.setattr("ccdiff_env.planners.built_in.nuplan_planner", None)
     monkeypatch.setattr("ccdiff_env.bench.provenance.nuplan_planner", None)
     capsys.readouterr()
     assert main(["bench", "verify", str(tmp_path / "run")]) == 0

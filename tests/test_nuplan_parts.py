@@ -14,7 +14,7 @@ from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, M
 from ccdiff_env.interop.nuplan import devkit
 from ccdiff_env.interop.nuplan.roads import Centreline, RoadGraph, lanes_of_route, surface
 from ccdiff_env.interop.nuplan.settings import Settings, made_of
-from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.planners.built_in import ego_driver
 
 pytest.importorskip("yaml", reason="PyYAML is not installed: pip install 'ccdiff-env[nuplan]'")
 

@@ -9,7 +9,7 @@ from ccdiff_env import EgoEnv, embedded_scenes, load
 from ccdiff_env.bench.planners import TRAFFIC, play
 from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import BUILT_IN
+from ccdiff_env.planners.built_in import BUILT_IN
 from ccdiff_env.scenes.sources import SOURCES, Source
 from ccdiff_env_cli import main
 

@@ -149,7 +149,7 @@ def test_models_come_by_path_and_bad_ones_are_named():
     env.reset(seed=0)
     walk(env, 1)
     assert env.explain(0).samples.shape[2] == STEPS
-    assert env.worlds.config.policies["python"].options.described == f"{__name__}:Model"
+    assert env.worlds.config.named_drivers["python"].options.described == f"{__name__}:Model"
     for path, message in (
         ("nowhere:Model", "nowhere"),
         (f"{__name__}:Nobody", "Nobody"),
@@ -185,7 +185,7 @@ def test_files_do_not_import_code():
 def test_mixed_traffic_repeats_and_is_recorded_by_name(tmp_path):
     def drivers(seed, num_envs=1):
         policies = {"calm": IdmConfig(headway_s=2.0), "python": PythonTraffic(coast)}
-        env = env_of({"calm": 0.5, "python": 0.3, "replay": 0.2}, num_envs, policies=policies)
+        env = env_of({"calm": 0.5, "python": 0.3, "replay": 0.2}, num_envs, named_drivers=policies)
         env.reset(seed=seed, options={"scene": "cut-in-03"})
         return env, env.worlds.native.drivers(0)
 
@@ -213,7 +213,7 @@ def test_two_styles_of_one_kind_differ():
     styles = {"calm": IdmConfig(headway_s=2.5), "hasty": IdmConfig(headway_s=0.4)}
     reached = []
     for traffic in styles:
-        env = env_of(traffic, 1, policies=styles, driver="idm")
+        env = env_of(traffic, 1, named_drivers=styles, driver="idm")
         env.reset(seed=0, options={"scene": "queue-03"})
         walk(env, 60)
         reached.append(env.worlds.native.states(0)["position"])

@@ -20,9 +20,9 @@ from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import BicycleLimits, ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.policies import SHIPPED
-from ccdiff_env.policies.planners import BUILT_IN, load_sb3
-from ccdiff_env.policies.planning import Tracker
+from ccdiff_env.planners import SHIPPED
+from ccdiff_env.planners.built_in import BUILT_IN, load_sb3
+from ccdiff_env.planners.planning import Tracker
 from ccdiff_env.view import page_html
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import main

@@ -16,7 +16,7 @@ import ccdiff_env
 from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import Seat
+from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE
 
@@ -116,7 +116,7 @@ def test_a_policy_of_changed_observations_is_refused(scenes):
 
 
 def _as_planner(model):
-    from ccdiff_env.policies.planners import _Sb3
+    from ccdiff_env.planners.built_in import _Sb3
 
     return _Sb3(model, "mine"), "mine"
 

@@ -12,7 +12,7 @@ from ccdiff_env.envs import distil
 from ccdiff_env.errors import CcdiffError, CheckpointError, ConfigError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.system.tensors import read_tensors
-from ccdiff_env.traffic import SWIFT, Policy
+from ccdiff_env.traffic import SWIFT, NamedDriver
 from ccdiff_env.worlds import Worlds
 
 
@@ -184,8 +184,8 @@ def test_a_network_learns_what_is_told(scenes, tmp_path):
     assert after < 0.8 * before
     file = tmp_path / "own.safetensors"
     distil.save(file, tensors, [[0.0, 0.0], [1.0, 3.0]], {}, temperature=0.5)
-    policies = {"own": Policy(SWIFT, CcdiffConfig(weights=str(file)))}
-    env = ccdiff_env.make_vec(2, scenes=scenes, traffic="own", policies=policies)
+    policies = {"own": NamedDriver(SWIFT, CcdiffConfig(weights=str(file)))}
+    env = ccdiff_env.make_vec(2, scenes=scenes, traffic="own", named_drivers=policies)
     env.reset(seed=0)
     env.close()
 

@@ -344,7 +344,7 @@ def test_options_of_networks_are_refused_where_none_drives(scenes):
     for traffic in ("idm", "replay", {"idm": 0.5, "replay": 0.5}, PythonTraffic(coast), "mine"):
         for make in (ccdiff_env.EgoEnv, ccdiff_env.make_vec, ccdiff_env.parallel_env):
             with pytest.raises(ConfigError, match=r"ccdiff: traffic is .*, expected one of"):
-                make(scenes=scenes, traffic=traffic, policies=own, **options)
+                make(scenes=scenes, traffic=traffic, named_drivers=own, **options)
     # what says nothing is no mistake; one network among several, the ego or one vehicle is enough
     ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", ccdiff={})
     for fine in (

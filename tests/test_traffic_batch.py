@@ -84,7 +84,7 @@ def test_batches_of_worlds_that_replay_the_log_are_those_of_the_log(scenes):
     watch = Watch()
     env = ccdiff_env.make_vec(
         len(scenes), scenes=scenes, traffic={"python": 0.0, "replay": 1.0},
-        policies={"python": watch.traffic()}, driver="replay", history_steps=10,
+        named_drivers={"python": watch.traffic()}, driver="replay", history_steps=10,
         scene_order="sequential", **NO_CONSEQUENCE,
     )  # fmt: skip
     env.reset(seed=3)

@@ -15,7 +15,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.envs.sb3 import SB3VecEnv
-from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
 from ccdiff_env.worlds.fit import Fit
 

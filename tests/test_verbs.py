@@ -109,7 +109,7 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         assert not out.exists()
     words = ["--base", "pdm", "--anchor", "zero", "--out", str(out), "--threads", "1"]
     assert cli.main(["train-ego", "--smoke", *words]) == 0
-    policy = ccdiff_env.policies.load(out / "ego.safetensors")
+    policy = ccdiff_env.planners.load(out / "ego.safetensors")
     assert policy.config.action.dynamics.base == "pdm"
     assert "ego.safetensors" in capsys.readouterr().out
 
@@ -151,7 +151,7 @@ def test_training_begins_with_a_policy_and_stays_near_an_anchor():
     from ccdiff_env.envs.ego_network import Agent
     from ccdiff_env.envs.ppo import update
 
-    ego = ccdiff_env.policies.load("ego")
+    ego = ccdiff_env.planners.load("ego")
     env = ccdiff_env.make_vec(64, traffic="idm", **ego.env_options)
     obs, _ = env.reset(seed=0)
     moved = {}

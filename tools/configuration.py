@@ -33,7 +33,7 @@ PLAIN = (
     "TrainConfig",
 )
 #: Fields that classes of Python have in another form.
-OWN_FORM = {"WorldConfig": "policies", "PythonOptions": "model"}
+OWN_FORM = {"WorldConfig": "named_drivers", "PythonOptions": "model"}
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, policies
+from ccdiff_env import AdversarySelectionEnv, Recorder, Rollout, parallel_env, planners
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, driver_of
 from ccdiff_env.view.sources import find_scene, play_scene
@@ -45,7 +45,7 @@ def selection() -> Rollout:
 
 def multi_agent() -> Rollout:
     """Return an episode of four vehicles, each driven by the shipped ego, among IDM's."""
-    policy = policies.load("ego")
+    policy = planners.load("ego")
     env = parallel_env(
         scenes=find_scene("tee-crossing-04"),
         config=policy.config.with_options(decision_steps=1),

@@ -11,7 +11,7 @@ from typing import TypeVar
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import EGO_HELP
+from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments
 
 __all__ = [

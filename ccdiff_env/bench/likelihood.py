@@ -25,7 +25,7 @@ from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import Motion, causal
-from ccdiff_env.policies.planning import overlap
+from ccdiff_env.planners.planning import overlap
 from ccdiff_env.scenes.map_queries import road_distance
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS

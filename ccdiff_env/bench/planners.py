@@ -24,7 +24,7 @@ from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.policies.planners import Ego, ego_driver
+from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, recorders_of
 from ccdiff_env.record.episode import play as played
 from ccdiff_env.record.rollout import Rollout
@@ -58,14 +58,14 @@ class Traffic:
     """Traffic to test planners in.
 
     ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
-    else it is drawn once. ``policies``: drivers of its own, see :class:`~ccdiff_env.WorldConfig`.
+    else it is drawn once. ``named_drivers``: as in :class:`~ccdiff_env.WorldConfig`.
     """
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
     draws: int = 1
-    policies: Mapping[str, Any] = field(default_factory=dict)
+    named_drivers: Mapping[str, Any] = field(default_factory=dict)
 
 
 _TITLES = driver_titles()
@@ -346,7 +346,7 @@ def drive(
     who = driver if seat is None else seat.name
     config = PROTOCOL.world(seat, who, scenes[0].dt).with_options(
         **(options or {}),
-        policies=dict(traffic.policies),
+        named_drivers=dict(traffic.named_drivers),
         traffic=traffic.driver,
         driver=driver,
         ccdiff=dict(traffic.ccdiff),

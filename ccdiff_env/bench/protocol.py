@@ -13,7 +13,7 @@ from typing import Any
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.policies.planners import Seat
+from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.system.files import read_bytes

@@ -20,7 +20,7 @@ from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.policies.planners import is_of_package
+from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import (
     MOST_TEXT_BYTES,

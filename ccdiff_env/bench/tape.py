@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError
-from ccdiff_env.policies.planners import Seat
+from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.worlds_view import behind
 

@@ -18,7 +18,7 @@ from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Recorded, Witnessed
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError
-from ccdiff_env.policies.planners import ego_driver, is_of_package
+from ccdiff_env.planners.built_in import ego_driver, is_of_package
 from ccdiff_env.system.progress import shown
 
 __all__ = ["Verified", "verify"]

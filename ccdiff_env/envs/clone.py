@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.planners.rules import RULES
 
 __all__ = ["imitate"]
 
@@ -43,7 +43,7 @@ def imitate(agent: Agent, worlds: _Worlds, teacher: str, *, decisions: int, seed
     agent, worlds
         The policy and where it drives; the rule drives fewer and fewer of the worlds.
     teacher
-        Name of :data:`~ccdiff_env.policies.rules.RULES`. Its actions are those of one step, also
+        Name of :data:`~ccdiff_env.planners.rules.RULES`. Its actions are those of one step, also
         where the policy holds them for more.
     decisions
         Decisions of all worlds together.

@@ -34,7 +34,7 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.sources import coverage, load, title
 from ccdiff_env.system.tensors import read_tensors, write_tensors
-from ccdiff_env.traffic import SWIFT, CcdiffConfig, Policy
+from ccdiff_env.traffic import SWIFT, CcdiffConfig, NamedDriver
 from ccdiff_env.worlds import Worlds
 
 __all__ = ["collect", "collisions", "fitted_dial", "save"]
@@ -215,7 +215,9 @@ def _episodes(
         horizon_steps=STEPS,
         driver=driver,
         traffic={"ccdiff": 1.0 - 1e-6, "student": 1e-6} if student else "ccdiff",
-        policies={"student": Policy(SWIFT, CcdiffConfig(weights=str(student)))} if student else {},
+        named_drivers={"student": NamedDriver(SWIFT, CcdiffConfig(weights=str(student)))}
+        if student
+        else {},
         ccdiff=dict(teacher),
         **more,
     )

@@ -1,4 +1,4 @@
-"""The network that learns to drive: :class:`~ccdiff_env.policies.ego.EgoPolicy` with gradients."""
+"""The network that learns to drive: :class:`~ccdiff_env.planners.ego.EgoPolicy` with gradients."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from ccdiff_env.policies.ego import EgoPolicy
+from ccdiff_env.planners.ego import EgoPolicy
 from ccdiff_env.worlds.spaces import Layout
 
 __all__ = ["Agent"]

@@ -10,7 +10,7 @@ from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.drawing import check_render_mode, checked_render_options
 from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.errors import ConfigError, unknown
-from ccdiff_env.policies.planners import Seat, seated
+from ccdiff_env.planners.built_in import Seat, seated
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.worlds.curriculum import Criticality

@@ -1,7 +1,7 @@
 """PPO for an ego in thousands of worlds at once: torch and ``make_vec(copy=False)`` alone.
 
 ``ccdiff-env train-ego`` is its command. The policy is exported beside the checkpoint, for
-:func:`ccdiff_env.policies.load`, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
+:func:`ccdiff_env.planners.load`, ``ccdiff-env bench planners`` and ``ccdiff-env view --driver``.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from ccdiff_env.envs.backtrack import Backtrack
 from ccdiff_env.envs.clone import imitate
 from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError
-from ccdiff_env.policies import load
-from ccdiff_env.policies.ego import save_ego
+from ccdiff_env.planners import load
+from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
@@ -51,7 +51,7 @@ PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
 #: Traffic in which every vehicle is calm, as usual, or hasty.
 STYLES: dict[str, Any] = {
     "traffic": {"calm": 0.25, "idm": 0.5, "hasty": 0.25},
-    "policies": {
+    "named_drivers": {
         "calm": {"idm": {"headway_s": 2.0, "min_gap_m": 3.0, "acceleration_mps2": 1.0}},
         "hasty": {"idm": {"headway_s": 0.6, "min_gap_m": 1.0, "acceleration_mps2": 2.5}},
     },

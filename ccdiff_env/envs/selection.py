@@ -20,7 +20,7 @@ from ccdiff_env.envs.drawing import DrawnWorld
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError, unknown
-from ccdiff_env.policies.planners import Ego
+from ccdiff_env.planners.built_in import Ego
 from ccdiff_env.traffic import KINDS
 from ccdiff_env.traffic.keywords import SelectionKeywords
 from ccdiff_env.worlds import Scenes, Worlds, scene_set
@@ -94,7 +94,7 @@ class AdversarySelectionVectorEnv(AsVector):
     num_envs
         Number of worlds E.
     ego
-        The ego's planner, see :func:`ccdiff_env.policies.planners.ego_driver`.
+        The ego's planner, see :func:`ccdiff_env.planners.built_in.ego_driver`.
     max_candidates
         Rows R: vehicles that the background plans for, nearest to the ego first.
     strengths

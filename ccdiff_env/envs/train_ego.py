@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.planners.rules import RULES
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
 from ccdiff_env.worlds.policy_file import LEARNED

@@ -19,7 +19,7 @@ from typing import Any
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weights_path
-from ccdiff_env.policies.planners import ego_driver
+from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
 from ccdiff_env.record.rollout import as_scene
@@ -70,7 +70,7 @@ def record_bank(
         Where the bank goes.
     ego
         The ego that the traffic is made against: ``"idm"``, ``"replay"``, ``"pdm"``, a policy of
-        :mod:`ccdiff_env.policies`, or the path of one (``.safetensors``, ``.zip``).
+        :mod:`ccdiff_env.planners`, or the path of one (``.safetensors``, ``.zip``).
     criticality
         Strength of the guidance against it.
     draws

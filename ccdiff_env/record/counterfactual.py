@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.policies.planners import Ego, ego_driver
-from ccdiff_env.policies.steering import Steering
+from ccdiff_env.planners.built_in import Ego, ego_driver
+from ccdiff_env.planners.steering import Steering
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.record.recorder import HasWorlds, Recorder, worlds_of
 from ccdiff_env.record.rollout import Rollout
@@ -130,7 +130,7 @@ def branch(
     env
         An environment in the middle of an episode; it is not changed.
     ego
-        Who drives the ego from here on, as :func:`~ccdiff_env.policies.planners.ego_driver` takes
+        Who drives the ego from here on, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes
         it; ``"replay"`` steers back to the log.
     adversaries
         Ids of the vehicles to guide against the ego in CCDiff traffic; ``()`` for nobody,
@@ -257,7 +257,7 @@ def avoidability(
     reactive
         Whether plans are steady, last 2.1 s and must hold in other futures.
     ego
-        Who drives after such a plan, as :func:`~ccdiff_env.policies.planners.ego_driver` takes it.
+        Who drives after such a plan, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes it.
     draws
         Futures that choose among these plans: the present draw of traffic, and others.
 

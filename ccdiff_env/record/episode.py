@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import Seat
+from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds import StepArrays, Worlds
@@ -128,7 +128,7 @@ def play(
         Worlds in episodes, without autoreset.
     act
         From the observations of the first slots [E, D] and the worlds that go on [E] to actions of
-        E·C·W numbers, or indices; for example a :class:`~ccdiff_env.policies.planners.Seat` that
+        E·C·W numbers, or indices; for example a :class:`~ccdiff_env.planners.built_in.Seat` that
         has begun. ``None``: nobody is driven from outside.
     recorders
         Recorders by world, which are stepped here.

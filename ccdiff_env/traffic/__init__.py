@@ -13,7 +13,7 @@ from ccdiff_env.traffic.kinds import (
     NETWORKS,
     SWIFT,
     Kind,
-    Policy,
+    NamedDriver,
     driver_names,
     driver_titles,
 )
@@ -31,7 +31,7 @@ __all__ = [
     "IdmConfig",
     "Kind",
     "LoggedFuture",
-    "Policy",
+    "NamedDriver",
     "PythonTraffic",
     "TrafficBatch",
     "TrafficPlan",

@@ -52,7 +52,7 @@ class SelectionKeywords(TypedDict, total=False):
     action: ActionConfig | Mapping[str, Any]
     randomization: Randomization | Mapping[str, Any]
     idm: IdmConfig | Mapping[str, Any]
-    policies: Mapping[str, Any]
+    named_drivers: Mapping[str, Any]
     scene_order: SceneOrder
     dynamics: (
         Dynamics | Literal["unicycle", "bicycle", "delta_pose", "assisted"] | Mapping[str, Any]

@@ -17,8 +17,8 @@ __all__ = [
     "NETWORKS",
     "SWIFT",
     "Kind",
+    "NamedDriver",
     "Options",
-    "Policy",
     "driver_names",
     "driver_titles",
 ]
@@ -68,7 +68,7 @@ NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.w
 
 
 @dataclass(frozen=True)
-class Policy:
+class NamedDriver:
     """A driver under a custom name.
 
     Parameters
@@ -83,7 +83,7 @@ class Policy:
     options: Options
 
     @classmethod
-    def of(cls, options: Options) -> Policy:
+    def of(cls, options: Options) -> NamedDriver:
         """Return the driver that options are of; those of planning networks are CCDiff's."""
         return cls(next(n for n, kind in KINDS.items() if kind.options is type(options)), options)
 

@@ -250,7 +250,7 @@ class BoundTraffic:
     def __init__(self, name: str, traffic: PythonTraffic, scenes: SceneSet, dt_s: float) -> None:
         if isinstance(traffic.model, str):
             raise ConfigError(
-                f"policies.{name}: the model {traffic.model!r} is named only, expected the object: "
+                f"named_drivers.{name}: the model {traffic.model!r} is a name, expected an object: "
                 "files do not import code, PythonTraffic.load does"
             )
         self._name, self._model = name, traffic.model

@@ -153,10 +153,10 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
         drivers = {*rollout.driver_names, *rollout.driver_kinds}
         if drivers & {*NETWORKS}:  # they share CCDiff's options
             drivers.add("ccdiff")
-        policies = config.get("policies")
+        policies = config.get("named_drivers")
         known = policies if isinstance(policies, dict) else {}
         used = {name: options for name, options in known.items() if name in drivers}
-        config = {**config, "policies": used}
+        config = {**config, "named_drivers": used}
         captions.extend(_changes(config, json.loads(_native.default_world_config())))
     return [(name, value) for name, value in captions if value]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.policies.planners import EGO_HELP
+from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.system.files import file_name, write_aside

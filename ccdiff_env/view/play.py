@@ -17,7 +17,7 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.policies.ego import EgoPolicy, load_ego
+from ccdiff_env.planners.ego import EgoPolicy, load_ego
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import DEFAULT, load
@@ -152,8 +152,8 @@ def _configs(ego: EgoPolicy) -> dict[str, Any]:
         rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
         for suffix, each in {"": config, **rivals}.items():
             options = json.loads(each.to_json())
-            networks = {n: p for n, p in options["policies"].items() if n == traffic}
-            found[traffic + suffix] = {**options, "policies": networks}
+            networks = {n: p for n, p in options["named_drivers"].items() if n == traffic}
+            found[traffic + suffix] = {**options, "named_drivers": networks}
     return found
 
 

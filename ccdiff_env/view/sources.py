@@ -69,7 +69,7 @@ def play_scene(
         The scene.
     traffic, driver
         Who drives the other vehicles, and the ego: ``"ccdiff"``, ``"idm"``, ``"replay"`` or
-        ``"constant_velocity"``; the ego also a policy of :mod:`ccdiff_env.policies`, by name or
+        ``"constant_velocity"``; the ego also a policy of :mod:`ccdiff_env.planners`, by name or
         the path of its file (``.safetensors``).
     seed
         Seed of the episode.
@@ -88,7 +88,7 @@ def play_scene(
     """
     # imported here: most pages are of recorded episodes
     from ccdiff_env.envs import EgoEnv
-    from ccdiff_env.policies.planners import ego_driver
+    from ccdiff_env.planners.built_in import ego_driver
     from ccdiff_env.record.episode import play
     from ccdiff_env.record.recorder import Recorder
 

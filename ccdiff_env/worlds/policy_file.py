@@ -75,7 +75,7 @@ class PolicyFile(NamedTuple):
 
 
 def read_policy(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> PolicyFile:
-    """Read a file of a policy; :func:`~ccdiff_env.policies.ego.load_ego` says what is raised."""
+    """Read a file of a policy; :func:`~ccdiff_env.planners.ego.load_ego` says what is raised."""
     tensors, metadata = read_tensors(path)
     with reading("policy", path):
         if metadata.get("format") != FORMAT:

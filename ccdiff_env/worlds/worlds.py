@@ -46,7 +46,7 @@ def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
     """Models of the user's own, by the names of their drivers."""
     return {
         name: BoundTraffic(name, policy.options, scenes, config.dt_s)
-        for name, policy in config.policies.items()
+        for name, policy in config.named_drivers.items()
         if isinstance(policy.options, PythonTraffic)
     }
 
@@ -260,7 +260,7 @@ class Worlds:
             if driver not in known:
                 raise UnknownNameError(
                     f"driver of {agent!r} is {driver!r}, expected one of {', '.join(known)}; name "
-                    "others in traffic or policies when the environment is made"
+                    "others in traffic or named_drivers when the environment is made"
                 )
         if choice and not self._agent_ids:
             self._agent_ids = frozenset(a for scene in self.scenes for a in scene.agent_ids)

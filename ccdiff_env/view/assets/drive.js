@@ -131,15 +131,15 @@ class Drive {
   }
 
   /** Name of the network that drives the others, if one does. */
-  get network() { return Object.keys(this.settings.configs[$("traffic").value].policies)[0]; }
+  get network() { return Object.keys(this.settings.configs[$("traffic").value].named_drivers)[0]; }
 
   /** A configuration of the settings with the criticality of the slider. */
   config(name) {
     const config = this.settings.configs[name], { network } = this;
     if (!network) return JSON.stringify(config);
-    const criticality = +$("criticality").value, usual = config.policies[network][network];
+    const criticality = +$("criticality").value, usual = config.named_drivers[network][network];
     const options = { ...usual, criticality, num_samples: criticality > 0 ? 4 : 1 };
-    return JSON.stringify({ ...config, policies: { [network]: { [network]: options } } });
+    return JSON.stringify({ ...config, named_drivers: { [network]: { [network]: options } } });
   }
 
   /** Begin the scene again; with the keys of a link, drive it so. */

@@ -42,7 +42,7 @@ impl AskedDriver<'_> {
     ) -> PyResult<Bound<'py, PyCapsule>> {
         let Self { name, kind, options, dt_s, scenes } = self;
         // as the user has written it
-        let path = if name == kind { name.to_owned() } else { format!("policies.{name}.{kind}") };
+        let path = if name == kind { name.to_owned() } else { format!("named_drivers.{name}.{kind}") };
         let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
         let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
         let policy = py.detach(|| {
@@ -52,7 +52,7 @@ impl AskedDriver<'_> {
         let policy = policy.map_err(from_model)?;
         if policy.kind() != kind {
             let message = format!(
-                "config: policies: {name}: weights of {:?}, expected those of {kind:?}",
+                "config: named_drivers: {name}: weights of {:?}, expected those of {kind:?}",
                 policy.kind()
             );
             return Err(py::ConfigError::new_err(message));

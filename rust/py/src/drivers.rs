@@ -118,13 +118,13 @@ fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 
 /// Where the options of a policy stand.
 pub(crate) fn path_of(name: &str, kind: &str) -> String {
-    if name == kind { kind.to_owned() } else { format!("policies.{name}.{kind}") }
+    if name == kind { kind.to_owned() } else { format!("named_drivers.{name}.{kind}") }
 }
 
 /// Traffic of a model of the user's own.
 fn python(recipe: &Recipe<'_>) -> PyResult<Policy> {
     let model = recipe.model.ok_or_else(|| {
-        let message = format!("config: policies: {}: no Python object was handed over", recipe.name);
+        let message = format!("config: named_drivers: {}: no Python object was handed over", recipe.name);
         py::ConfigError::new_err(message)
     })?;
     let model = Python::attach(|py| model.clone_ref(py));
@@ -139,7 +139,7 @@ fn recipes<'a>(
     models: &'a BTreeMap<String, Py<PyAny>>,
 ) -> PyResult<Vec<(&'static Kind, Recipe<'a>)>> {
     let mut found = Vec::new();
-    for (name, policy) in &config.policies {
+    for (name, policy) in &config.named_drivers {
         let one = policy.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
         let Some((kind, options)) =
             one.and_then(|(kind, options)| Some((of(kind).filter(|k| k.options.is_some())?, options)))
@@ -147,7 +147,7 @@ fn recipes<'a>(
             let kinds: Vec<&str> = kinds().filter(|kind| kind.options.is_some()).map(|k| k.name).collect();
             let kinds = kinds.join(", ");
             let message =
-                format!("config: policies: {name} is {policy}, expected {{kind: options}} of {kinds}");
+                format!("config: named_drivers: {name} is {policy}, expected {{kind: options}} of {kinds}");
             return Err(py::ConfigError::new_err(message));
         };
         if kind.name != name || config.names(name) {
@@ -155,8 +155,8 @@ fn recipes<'a>(
         }
     }
     // who drives by a kind without options of its own has those that all networks share, or the default ones
-    let shared = config.policies.get(SHARED).and_then(|policy| policy.get(SHARED));
-    for kind in kinds().filter(|k| !k.always && config.names(k.name) && !config.policies.contains_key(k.name))
+    let shared = config.named_drivers.get(SHARED).and_then(|policy| policy.get(SHARED));
+    for kind in kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))
     {
         let shared = shared.filter(|_| is_network(kind));
         if shared.is_none() && kind.make.is_none() && kind.name != EGOS.name {
@@ -199,7 +199,7 @@ pub(crate) fn policies(
             (None, Some(policy)) => policy,
             (None, None) if kind.name == python_policy::KIND.name => python(&recipe)?,
             (None, None) => {
-                let message = format!("config: policies: {}: no network was handed over", recipe.name);
+                let message = format!("config: named_drivers: {}: no network was handed over", recipe.name);
                 return Err(py::ConfigError::new_err(message));
             }
         };
@@ -210,11 +210,11 @@ pub(crate) fn policies(
 
 /// A configuration as worlds are told apart by it: options of policies are those that are not the default.
 pub(crate) fn told_apart(config: WorldConfig) -> WorldConfig {
-    let mut policies = config.policies;
-    for (kind, options) in policies.values_mut().filter_map(Value::as_object_mut).flatten() {
+    let mut named_drivers = config.named_drivers;
+    for (kind, options) in named_drivers.values_mut().filter_map(Value::as_object_mut).flatten() {
         if let Some(table) = of(kind).and_then(|kind| kind.options) {
             options::without_defaults(table, options);
         }
     }
-    WorldConfig { policies, ..config }
+    WorldConfig { named_drivers, ..config }
 }

@@ -131,7 +131,7 @@ impl Playground {
         let options: serde_json::Value = serde_json::from_str(options).map_err(|e| e.to_string())?;
         let mut drivers = Drivers::new();
         for (kind, bytes) in &self.weights {
-            let Some(asked) = options["policies"][kind].get(kind) else { continue };
+            let Some(asked) = options["named_drivers"][kind].get(kind) else { continue };
             let config: CcdiffConfig = read(kind, &asked.to_string()).map_err(|e| e.to_string())?;
             let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
             if kind == SWIFT.name {

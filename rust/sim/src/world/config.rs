@@ -225,7 +225,7 @@ options! {
         idm: IdmConfig = IdmConfig::default();
         /// Further drivers by custom names, as `{kind: options}`; part of what snapshots are checked against. In Python
         /// those of networks have a field of their own.
-        policies: BTreeMap<String, serde_json::Value> = BTreeMap::new();
+        named_drivers: BTreeMap<String, serde_json::Value> = BTreeMap::new();
         /// What happens to a world whose episode has ended.
         autoreset: Autoreset = Autoreset::NextStep;
         /// How the scene of an episode is chosen when the reset names none.

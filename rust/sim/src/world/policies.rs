@@ -50,7 +50,7 @@ impl Policies {
         for (name, policy) in more.into_iter().chain(walks.and_then(made).transpose()?) {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
                 let expected = "a name that nobody else has".into();
-                return Err(SimError::Config { field: "policies".into(), got: name, expected });
+                return Err(SimError::Config { field: "named_drivers".into(), got: name, expected });
             }
             let (least, has) = (policy.least_history_states(), config.history_steps.saturating_add(1));
             if has < least {

@@ -30,11 +30,11 @@ from ccdiff_env.errors import (
     unknown,
 )
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
-from ccdiff_env.policies import SHIPPED, find_policy
-from ccdiff_env.policies.arbitration import Arbiter
-from ccdiff_env.policies.holding import Held
-from ccdiff_env.policies.planning import FRAMES, Tracker
-from ccdiff_env.policies.rules import RULES, NoOp
+from ccdiff_env.planners import SHIPPED, find_policy
+from ccdiff_env.planners.arbitration import Arbiter
+from ccdiff_env.planners.holding import Held
+from ccdiff_env.planners.planning import FRAMES, Tracker
+from ccdiff_env.planners.rules import RULES, NoOp
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
@@ -417,7 +417,10 @@ def seated(
     ConfigError
         For a name of neither.
     """
-    name, own = options.get("driver"), options.get("policies", config and config.policies) or ()
+    name, own = (
+        options.get("driver"),
+        options.get("named_drivers", config and config.named_drivers) or (),
+    )
     if name is None or isinstance(name, PythonTraffic) or name in ("external", *KINDS, *own):
         return None, config, dict(options)
     driver, seat = ego_driver(name)
@@ -444,7 +447,7 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     ----------
     ego
         ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a name of
-        :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.policies` by name, or its file
+        :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.planners` by name, or its file
         (``.safetensors``); a :class:`Planner`, a class of one, a function from observations
         [N, D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
         options); ``nuplan:package.module.Class`` of a planner of nuPlan, see

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ccdiff_env._native import Planner
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.traffic import CcdiffConfig, Policy
+from ccdiff_env.traffic import CcdiffConfig, NamedDriver
 from ccdiff_env.worlds import Worlds, network_policies
 from ccdiff_env.worlds.worlds_view import behind
 
@@ -40,8 +40,8 @@ class RulePlanner:
         found = None
         if self.network is not None:
             options = CcdiffConfig(**self.network[1])
-            own = {"planner": Policy(self.network[0], options)}
-            config = WorldConfig(dt_s=worlds.config.dt_s, driver="planner", policies=own)
+            own = {"planner": NamedDriver(self.network[0], options)}
+            config = WorldConfig(dt_s=worlds.config.dt_s, driver="planner", named_drivers=own)
             found = network_policies(config, list(behind(worlds.scenes)), 1)["planner"]
         self._planner = Planner(self.kind, found)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.policies.rules import RULES
+from ccdiff_env.planners.rules import RULES
 from ccdiff_env.worlds import Worlds
 
 __all__ = ["Arbiter"]

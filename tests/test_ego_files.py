@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import ccdiff_env
-from ccdiff_env import WorldConfig, policies
+from ccdiff_env import WorldConfig, planners
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
 from ccdiff_env.envs import ego_network
@@ -19,7 +19,7 @@ from ccdiff_env.errors import (
     DatasetNotFoundError,
     ShapeError,
 )
-from ccdiff_env.policies.ego import OBSERVATION, save_ego
+from ccdiff_env.planners.ego import OBSERVATION, save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
@@ -46,7 +46,7 @@ def path(agent, tmp_path):
 
 
 def test_numpy_gives_the_actions_of_torch(agent, path, scenes):
-    policy = policies.load(path)
+    policy = planners.load(path)
     env = ccdiff_env.make_vec(16, scenes=scenes, traffic="idm", **policy.env_options)
     obs, _ = env.reset(seed=4)
     for _ in range(10):
@@ -77,7 +77,7 @@ def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):
 
 
 def test_a_row_does_not_depend_on_the_batch(path, scenes):
-    policy = policies.load(path)
+    policy = planners.load(path)
     env = ccdiff_env.make_vec(5, scenes=scenes, **policy.env_options)
     obs, _ = env.reset(seed=0)
     apart = np.concatenate([policy.act(row[None]) for row in obs])
@@ -94,7 +94,7 @@ def test_a_row_does_not_depend_on_the_batch(path, scenes):
     ],
 )
 def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, scenes):
-    policy = policies.load(path)
+    policy = planners.load(path)
     worlds = Worlds(scenes, policy.config.with_options(**options), num_worlds=1)
     with pytest.raises(ConfigError, match=message) as caught:
         policy.drive(worlds)
@@ -105,14 +105,14 @@ def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, 
 def test_limits_of_ones_own_are_kept(agent, tmp_path):
     limits = AssistedLimits(offset_m=(-0.75, 0.75))
     save_ego(tmp_path / "own.safetensors", agent.state_dict(), OPTIONS | {"dynamics": limits}, {})
-    assert policies.load(tmp_path / "own.safetensors").config.action.dynamics == limits
+    assert planners.load(tmp_path / "own.safetensors").config.action.dynamics == limits
     with pytest.raises(ConfigError, match="traffic"):
         save_ego(tmp_path / "own.safetensors", agent.state_dict(), OPTIONS | {"traffic": "idm"}, {})
 
 
 def test_observations_of_another_width_are_refused(path):
     with pytest.raises(ShapeError, match="expected"):
-        policies.load(path).act(np.zeros((2, 3), np.float32))
+        planners.load(path).act(np.zeros((2, 3), np.float32))
 
 
 def test_damaged_files_are_refused(path, tmp_path):
@@ -126,27 +126,27 @@ def test_damaged_files_are_refused(path, tmp_path):
     ]:
         write_tensors(bad, tensors, changed)
         with pytest.raises((DatasetError, ConfigError), match=message):
-            policies.load(bad)
+            planners.load(bad)
     write_tensors(bad, {**tensors, "mean": tensors["mean"][1:]}, metadata)
     with pytest.raises(DatasetError, match="mean is shape"):
-        policies.load(bad)
+        planners.load(bad)
     write_tensors(bad, {**tensors, "mean": tensors["mean"] * np.nan}, metadata)
     with pytest.raises(DatasetError, match="finite"):
-        policies.load(bad)
+        planners.load(bad)
     data = path.read_bytes()
     for part in (b"", data[:4], data[:100], data[:-5], b"\xff" * 64):
         bad.write_bytes(part)
         with pytest.raises(DatasetError):
-            policies.load(bad)
+            planners.load(bad)
     with pytest.raises(DatasetNotFoundError):
-        policies.load(tmp_path / "none.safetensors")
+        planners.load(tmp_path / "none.safetensors")
     with pytest.raises(ConfigError, match="ego"):
-        policies.load("egg")
+        planners.load("egg")
 
 
 def test_planners_hold_actions_as_in_training(path, scenes):
     """A benchmark of single steps gives the episodes of worlds that hold actions themselves."""
-    policy = policies.load(path)
+    policy = planners.load(path)
     rows, _ = drive(scenes, str(path), TRAFFIC["idm"], seed=3)
     config = policy.config.with_options(
         traffic="idm",
@@ -184,8 +184,8 @@ def test_episodes_for_replay_pages_are_those_of_the_benchmark(path, scenes):
 
 
 def test_the_shipped_egos_drive_unseen_scenes(scenes):
-    for name, file in policies.SHIPPED.items():
+    for name, file in planners.SHIPPED.items():
         assert file.stat().st_size < 1_000_000
         rows, _ = drive(scenes, name, TRAFFIC["idm"], seed=0)
         assert np.mean([row["success"] for row in rows]) > 0.6
-        assert policies.load(name).about
+        assert planners.load(name).about

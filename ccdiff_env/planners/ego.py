@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ccdiff_env._native import EgoNetwork
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.policies.holding import Held
+from ccdiff_env.planners.holding import Held
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import reading
 from ccdiff_env.system.tensors import write_tensors

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 
 from ccdiff_env.errors import ConfigError, unknown
-from ccdiff_env.policies.ego import EgoPolicy, load_ego
+from ccdiff_env.planners.ego import EgoPolicy, load_ego
 from ccdiff_env.system.named_objects import option_values
 from ccdiff_env.worlds.policy_file import NO_STYLE, SHIPPED
 
@@ -16,12 +16,12 @@ __all__ = ["SHIPPED", "EgoPolicy", "find_policy", "load"]
 def load(name: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
     """Return a policy of :data:`SHIPPED` by name, or that of a safetensors file.
 
-    ``style`` sets its dial, see :func:`~ccdiff_env.policies.ego.load_ego`.
+    ``style`` sets its dial, see :func:`~ccdiff_env.planners.ego.load_ego`.
 
     Examples
     --------
-    >>> import ccdiff_env.policies
-    >>> ego = ccdiff_env.policies.load("ego")
+    >>> import ccdiff_env.planners
+    >>> ego = ccdiff_env.planners.load("ego")
     >>> env = ccdiff_env.make_vec(2, scenes="val", traffic="idm", **ego.env_options)
     >>> obs, _ = env.reset(seed=0)
     >>> ego.act(obs).shape
