@@ -1,1 +1,0 @@
-"""Generator of the embedded data set: a procedural city, its traffic, and their tables."""
