@@ -131,8 +131,6 @@ def metrics_pearson(x: F64, y: F64) -> tuple[float, float]: ...
 
 @final
 class Scene:
-    """Logged tracks of A agents over T steps on a map, in the scene's own frame. Immutable."""
-
     @staticmethod
     def from_arrays(
         name: str,
@@ -153,118 +151,47 @@ class Scene:
         map_layers: MapLayers | None = None,
         elevation_m: F32 | None = None,
         mend: bool = True,
-    ) -> Scene:
-        """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return.
-
-        With ``elevation_m`` agents more than 2.5 m higher or lower are out of each other's reach,
-        and so are lanes and roads whose elevations ``map_layers`` tells.
-
-        ``mend`` does what the loaders do: gaps of up to two seconds are filled, vehicles that run
-        against their heading are turned by half a turn, with a warning.
-        """
-
+    ) -> Scene: ...
     def _mended(self) -> tuple[Scene, list[int], list[str]]: ...
     @staticmethod
-    def from_bytes(data: bytes) -> Scene:
-        """Read what ``to_bytes`` wrote."""
-
-    def to_bytes(self) -> bytes:
-        """Return the whole scene as bytes; equal scenes give equal bytes."""
-
+    def from_bytes(data: bytes) -> Scene: ...
+    def to_bytes(self) -> bytes: ...
     @property
-    def name(self) -> str:
-        """Name, such as ``scene-0061``."""
-
+    def name(self) -> str: ...
     @property
-    def token(self) -> str:
-        """Token of the data set."""
-
+    def token(self) -> str: ...
     @property
-    def location(self) -> str:
-        """Map location, such as ``boston-seaport``."""
-
+    def location(self) -> str: ...
     @property
-    def source(self) -> str:
-        """Data set and version, or file."""
-
+    def source(self) -> str: ...
     @property
-    def origin(self) -> tuple[float, float]:
-        """Global x, y of the scene frame's origin, metres: global = origin + scene frame."""
-
+    def origin(self) -> tuple[float, float]: ...
     @property
-    def dt(self) -> float:
-        """Seconds between steps."""
-
+    def dt(self) -> float: ...
     @property
-    def num_steps(self) -> int:
-        """Logged steps T."""
-
+    def num_steps(self) -> int: ...
     @property
-    def num_agents(self) -> int:
-        """Agents A."""
-
+    def num_agents(self) -> int: ...
     @property
-    def agent_ids(self) -> list[str]:
-        """Instance tokens; the ego is ``"ego"`` and comes first."""
-
+    def agent_ids(self) -> list[str]: ...
     @property
-    def agent_types(self) -> list[str]:
-        """``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle`` or ``static`` for each agent."""
-
+    def agent_types(self) -> list[str]: ...
     @property
-    def towed(self) -> list[tuple[int, int]]:
-        """Agents that others tow, and by whom: boxes that overlap in line and move together."""
-
-    def ranked_vehicles(self, step: int, ranking: str) -> list[int]:
-        """Rank the vehicles that are there at a step of the log, those that others tow left out.
-
-        The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
-        the step as well. Who is on another level is as far as can be.
-
-        Raises
-        ------
-        ConfigError
-            For a step beyond the log or another ranking.
-        """
-
+    def towed(self) -> list[tuple[int, int]]: ...
+    def ranked_vehicles(self, step: int, ranking: str) -> list[int]: ...
     @property
-    def agent_categories(self) -> list[str]:
-        """The data set's own category of each agent."""
-
+    def agent_categories(self) -> list[str]: ...
     @property
-    def has_road(self) -> bool:
-        """Whether the map has a drivable area; else figures that need a road are not there."""
-
+    def has_road(self) -> bool: ...
     @property
-    def has_lanes(self) -> bool:
-        """Whether the map has lanes."""
-
+    def has_lanes(self) -> bool: ...
     @property
-    def sizes(self) -> F32:
-        """Length, width, height [A, 3], metres."""
-
+    def sizes(self) -> F32: ...
     @property
-    def hash(self) -> str:
-        """Content hash, 32 hexadecimal digits, the same on every machine."""
-
-    def tracks(self) -> TrackArrays:
-        """Return new arrays in the scene frame; rows that are not valid are zero.
-
-        position [A, T, 2] m, heading [A, T] rad (unwrapped), velocity [A, T, 2] m/s, valid [A, T].
-        """
-
-    def map_layers(self) -> MapLayers:
-        """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
-
-    def with_ego(self, agent_id: str) -> Scene:
-        """Return the scene with another agent as its ego; the former one is ``"former ego"``.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is no such agent.
-        """
-
+    def hash(self) -> str: ...
+    def tracks(self) -> TrackArrays: ...
+    def map_layers(self) -> MapLayers: ...
+    def with_ego(self, agent_id: str) -> Scene: ...
     def render(
         self,
         step: int = 0,
@@ -277,45 +204,7 @@ class Scene:
         route: bool = True,
         labels: bool = True,
         theme: str = "light",
-    ) -> U8:
-        """Draw one step of the log, seen from above.
-
-        Parameters
-        ----------
-        step
-            Step of the log, 0 to ``num_steps`` - 1.
-        size
-            Width and height, pixels.
-        span_m
-            Metres across the width.
-        centre
-            What is in the middle: the id of an agent (where it is logged nearest to the step) or
-            a point of the scene frame, metres.
-        heading_up
-            Turn the image so that the agent in the middle heads to the top; else north is there.
-        trails
-            Draw the last three seconds of every agent.
-        route
-            Draw the rest of the ego's log as a band.
-        labels
-            Write the scene's name, time, the ego's speed, names of agents, a scale bar and what the
-            colours mean.
-        theme
-            ``"light"`` or ``"dark"``.
-
-        Returns
-        -------
-        ndarray
-            Image [H, W, 3], uint8.
-
-        Raises
-        ------
-        UnknownNameError
-            If the scene has no agent of that id.
-        ConfigError
-            If a number is out of its range.
-        """
-
+    ) -> U8: ...
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
     def __copy__(self) -> Scene: ...
     def __deepcopy__(self, _memo: dict[int, Any], /) -> Scene: ...
@@ -367,57 +256,34 @@ def complete_map(
     tracks: F32 | None = None,
     heights: dict[str, list[F32]] | None = None,
 ) -> tuple[MapLayers, str, list[float]]: ...
-def drivers() -> list[tuple[str, str, int]]:
-    """Return name, title and number in images of everybody who may move an agent: those that
-    images tell apart, in the order of their numbers, then kinds that look like one of them.
-    """
+def drivers() -> list[tuple[str, str, int]]: ...
 
 @final
 class WorldStatus:
-    """Where a world is."""
-
     @property
-    def scene_idx(self) -> int:
-        """Index of the scene."""
-
+    def scene_idx(self) -> int: ...
     @property
-    def seed(self) -> int:
-        """Seed that the world's generator was last started from."""
-
+    def seed(self) -> int: ...
     @property
-    def episode(self) -> int:
-        """Episodes begun since that seed."""
-
+    def episode(self) -> int: ...
     @property
-    def step_idx(self) -> int:
-        """Step of the log that the states stand at."""
-
+    def step_idx(self) -> int: ...
     @property
-    def elapsed_steps(self) -> int:
-        """Steps since the episode began."""
-
+    def elapsed_steps(self) -> int: ...
     @property
-    def ego_idx(self) -> int | None:
-        """Index of the ego; ``None`` in a scene without one."""
+    def ego_idx(self) -> int | None: ...
 
 @final
 class EgoNetwork:
-    """The network of an ego; weights by name, configurations as JSON."""
-
     def __new__(cls, observation: str, action: str, tensors: dict[str, F32]) -> EgoNetwork: ...
-    def act(self, obs: F32) -> F32:
-        """Actions [N, W] in [-1, 1] for observations [N, D]."""
+    def act(self, obs: F32) -> F32: ...
 
 @final
 class Planner:
-    """A planner of the package: ``"pdm"``, ``"idm"`` or ``"plan"``, the last one with a network."""
-
     def __new__(cls, kind: str, network: object = None) -> Planner: ...
 
 @final
 class VecWorld:
-    """E worlds over scenes; one thread at a time, never in a forked child."""
-
     def __new__(
         cls,
         scenes: Sequence[Scene],
@@ -428,12 +294,8 @@ class VecWorld:
         networks: Mapping[str, object] | None = None,
         models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
-    def set_scene_weights(self, weights: Sequence[float] | None) -> None:
-        """Draw the scenes of later episodes by weights; all alike for ``None``."""
-
-    def set_autoreset(self, config: str) -> None:
-        """Take the autoreset mode of a configuration (JSON), before the first reset."""
-
+    def set_scene_weights(self, weights: Sequence[float] | None) -> None: ...
+    def set_autoreset(self, config: str) -> None: ...
     def reset(
         self,
         seeds: Sequence[int | None],
@@ -441,168 +303,61 @@ class VecWorld:
         mask: Sequence[bool] | None,
         out: tuple[object, ...],
         wanted: Sequence[tuple[int | None, int | None, dict[str, float]]] = ...,
-    ) -> None:
-        """Begin episodes; writes into the arrays of :meth:`step_arrays`, in their order.
-
-        ``wanted`` are egos (indices), starts (steps) and styles; all are drawn where it is empty.
-        """
-
-    def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None:
-        """Advance all worlds, or those of ``active`` [E], by one step; actions [E, C, W].
-
-        A world that rests stays as it is; its observations in the arrays are not touched.
-        """
-
-    def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None:
-        """Put a driver into vehicles of a world, until its episode ends."""
-
+    ) -> None: ...
+    def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None: ...
+    def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None: ...
     def override_plan(
         self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
-    ) -> None:
-        """Say what is asked of a world's next plans to the policies that plan."""
-
-    def swift_rows(self, world_idx: int, agents: Sequence[int]) -> dict[str, Any]:
-        """Return what swift traffic would see of vehicles: arrays ``own`` [n, 65], ``ego``
-        [n, 14], ``others`` [n, K, 15] and how many of these there are, ``seen`` [n].
-        """
-
-    def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None:
-        """Return the plan of a policy (the first that plans, by default) that a world follows,
-        ``None`` before the first one.
-        """
-
+    ) -> None: ...
+    def swift_rows(self, world_idx: int, agents: Sequence[int]) -> dict[str, Any]: ...
+    def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None: ...
     @property
-    def policies(self) -> list[tuple[str, str]]:
-        """Names of the policies of this batch, each with its kind."""
-
+    def policies(self) -> list[tuple[str, str]]: ...
     @property
-    def planners(self) -> list[str]:
-        """Names of the policies that plan."""
-
-    def observe(self, world_idx: int, obs: F32, bev: U8 | None = None) -> None:
-        """Write the present observations [C, D] and rasters [C, P, S, S] of a world."""
-
+    def planners(self) -> list[str]: ...
+    def observe(self, world_idx: int, obs: F32, bev: U8 | None = None) -> None: ...
     @property
-    def layout_json(self) -> str:
-        """Schema of the observation row."""
-
+    def layout_json(self) -> str: ...
     @property
-    def num_worlds(self) -> int:
-        """Worlds E."""
-
+    def num_worlds(self) -> int: ...
     @property
-    def action_width(self) -> int:
-        """Numbers per action W."""
-
+    def action_width(self) -> int: ...
     @property
-    def num_actions(self) -> int | None:
-        """Number of discrete actions, None for continuous ones."""
-
+    def num_actions(self) -> int | None: ...
     @property
-    def action_bounds(self) -> list[tuple[str, float, float]]:
-        """Name with unit, and physical values at -1 and +1, of each quantity of an action."""
-
-    def snapshot(self, world_idx: int) -> bytes:
-        """Return everything that the future of a world depends on."""
-
-    def restore(self, world_idx: int, snapshot: bytes) -> None:
-        """Put a world into the state of a snapshot."""
-
-    def reseed(self, world_idx: int, seed: int) -> None:
-        """Let a world go on with the random numbers of another seed."""
-
-    def digest(self, world_idx: int) -> int:
-        """Return a digest of everything that the future of a world depends on.
-
-        Its place in the batch is part of it: digests are compared of one place.
-        """
-
-    def begun(self, world_idx: int) -> bool:
-        """Whether a world was ever reset."""
-
-    def status(self, world_idx: int) -> WorldStatus:
-        """Return where a world is."""
-
-    def step_arrays(self) -> list[tuple[str, str, list[int]]]:
-        """Return name, dtype and shape of the arrays that a reset or step writes; no shape where
-        there is no such array.
-        """
-
-    def states(self, world_idx: int) -> StateArrays:
-        """Return present states [A]; zero where an agent is not active."""
-
-    def ended_metrics(self, worlds: Sequence[int]) -> F64:
-        """Return metrics [N, C, K] of the last episodes that ended in some worlds."""
-
-    def metrics(self, world_idx: int) -> F64:
-        """Return metrics [C, K] of a world's present episode so far."""
-
-    def drivers(self, world_idx: int) -> list[str]:
-        """Return who drives each agent."""
-
-    def slot_agents(self, world_idx: int) -> list[int | None]:
-        """Return the agent of each slot."""
-
-    def drawn(self, world_idx: int) -> list[dict[str, Any]]:
-        """Return what was drawn for each slot.
-
-        Factors ``acceleration_gain``, ``yaw_gain`` and ``size``, steps ``delay_steps``, and factors
-        of weights by name as ``style``.
-        """
-
-    def slot_alive(self, world_idx: int) -> list[bool]:
-        """Return whether each slot's agent goes on."""
-
-    def route(self, world_idx: int, slot_idx: int) -> tuple[F32, tuple[float, float]] | None:
-        """Return the route [P, 2] of a slot's agent, and its goal."""
-
-    def planner_actions(self, planner: Planner, active: list[bool] | None = None) -> F32:
-        """Return a planner's actions [E, W] in the first slots; zeros where not active [E]."""
-
-    def contacts(self, world_idx: int) -> list[tuple[int, int, str, float, bool]]:
-        """Return contacts: agent, partner, side hit, closing speed m/s, at fault."""
-
-    def off_road(self, world_idx: int) -> tuple[Bool, Bool]:
-        """Return agents [A] with a corner, and with the centre, off the road."""
-
-    def off_road_m(self, world_idx: int) -> list[float]:
-        """Return metres by which the farthest corner of each slot's agent is off the road.
-
-        0 on it, for empty slots, and where the map has no road.
-        """
-
+    def action_bounds(self) -> list[tuple[str, float, float]]: ...
+    def snapshot(self, world_idx: int) -> bytes: ...
+    def restore(self, world_idx: int, snapshot: bytes) -> None: ...
+    def reseed(self, world_idx: int, seed: int) -> None: ...
+    def digest(self, world_idx: int) -> int: ...
+    def begun(self, world_idx: int) -> bool: ...
+    def status(self, world_idx: int) -> WorldStatus: ...
+    def step_arrays(self) -> list[tuple[str, str, list[int]]]: ...
+    def states(self, world_idx: int) -> StateArrays: ...
+    def ended_metrics(self, worlds: Sequence[int]) -> F64: ...
+    def metrics(self, world_idx: int) -> F64: ...
+    def drivers(self, world_idx: int) -> list[str]: ...
+    def slot_agents(self, world_idx: int) -> list[int | None]: ...
+    def drawn(self, world_idx: int) -> list[dict[str, Any]]: ...
+    def slot_alive(self, world_idx: int) -> list[bool]: ...
+    def route(self, world_idx: int, slot_idx: int) -> tuple[F32, tuple[float, float]] | None: ...
+    def planner_actions(self, planner: Planner, active: list[bool] | None = None) -> F32: ...
+    def contacts(self, world_idx: int) -> list[tuple[int, int, str, float, bool]]: ...
+    def off_road(self, world_idx: int) -> tuple[Bool, Bool]: ...
+    def off_road_m(self, world_idx: int) -> list[float]: ...
     def progress_along_log(
         self, world_idx: int, path: Sequence[Sequence[float]]
-    ) -> tuple[float, float] | None:
-        """Return how far a path [N, 2] and the log of the first slot go, m, along the road blocks
-        that the log goes through; ``None`` where that is in no lane.
-        """
-
+    ) -> tuple[float, float] | None: ...
     def score_facts(
         self,
         world_idx: int,
         lane_before: int | None,
         ignored: Sequence[int],
         horizon_s: float,
-    ) -> tuple[tuple[int, float] | None, float | None]:
-        """Return what the closed-loop score looks at in the present state of the first slot: its
-        lane and the position along it, and seconds to the contact to expect with an agent that is
-        not ``ignored``.
-        """
-
-    def candidates(self, world_idx: int, num_rows: int) -> tuple[list[int], F32]:
-        """Return the vehicles that may become adversaries, nearest to the ego first, at most R of
-        them, and their features [R, F].
-        """
-
-    def guidance(self, world_idx: int) -> tuple[int, float, float] | None:
-        """Return the vehicle that the latest plan guides (the first of several), and the means of
-        ``shift_sigmas`` and ``realism_cost`` over all that it guides; ``None`` for nobody.
-        """
-
-    def expert_actions(self, world_idx: int) -> F32:
-        """Return actions [C, W] towards each slot's next logged state."""
-
+    ) -> tuple[tuple[int, float] | None, float | None]: ...
+    def candidates(self, world_idx: int, num_rows: int) -> tuple[list[int], F32]: ...
+    def guidance(self, world_idx: int) -> tuple[int, float, float] | None: ...
+    def expert_actions(self, world_idx: int) -> F32: ...
     def render(
         self,
         world_idx: int,
@@ -615,8 +370,7 @@ class VecWorld:
         route: bool,
         labels: bool,
         theme: str,
-    ) -> U8:
-        """Return an image [H, W, 3]."""
+    ) -> U8: ...
 
 @final
 class TrajectoryModel:

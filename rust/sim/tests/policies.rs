@@ -255,7 +255,7 @@ fn drivers_that_are_not_there_are_named() {
         "config: traffic is \"crazy\", expected a driver of this batch: replay, constant_velocity, idm"
     );
     let twice = fail(config("idm".into()), vec![("idm".to_owned(), Steady::boxed(1.0))]);
-    assert!(twice.contains("policies is idm"), "{twice}");
+    assert!(twice.contains("named_drivers is idm"), "{twice}");
     let drivers = BTreeMap::from([("nobody".to_owned(), "idm".to_owned())]);
     let unknown = fail(WorldConfig { drivers, ..config("idm".into()) }, Vec::new());
     assert!(unknown.contains("\"nobody\""), "{unknown}");
