@@ -131,6 +131,8 @@ def metrics_pearson(x: F64, y: F64) -> tuple[float, float]: ...
 
 @final
 class Scene:
+    """Logged tracks of A agents over T steps on a map, in the scene's own frame. Immutable."""
+
     @staticmethod
     def from_arrays(
         name: str,
@@ -151,47 +153,118 @@ class Scene:
         map_layers: MapLayers | None = None,
         elevation_m: F32 | None = None,
         mend: bool = True,
-    ) -> Scene: ...
+    ) -> Scene:
+        """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return.
+
+        With ``elevation_m`` agents more than 2.5 m higher or lower are out of each other's reach,
+        and so are lanes and roads whose elevations ``map_layers`` tells.
+
+        ``mend`` does what the loaders do: gaps of up to two seconds are filled, vehicles that run
+        against their heading are turned by half a turn, with a warning.
+        """
+
     def _mended(self) -> tuple[Scene, list[int], list[str]]: ...
     @staticmethod
-    def from_bytes(data: bytes) -> Scene: ...
-    def to_bytes(self) -> bytes: ...
+    def from_bytes(data: bytes) -> Scene:
+        """Read what ``to_bytes`` wrote."""
+
+    def to_bytes(self) -> bytes:
+        """Return the whole scene as bytes; equal scenes give equal bytes."""
+
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name, such as ``scene-0061``."""
+
     @property
-    def token(self) -> str: ...
+    def token(self) -> str:
+        """Token of the data set."""
+
     @property
-    def location(self) -> str: ...
+    def location(self) -> str:
+        """Map location, such as ``boston-seaport``."""
+
     @property
-    def source(self) -> str: ...
+    def source(self) -> str:
+        """Data set and version, or file."""
+
     @property
-    def origin(self) -> tuple[float, float]: ...
+    def origin(self) -> tuple[float, float]:
+        """Global x, y of the scene frame's origin, metres: global = origin + scene frame."""
+
     @property
-    def dt(self) -> float: ...
+    def dt(self) -> float:
+        """Seconds between steps."""
+
     @property
-    def num_steps(self) -> int: ...
+    def num_steps(self) -> int:
+        """Logged steps T."""
+
     @property
-    def num_agents(self) -> int: ...
+    def num_agents(self) -> int:
+        """Agents A."""
+
     @property
-    def agent_ids(self) -> list[str]: ...
+    def agent_ids(self) -> list[str]:
+        """Instance tokens; the ego is ``"ego"`` and comes first."""
+
     @property
-    def agent_types(self) -> list[str]: ...
+    def agent_types(self) -> list[str]:
+        """``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle`` or ``static`` for each agent."""
+
     @property
-    def towed(self) -> list[tuple[int, int]]: ...
-    def ranked_vehicles(self, step: int, ranking: str) -> list[int]: ...
+    def towed(self) -> list[tuple[int, int]]:
+        """Agents that others tow, and by whom: boxes that overlap in line and move together."""
+
+    def ranked_vehicles(self, step: int, ranking: str) -> list[int]:
+        """Rank the vehicles that are there at a step of the log, those that others tow left out.
+
+        The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
+        the step as well. Who is on another level is as far as can be.
+
+        Raises
+        ------
+        ConfigError
+            For a step beyond the log or another ranking.
+        """
+
     @property
-    def agent_categories(self) -> list[str]: ...
+    def agent_categories(self) -> list[str]:
+        """The data set's own category of each agent."""
+
     @property
-    def has_road(self) -> bool: ...
+    def has_road(self) -> bool:
+        """Whether the map has a drivable area; else figures that need a road are not there."""
+
     @property
-    def has_lanes(self) -> bool: ...
+    def has_lanes(self) -> bool:
+        """Whether the map has lanes."""
+
     @property
-    def sizes(self) -> F32: ...
+    def sizes(self) -> F32:
+        """Length, width, height [A, 3], metres."""
+
     @property
-    def hash(self) -> str: ...
-    def tracks(self) -> TrackArrays: ...
-    def map_layers(self) -> MapLayers: ...
-    def with_ego(self, agent_id: str) -> Scene: ...
+    def hash(self) -> str:
+        """Content hash, 32 hexadecimal digits, the same on every machine."""
+
+    def tracks(self) -> TrackArrays:
+        """Return new arrays in the scene frame; rows that are not valid are zero.
+
+        position [A, T, 2] m, heading [A, T] rad (unwrapped), velocity [A, T, 2] m/s, valid [A, T].
+        """
+
+    def map_layers(self) -> MapLayers:
+        """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
+
+    def with_ego(self, agent_id: str) -> Scene:
+        """Return the scene with another agent as its ego; the former one is ``"former ego"``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such agent.
+        """
+
     def render(
         self,
         step: int = 0,
@@ -204,7 +277,45 @@ class Scene:
         route: bool = True,
         labels: bool = True,
         theme: str = "light",
-    ) -> U8: ...
+    ) -> U8:
+        """Draw one step of the log, seen from above.
+
+        Parameters
+        ----------
+        step
+            Step of the log, 0 to ``num_steps`` - 1.
+        size
+            Width and height, pixels.
+        span_m
+            Metres across the width.
+        centre
+            What is in the middle: the id of an agent (where it is logged nearest to the step) or
+            a point of the scene frame, metres.
+        heading_up
+            Turn the image so that the agent in the middle heads to the top; else north is there.
+        trails
+            Draw the last three seconds of every agent.
+        route
+            Draw the rest of the ego's log as a band.
+        labels
+            Write the scene's name, time, the ego's speed, names of agents, a scale bar and what the
+            colours mean.
+        theme
+            ``"light"`` or ``"dark"``.
+
+        Returns
+        -------
+        ndarray
+            Image [H, W, 3], uint8.
+
+        Raises
+        ------
+        UnknownNameError
+            If the scene has no agent of that id.
+        ConfigError
+            If a number is out of its range.
+        """
+
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
     def __copy__(self) -> Scene: ...
     def __deepcopy__(self, _memo: dict[int, Any], /) -> Scene: ...
