@@ -204,7 +204,12 @@ def _alias(choice: Mapping[str, Any]) -> str:
     plain = [v["name"] for v in choice["variants"] if v["form"] is None]
     parts = [f"Literal[{', '.join(json.dumps(name) for name in plain)}]"] if plain else []
     parts += [_annotation(v["form"]) for v in choice["variants"] if v["form"] is not None]
-    text = f"#: {_python(choice['doc'])}\n{choice['name']}: TypeAlias = {' | '.join(parts)}\n"
+    lines = [_wrapped(_python(choice["doc"]), "#: ", "#: ")] + ["#:"] * bool(plain)
+    for variant in choice["variants"] if plain else []:
+        lines.append(
+            _wrapped(f"* ``{variant['name']}``: {_python(variant['doc'])}", "#: ", "#:   ")
+        )
+    text = "\n".join([*lines, f"{choice['name']}: TypeAlias = {' | '.join(parts)}\n"])
     if plain:
         return text
     names = ", ".join(f"{v['name']!r}: {_annotation(v['form'])}" for v in choice["variants"])
@@ -406,12 +411,16 @@ def page(found: list[Table]) -> str:
         "",
         f"<!-- written by `{COMMAND}` from the tables of Rust; do not edit -->",
         "",
-        'Every option of every configuration: `make_vec(8, traffic="idm", reward={"goal": 5.0})`',
-        "or `WorldConfig().with_options(...)`. Unknown names, wrong types and numbers out of their",
-        "range are a `ConfigError` that names the field, the value and what is expected.",
+        "Options of worlds and drivers are dataclasses, with defaults, units and ranges in",
+        "[options.py](../ccdiff_env/traffic/options.py). Any field is a keyword:",
+        '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Unknown names, wrong types and numbers',
+        "out of range are a `ConfigError` that names the field, the value and what is expected.",
+        "Options of networks are dictionaries:",
     ]
     seen = set[str]()
     for table in found:
+        if not (table["name"] in PLAIN or _below_plain(table, found)):
+            continue
         lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
         lines += ["| field | default | what |", "|---|---|---|"]
         for entry in table["fields"]:
