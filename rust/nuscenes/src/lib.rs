@@ -34,7 +34,6 @@ mod options;
 mod record;
 mod report;
 mod resample;
-mod scan;
 mod spline;
 mod stream;
 mod tables;

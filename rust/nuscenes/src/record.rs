@@ -5,7 +5,6 @@
 
 use crate::error::{NuscenesError, Result};
 use crate::token::Token;
-use memchr::memchr;
 use serde::Deserialize;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use serde_json::value::RawValue;
@@ -170,7 +169,7 @@ impl<'a, const N: usize> Record<'a, N> {
 /// The bytes of a string that has no escapes.
 pub(crate) fn plain_string(text: &[u8]) -> Option<&[u8]> {
     let inner = text.strip_prefix(b"\"")?.strip_suffix(b"\"")?;
-    memchr(b'\\', inner).is_none().then_some(inner)
+    (!inner.contains(&b'\\')).then_some(inner)
 }
 
 /// A value of any kind from its text.

@@ -6,8 +6,9 @@
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::record::{Record, Source};
-use crate::scan::Nesting;
 use rayon::prelude::*;
+use serde::de::IgnoredAny;
+use serde_json::Deserializer;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
@@ -107,8 +108,6 @@ enum At {
     Start,
     /// After the opening bracket, or after a comma (`true`).
     Item { after_comma: bool },
-    /// In a record.
-    Record(Nesting),
     /// After a record: a comma or the closing bracket follows.
     Separator,
     /// After the closing bracket.
@@ -123,14 +122,12 @@ struct Blocks<'a, R> {
     tail: Vec<u8>,
     /// Offset of `tail[0]` in the file.
     offset: u64,
-    /// How much of `tail` is scanned.
-    scanned: usize,
     at: At,
 }
 
 impl<'a, R: Read> Blocks<'a, R> {
     fn new(reader: R, path: &'a Path, block_bytes: usize) -> Self {
-        Self { reader, path, block_bytes, tail: Vec::new(), offset: 0, scanned: 0, at: At::Start }
+        Self { reader, path, block_bytes, tail: Vec::new(), offset: 0, at: At::Start }
     }
 
     fn fail(&self, position: usize, message: impl Into<String>) -> NuscenesError {
@@ -170,41 +167,35 @@ impl<'a, R: Read> Blocks<'a, R> {
     /// Finds the records that end in `bytes`, and how many bytes are done with.
     fn scan(&mut self, bytes: &[u8]) -> Result<(Vec<Range<usize>>, usize)> {
         let mut records = Vec::with_capacity(bytes.len() / 256);
-        let mut record_start = 0;
-        let mut i = self.scanned;
-        let mut at = self.at;
+        let mut i = 0;
         while let Some(&byte) = bytes.get(i) {
-            match at {
-                At::Record(mut nesting) => {
-                    let (end, closed) = nesting.advance(bytes, i);
-                    i = end;
-                    if !closed {
-                        at = At::Record(nesting);
-                        break;
-                    }
-                    records.push(record_start..end);
-                    at = At::Separator;
-                    continue;
-                }
+            match self.at {
                 _ if byte.is_ascii_whitespace() => {}
                 At::Start if BYTE_ORDER_MARK.get(self.offset as usize + i) == Some(&byte) => {}
-                At::Start if byte == b'[' => at = At::Item { after_comma: false },
+                At::Start if byte == b'[' => self.at = At::Item { after_comma: false },
                 At::Item { .. } if byte == b'{' => {
-                    record_start = i;
-                    at = At::Record(Nesting::START);
+                    let mut found = Deserializer::from_slice(&bytes[i..]).into_iter::<IgnoredAny>();
+                    let end = match found.next() {
+                        Some(Err(error)) if error.is_eof() => break,
+                        // what is wrong with a record is said where it is parsed
+                        Some(Err(_)) | None => bytes.len(),
+                        Some(Ok(_)) => i + found.byte_offset(),
+                    };
+                    records.push(i..end);
+                    self.at = At::Separator;
+                    i = end;
                     continue;
                 }
-                At::Item { after_comma: false } if byte == b']' => at = At::End,
-                At::Separator if byte == b',' => at = At::Item { after_comma: true },
-                At::Separator if byte == b']' => at = At::End,
-                _ => return Err(self.fail(i, format!("found {:?}, expected {}", byte as char, at.expects()))),
+                At::Item { after_comma: false } if byte == b']' => self.at = At::End,
+                At::Separator if byte == b',' => self.at = At::Item { after_comma: true },
+                At::Separator if byte == b']' => self.at = At::End,
+                at => {
+                    return Err(self.fail(i, format!("found {:?}, expected {}", byte as char, at.expects())));
+                }
             }
             i += 1;
         }
-        self.at = at;
-        let consumed = if matches!(at, At::Record(_)) { record_start } else { bytes.len() };
-        self.scanned = i - consumed;
-        Ok((records, consumed))
+        Ok((records, i))
     }
 }
 
@@ -214,7 +205,6 @@ impl At {
             Self::Start => "an array of records",
             Self::Item { .. } => "a record",
             Self::Separator => "a comma or the end of the array",
-            Self::Record(_) => "a field",
             Self::End => "nothing after the array",
         }
     }
