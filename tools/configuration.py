@@ -414,8 +414,8 @@ def page(found: list[Table]) -> str:
         "Options of worlds and drivers are dataclasses, with defaults, units and ranges in",
         "[options.py](../ccdiff_env/traffic/options.py). Any field is a keyword:",
         '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Unknown names, wrong types and',
-        "numbers out of range are a `ConfigError` that names the field, the value and what is expected.",
-        "Options of networks are dictionaries:",
+        "numbers out of range are a `ConfigError` that names the field, the value and what is",
+        "expected. Options of networks are dictionaries:",
     ]
     seen = set[str]()
     for table in found:
