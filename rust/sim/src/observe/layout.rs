@@ -202,7 +202,7 @@ impl Layout {
         let mut text = String::from(
             "# Observation\n\n<!-- written by `cargo run -p ccdiff-sim --example observation_page` from the layout; do not edit -->\n\n\
              Everything is in the frame of the observing agent: x ahead, y to the left, metres. Each number is\n\
-             `clip(quantity / scale, low, high)`. Rows for what is not there are zero, and their mask is 0.\n\
+             the quantity over its scale, clipped to the range. Rows for what is not there are zero, and their mask is 0.\n\
              In the flat form the entries follow one another; in the dictionary form each is an array of its own.\n",
         );
         // writing to a String cannot fail
@@ -213,18 +213,19 @@ impl Layout {
                 let _ = writeln!(text, "1 where the row is there, else 0.");
                 continue;
             }
-            let _ =
-                writeln!(text, "| column | unit | scale | low | high | what |\n|---|---|---:|---:|---:|---|");
+            text += "| column | scale | range | what |\n|---|---:|---|---|\n";
             for c in &entry.columns {
-                let _ = writeln!(
-                    text,
-                    "| {} | {} | {} | {} | {} | {} |",
-                    c.name, c.unit, c.scale, c.low, c.high, c.doc
-                );
+                let _ = writeln!(text, "| {}", cells(c));
             }
         }
         text + &requested_markdown() + &bev_markdown()
     }
+}
+
+/// Name, scale, range and meaning of a column, as cells.
+fn cells(c: &ObservationColumn) -> String {
+    let low = if c.low < 0.0 { "±" } else { "0–" };
+    format!("{} | {} {} | {low}{} | {} |", c.name, c.scale, c.unit, c.high, c.doc).replace("  ", " ")
 }
 
 /// The part of `docs/observation.md` about columns that are not in the default rows.
@@ -233,18 +234,14 @@ fn requested_markdown() -> String {
         "\n## Columns on request\n\nRows have these where `ego_columns`, `agent_columns` or `map_columns` names them, those of `map` wherever\n\
          `num_map_segments` is above 0. What tells one scene from another is left out by default: policies that see it\n\
          learn slower, and learn scenes by heart.\n\n\
-         | entry | column | unit | scale | low | high | what |\n|---|---|---|---:|---:|---:|---|\n",
+         | entry | column | scale | range | what |\n|---|---|---:|---|---|\n",
     );
     for (entry, columns) in
         [("ego", columns_of(EGO)), ("agents", columns_of(AGENTS)), ("map", columns_of(MAP))]
     {
         for c in columns.iter().filter(|c| !c.in_default || entry == "map") {
             // writing to a String cannot fail
-            let _ = writeln!(
-                text,
-                "| `{entry}` | {} | {} | {} | {} | {} | {} |",
-                c.name, c.unit, c.scale, c.low, c.high, c.doc
-            );
+            let _ = writeln!(text, "| `{entry}` | {}", cells(c));
         }
     }
     text
