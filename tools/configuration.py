@@ -32,6 +32,8 @@ PLAIN = (
     "SampleOptions",
     "TrainConfig",
 )
+#: Sizes stored with weights, which the page leaves to the source.
+SIZES = ("MapConfig", "ModelConfig", "Normalisation")
 #: Fields that classes of Python have in another form.
 OWN_FORM = {"WorldConfig": "named_drivers", "PythonOptions": "model"}
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
@@ -415,11 +417,13 @@ def page(found: list[Table]) -> str:
         "[options.py](../ccdiff_env/traffic/options.py). Any field is a keyword:",
         '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Unknown names, wrong types and',
         "numbers out of range are a `ConfigError` that names the field, the value and what is",
-        "expected. Options of networks are dictionaries:",
+        "expected. Options of networks are dictionaries. Sizes of networks are in",
+        "[config.rs](../rust/nets/src/config.rs); their presets in the [reference](reference.md).",
     ]
     seen = set[str]()
     for table in found:
-        if not (table["name"] in PLAIN or _below_plain(table, found)):
+        plain = table["name"] in PLAIN or _below_plain(table, found)
+        if not plain or table["name"] in SIZES:
             continue
         lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
         lines += ["| field | default | what |", "|---|---|---|"]

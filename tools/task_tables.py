@@ -60,7 +60,6 @@ def _observation() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     "info": lambda: _unweighted(read_columns(_native.columns_json())),
     "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
-    "metrics": lambda: _unweighted(read_columns(_native.metrics_json())),
     "selection_info": lambda: _unweighted(INFO_COLUMNS),
     "selection_observation": _observation,
 }
