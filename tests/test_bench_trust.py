@@ -216,7 +216,11 @@ def test_only_privileged_planners_see_the_log():
         *(f"scenes[0].{n}" for n in ("name", "token", "hash", "agent_ids", "tracks", "to_bytes")),
         *(f"native.status(0).{n}" for n in ("seed", "episode")),
         *(f"native.{n}" for n in ("metrics", "snapshot", "digest", "policies", "explain")),
-        *(f"config.{n}" for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers", "to_json")),
+        *(f"config.{n}" for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers")),
+        "config.to_json",
+            f"config.{n}"
+            for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers", "to_json")
+        ),
     ],
 )
 def test_planners_are_not_shown_which_episode_it_is_nor_who_drives_the_others(name):
