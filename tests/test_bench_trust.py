@@ -218,9 +218,6 @@ def test_only_privileged_planners_see_the_log():
         *(f"native.{n}" for n in ("metrics", "snapshot", "digest", "policies", "explain")),
         *(f"config.{n}" for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers")),
         "config.to_json",
-            f"config.{n}"
-            for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers", "to_json")
-        ),
     ],
 )
 def test_planners_are_not_shown_which_episode_it_is_nor_who_drives_the_others(name):
