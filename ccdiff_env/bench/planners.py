@@ -139,7 +139,11 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         ),
     },
 )
-TRAFFIC.update({n: replace(TRAFFIC[n], **own) for n, own in PROTOCOL.fields["traffic"].items()})
+for _name, _own in PROTOCOL.fields["traffic"].items():
+    # the file of the protocol is fixed by its hash, and calls named drivers policies
+    TRAFFIC[_name] = replace(
+        TRAFFIC[_name], **{{"policies": "named_drivers"}.get(k, k): v for k, v in _own.items()}
+    )
 
 
 def window_of(
