@@ -3,67 +3,35 @@
 use crate::token::Token;
 use rayon::prelude::*;
 
-/// Bits of a token that choose its bucket, at most.
-const MAX_BUCKET_BITS: u32 = 20;
-
-/// Values in the order they were given, with a table of where tokens with the same first bits are: official tokens are
-/// random, so a look-up reads about one entry.
+/// Values in the order they were given, found by their tokens.
 #[derive(Debug, Clone)]
 pub(crate) struct TokenIndex<T> {
     entries: Vec<(Token, T)>,
-    /// Places of the entries; those of bucket b are `places[starts[b]..starts[b + 1]]`, sorted by token.
+    /// Places of the entries, sorted by token.
     places: Vec<u32>,
-    starts: Vec<u32>,
-    shift: u32,
 }
 
-impl<T> TokenIndex<T> {
+impl<T: Sync> TokenIndex<T> {
     /// Takes the entries; gives back a token that is there twice.
     pub(crate) fn new(entries: Vec<(Token, T)>) -> Result<Self, Token> {
-        let (shift, starts) = bucket_starts(entries.iter().map(|(token, _)| *token), entries.len());
-        let mut places = vec![0; entries.len()];
-        let mut free = starts.clone();
-        for (place, (token, _)) in entries.iter().enumerate() {
-            let at = &mut free[(token.0 >> shift) as usize];
-            places[*at as usize] = place as u32;
-            *at += 1;
-        }
+        let mut places: Vec<u32> = (0..entries.len() as u32).collect();
         let token = |place: &u32| entries[*place as usize].0;
-        for range in starts.windows(2).filter(|w| w[1] - w[0] > 1) {
-            let bucket = &mut places[range[0] as usize..range[1] as usize];
-            bucket.sort_unstable_by_key(token);
-            if let Some(pair) = bucket.windows(2).find(|w| token(&w[0]) == token(&w[1])) {
-                return Err(token(&pair[0]));
-            }
+        places.par_sort_unstable_by_key(token);
+        match places.windows(2).find(|w| token(&w[0]) == token(&w[1])) {
+            Some(pair) => Err(token(&pair[0])),
+            None => Ok(Self { entries, places }),
         }
-        Ok(Self { entries, places, starts, shift })
     }
 
     /// Place of a token's entry in the order they were given.
     pub(crate) fn place(&self, token: Token) -> Option<usize> {
-        let bucket = (token.0 >> self.shift) as usize;
-        let places = &self.places[self.starts[bucket] as usize..self.starts[bucket + 1] as usize];
-        let found = places.binary_search_by_key(&token, |place| self.entries[*place as usize].0).ok()?;
-        Some(places[found] as usize)
-    }
-
-    /// [`Self::place`], with a look first at the entry after the one that was found last: lists of tokens often name
-    /// entries one after the other. The outcome is the same whatever `next` says.
-    pub(crate) fn place_from(&self, next: &mut usize, token: Token) -> Option<usize> {
-        let follows = self.entries.get(*next).is_some_and(|(t, _)| *t == token);
-        let found = if follows { *next } else { self.place(token)? };
-        *next = found + 1;
-        Some(found)
+        let found = self.places.binary_search_by_key(&token, |place| self.entries[*place as usize].0).ok()?;
+        Some(self.places[found] as usize)
     }
 
     /// The value of a token.
     pub(crate) fn get(&self, token: Token) -> Option<&T> {
         Some(&self.entries[self.place(token)?].1)
-    }
-
-    /// [`Self::get`] as [`Self::place_from`] does it.
-    pub(crate) fn get_from(&self, next: &mut usize, token: Token) -> Option<&T> {
-        Some(&self.entries[self.place_from(next, token)?].1)
     }
 
     /// All entries in the order they were given.
@@ -72,44 +40,10 @@ impl<T> TokenIndex<T> {
     }
 }
 
-/// How far to shift tokens to the right for their bucket, and where buckets begin.
-fn bucket_starts(tokens: impl Iterator<Item = Token>, count: usize) -> (u32, Vec<u32>) {
-    let bits = (usize::BITS - count.leading_zeros()).clamp(1, MAX_BUCKET_BITS);
-    let shift = u128::BITS - bits;
-    let mut starts = vec![0; (1 << bits) + 1];
-    for token in tokens {
-        starts[(token.0 >> shift) as usize + 1] += 1;
-    }
-    for bucket in 1..starts.len() {
-        starts[bucket] += starts[bucket - 1];
-    }
-    (shift, starts)
-}
-
 /// A token that is there twice.
-pub(crate) fn find_twice(tokens: &[Token]) -> Option<Token> {
-    let (shift, starts) = bucket_starts(tokens.iter().copied(), tokens.len());
-    let mut sorted = vec![Token::default(); tokens.len()];
-    let mut free = starts.clone();
-    for token in tokens {
-        let at = &mut free[(token.0 >> shift) as usize];
-        sorted[*at as usize] = *token;
-        *at += 1;
-    }
-    let twice = |range: &[u32]| {
-        // few tokens, mostly
-        let bucket = &sorted[range[0] as usize..range[1] as usize];
-        match bucket {
-            [] | [_] => None,
-            [a, b] => (a == b).then_some(*a),
-            _ => {
-                let mut bucket = bucket.to_vec();
-                bucket.sort_unstable();
-                bucket.windows(2).find(|w| w[0] == w[1]).map(|w| w[0])
-            }
-        }
-    };
-    starts.par_windows(2).with_min_len(1 << 12).find_map_first(twice)
+pub(crate) fn find_twice(mut tokens: Vec<Token>) -> Option<Token> {
+    tokens.par_sort_unstable();
+    tokens.windows(2).find(|w| w[0] == w[1]).map(|w| w[0])
 }
 
 #[cfg(test)]
@@ -120,22 +54,20 @@ mod tests {
 
     proptest! {
         #[test]
-        fn finds_what_a_map_finds_wherever_it_looks_first(
+        fn finds_what_a_map_finds(
             random in proptest::collection::vec(any::<u128>(), 0..200),
             close in proptest::collection::vec(0_u128..50, 0..30),
-            mut next in 0_usize..300,
         ) {
             let tokens: Vec<Token> = random.into_iter().chain(close).map(Token).collect();
             let expected: BTreeMap<Token, usize> = tokens.iter().copied().zip(0..).collect();
-            prop_assert_eq!(find_twice(&tokens).is_some(), expected.len() < tokens.len());
-            let twice = find_twice(&tokens).is_none_or(|t| tokens.iter().filter(|other| **other == t).count() > 1);
+            prop_assert_eq!(find_twice(tokens.clone()).is_some(), expected.len() < tokens.len());
+            let twice = find_twice(tokens.clone()).is_none_or(|t| tokens.iter().filter(|other| **other == t).count() > 1);
             prop_assert!(twice);
             let mut entries: Vec<(Token, usize)> = expected.clone().into_iter().collect();
             entries.sort_by_key(|(_, i)| *i);
             let index = TokenIndex::new(entries).ok().unwrap();
             for token in tokens.iter().copied().chain((0..60).map(Token)) {
                 prop_assert_eq!(index.get(token), expected.get(&token));
-                prop_assert_eq!(index.get_from(&mut next, token), expected.get(&token));
             }
             if let Some(token) = tokens.first() {
                 prop_assert_eq!(TokenIndex::new(vec![(*token, 1), (*token, 2)]).err(), Some(*token));

@@ -23,8 +23,7 @@ pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 const RECORDS_PER_TASK: usize = 256;
 
 /// Finds the fields of these names in every record of a table and keeps what `keep` makes of them, in the order of the
-/// file. The number that `keep` is given is its own from one record to the next of a task and 0 at first: a place in
-/// another table to look at first ([`TokenIndex::place_from`](crate::index::TokenIndex::place_from)).
+/// file.
 ///
 /// # Errors
 /// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
@@ -36,7 +35,7 @@ pub(crate) fn read_table<Kept, F, const N: usize>(
 ) -> Result<Vec<Kept>>
 where
     Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let file = file::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
     read_records(file, path, BLOCK_BYTES, names, &keep)
@@ -53,7 +52,7 @@ fn read_records<R, Kept, F, const N: usize>(
 where
     R: Read + Send,
     Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
@@ -88,13 +87,13 @@ fn parse_block<Kept, F, const N: usize>(
 ) -> Result<Vec<Vec<Kept>>>
 where
     Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
 {
     let parse = |records: &[Range<usize>]| {
-        let (mut kept, mut next) = (Vec::with_capacity(records.len()), 0);
+        let mut kept = Vec::with_capacity(records.len());
         for range in records {
             let source = Source { path, offset: block.offset + range.start as u64 };
-            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?, &mut next)?);
+            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?)?);
         }
         Ok(kept)
     };
@@ -216,7 +215,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        let keep = |row: &Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
+        let keep = |row: &Record<'_, 2>| Ok(Some((row.parse(0)?, row.text(1)?)));
         read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
     }
 
