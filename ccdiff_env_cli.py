@@ -21,7 +21,6 @@ VERBS = {
     "train-ego": ("train an ego with PPO (resumes with --resume)", "envs.train_ego"),
     "distil": ("teach swift traffic what guided CCDiff does", "envs.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
-    "compare": ("two runs of bench planners: paired differences", "bench.compare"),
     "view": ("write a replay page, an image or a video", "view.command"),
     "scenes": ("list the scenes that can be played and shown", "view.listing"),
     "play": ("write a page in which one drives the ego by keys", "view.play"),

@@ -82,7 +82,6 @@ VERBS = {
     "planners": "bench planners --planners idm,constant_velocity --traffic replay,idm,ccdiff,"
     f"ccdiff-1 --seeds 0 {SHORT}",
     "verify": "bench verify RUN/planners --episodes 1",
-    "compare": "compare RUN/planners RUN/planners",
     "leaderboard": "bench leaderboard RUN/planners --out",
     "traffic": f"bench traffic --methods constant_velocity,idm --k 1,2,3,4,5,10,Full {SHORT}",
     "scenarios": f"bench scenarios --generators idm --planners idm,replay --plans 8 {SHORT}",

@@ -7,12 +7,8 @@ import json
 
 import numpy as np
 import pytest
-from planner_run import raw, write_run
 
 from ccdiff_env import cli
-from ccdiff_env.bench.compare import compare
-from ccdiff_env.bench.record import Record
-from ccdiff_env.errors import ConfigError
 
 
 @pytest.mark.parametrize(
@@ -26,7 +22,6 @@ from ccdiff_env.errors import ConfigError
             "mean --planners?",
         ),
         ("view left-turn-00 --trafic=idm", "ccdiff-env view --help", "did you mean --traffic?"),
-        ("compare", "ccdiff-env compare --help", "required: RUN"),
     ],
 )
 def test_wrong_words_are_answered_by_their_verb(words, help_line, said, capsys):
@@ -72,22 +67,6 @@ def test_the_doctor_says_what_there_is_and_drives_a_world(capsys):
         assert word in said
     assert cli.main(["doctor", "--scenes", "nuscenes:/nowhere"]) == 1
     assert "FAILS" in capsys.readouterr().out
-
-
-def test_two_runs_are_compared_scene_by_scene(tmp_path, capsys):
-    a = write_run(tmp_path / "a", raw("idm", "replay", [0.5] * 10))
-    b = write_run(tmp_path / "b", raw("idm", "replay", [0.5] * 8 + [0.75] * 2))
-    assert cli.main(["compare", str(a), str(b)]) == 0
-    said = capsys.readouterr().out
-    assert "+0.05" in said
-    assert "2 scores changed." in said
-    text = compare(Record.read(a), Record.read(a))
-    row = "| Log replay | 10 | 0.50 | 0.50 | +0.00 [+0.00, +0.00] | 1.0000 |"
-    assert f"| IDM on the log's path {row}" in text
-    assert "0 scores changed." in text
-    c = write_run(tmp_path / "c", raw("idm", "idm", [0.5] * 10))
-    with pytest.raises(ConfigError, match="share no traffic"):
-        compare(Record.read(a), Record.read(c))
 
 
 def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, capsys):
