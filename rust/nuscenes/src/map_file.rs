@@ -270,13 +270,12 @@ impl<'a> Assembler<'a> {
     fn points(&self, owner: Token, list: Text<'a>) -> Result<Vec<[f64; 2]>> {
         let tokens = elements(list)?;
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
-        let mut next = 0;
         for text in tokens {
             let token = match plain_string(text.0) {
                 Some(bytes) => Token::from_bytes(bytes),
                 None => Token::from_text(&parse::<String>(text)?),
             };
-            let point = self.nodes.get_from(&mut next, token);
+            let point = self.nodes.get(token);
             points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
         }
         points.dedup();

@@ -100,7 +100,7 @@ impl Tables {
         read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
 
-    fn index<T>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
+    fn index<T: Sync>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
         TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token.to_string()))
     }
 

@@ -156,7 +156,8 @@ fn recipes<'a>(
     }
     // who drives by a kind without options of its own has those that all networks share, or the default ones
     let shared = config.named_drivers.get(SHARED).and_then(|policy| policy.get(SHARED));
-    for kind in kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))
+    for kind in
+        kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))
     {
         let shared = shared.filter(|_| is_network(kind));
         if shared.is_none() && kind.make.is_none() && kind.name != EGOS.name {
