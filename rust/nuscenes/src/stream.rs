@@ -100,6 +100,13 @@ where
     block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
 }
 
+/// Whether an error is that the text ends too early, perhaps in a number.
+fn breaks_off(text: &[u8], error: &serde_json::Error) -> bool {
+    let (last, before) =
+        (text.rsplit(|byte| *byte == b'\n').next(), text.iter().filter(|byte| **byte == b'\n'));
+    error.is_eof() || (error.line(), error.column()) == (before.count() + 1, last.map_or(0, <[u8]>::len))
+}
+
 /// Where the scanner stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum At {
@@ -175,7 +182,7 @@ impl<'a, R: Read> Blocks<'a, R> {
                 At::Item { .. } if byte == b'{' => {
                     let mut found = Deserializer::from_slice(&bytes[i..]).into_iter::<IgnoredAny>();
                     let end = match found.next() {
-                        Some(Err(error)) if error.is_eof() => break,
+                        Some(Err(error)) if breaks_off(&bytes[i..], &error) => break,
                         // what is wrong with a record is said where it is parsed
                         Some(Err(_)) | None => bytes.len(),
                         Some(Ok(_)) => i + found.byte_offset(),
@@ -225,7 +232,7 @@ mod tests {
 {
 "s": "br{ack}]ets, \"quotes\", \\ and \u00e9",
 "a": 1,
-"extra": [1, {"b": "]"}]
+"extra": [1, {"b": "]"}, -1.5e-3, true]
 },{"a":2,"s":""} ]
 "#;
         let expected = vec![(1, "br{ack}]ets, \"quotes\", \\ and é".to_owned()), (2, String::new())];
