@@ -212,8 +212,6 @@ def test_metrics_of_motions_part_levels(tmp_path: Path) -> None:
     assert not real.collisions().any("all")
     assert (flat.min_ttc() == 0).all()
     assert (real.min_ttc() == 20).all()
-    assert np.isfinite(flat.post_encroachment_time()).all()
-    assert np.isinf(real.post_encroachment_time()).all()
     layers = scene.map_layers()
     areas = [(area["exterior"], area["holes"]) for area in layers["drivable_area"]]
     heights = layers["elevation_m"]["drivable_area"]

@@ -11,15 +11,11 @@ from ccdiff_env.metrics.motion import VARIANTS, Collisions, Displacement, Motion
 from ccdiff_env.metrics.statistics import (
     PAPER_BOUNDS,
     ComfortDistance,
-    GradientConflict,
     comfort_distance,
     estimate_histograms,
     generational_distance,
-    gradient_conflict,
-    pearson,
     scores,
     speed_limit,
-    total_variation,
 )
 
 __all__ = [
@@ -28,15 +24,11 @@ __all__ = [
     "Collisions",
     "ComfortDistance",
     "Displacement",
-    "GradientConflict",
     "Motion",
     "OffRoad",
     "comfort_distance",
     "estimate_histograms",
     "generational_distance",
-    "gradient_conflict",
-    "pearson",
     "scores",
     "speed_limit",
-    "total_variation",
 ]

@@ -260,10 +260,6 @@ class Motion:
         """Return each agent's least time to contact with any other [A], seconds, capped at 20."""
         return np.asarray(self._native.min_ttc(), dtype=np.float32)
 
-    def post_encroachment_time(self) -> npt.NDArray[np.float32]:
-        """Return each agent's least post-encroachment time [A], seconds; infinite beyond 5 s."""
-        return np.asarray(self._native.post_encroachment_time(), dtype=np.float32)
-
     def over_speed(
         self,
         limit_mps: float,

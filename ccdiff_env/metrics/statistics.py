@@ -1,4 +1,4 @@
-"""Figures over scenes and methods: references, comfort distance, scores, correlations."""
+"""Figures over scenes and methods: references, comfort distance, scores."""
 
 from __future__ import annotations
 
@@ -157,81 +157,3 @@ def generational_distance(
         raise ShapeError(f"{got}, expected [methods, columns] both")
     gd, igd = _native.metrics_generational_distance(control, realism)
     return np.asarray(gd), np.asarray(igd)
-
-
-def total_variation(
-    mean_one: npt.ArrayLike, mean_other: npt.ArrayLike, std_dev: npt.ArrayLike
-) -> npt.NDArray[np.float64]:
-    """Compute the total-variation distance of Gaussians of equal variance, in [0, 1].
-
-    Parameters
-    ----------
-    mean_one, mean_other : [..., D].
-    std_dev : [D] or a number, one standard deviation per independent dimension.
-
-    Returns
-    -------
-    [...], erf(d / (2 sqrt 2)) with d the distance of the means in standard deviations.
-    """
-    one = np.asarray(mean_one, dtype=np.float32)
-    other = np.asarray(mean_other, dtype=np.float32)
-    if one.ndim == 0 or one.shape != other.shape:
-        raise ShapeError(f"means have shapes {one.shape} and {other.shape}, expected [..., D] both")
-    width = one.shape[-1]
-    if width == 0:
-        raise ShapeError("means have no dimension")
-    deviation = np.asarray(std_dev, dtype=np.float32)
-    if deviation.shape not in ((), (width,)):
-        raise ShapeError(f"std_dev has shape {deviation.shape}, expected ({width},) or a number")
-    deviation = np.ascontiguousarray(np.broadcast_to(deviation, (width,)))
-    distances = _native.metrics_total_variation(
-        np.ascontiguousarray(one.reshape(-1, width)),
-        np.ascontiguousarray(other.reshape(-1, width)),
-        deviation,
-    )
-    return np.asarray(distances, dtype=np.float64).reshape(one.shape[:-1])
-
-
-@dataclass(frozen=True)
-class GradientConflict:
-    """How far the gradients of realism and guidance pull against each other."""
-
-    cosine: npt.NDArray[np.float64]
-    """[A]: cosine between the two gradients, 0 where one is zero."""
-    conflict_share: float
-    """Share of the agents with a negative inner product."""
-    mean_negative_cosine: float
-    """Mean of the negative cosines with their sign turned, 0 where there is none."""
-
-
-def gradient_conflict(realism: npt.ArrayLike, guidance: npt.ArrayLike) -> GradientConflict:
-    """Compare two gradients per agent.
-
-    Parameters
-    ----------
-    realism, guidance : [A, ...], one shape.
-    """
-    one = np.asarray(realism, dtype=np.float32)
-    other = np.asarray(guidance, dtype=np.float32)
-    if one.ndim < 2 or one.shape != other.shape:
-        raise ShapeError(
-            f"gradients have shapes {one.shape} and {other.shape}, expected [A, ...] both"
-        )
-    rows = [
-        np.ascontiguousarray(g.reshape(len(g), int(np.prod(g.shape[1:])))) for g in (one, other)
-    ]
-    cosine, share, mean = _native.metrics_gradient_conflict(*rows)
-    return GradientConflict(np.asarray(cosine), share, mean)
-
-
-def pearson(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[float, float]:
-    """Compute Pearson's correlation r of paired samples and its two-sided p value.
-
-    Parameters
-    ----------
-    x, y : [N], at least three samples that vary.
-    """
-    first = np.ascontiguousarray(x, dtype=np.float64).ravel()
-    second = np.ascontiguousarray(y, dtype=np.float64).ravel()
-    r, p = _native.metrics_pearson(first, second)
-    return float(r), float(p)

@@ -6,8 +6,8 @@ use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
     Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, ScoreBounds,
-    Trajectories, comfort_distance, displacement, generational_distance, gradient_conflict, min_ttc_s,
-    off_road_report, over_speed, pearson, post_encroachment_time_s, scores, speed_limit_mps, total_variation,
+    Trajectories, comfort_distance, displacement, generational_distance, min_ttc_s,
+    off_road_report, over_speed, scores, speed_limit_mps,
 };
 use ccdiff_sim::scene::{Elevations, Map};
 use ccdiff_sim::state::Footprint;
@@ -28,10 +28,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(metrics_generational_distance, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_comfort_mean, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_comfort_distance, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_speed_limit, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_total_variation, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_gradient_conflict, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_pearson, module)?)
+    module.add_function(wrap_pyfunction!(metrics_speed_limit, module)?)
 }
 
 type PyF32<'py> = PyReadonlyArray2<'py, f32>;
@@ -201,11 +198,6 @@ impl NativeMotion {
         py.detach(|| Ok(min_ttc_s(&self.view()?))).map_err(from_sim)
     }
 
-    fn post_encroachment_time(&self, py: Python<'_>) -> PyResult<Vec<f32>> {
-        let found = py.detach(|| Ok(post_encroachment_time_s(&self.view()?))).map_err(from_sim)?;
-        Ok(found.into_iter().map(|t| t.unwrap_or(f32::INFINITY)).collect())
-    }
-
     fn over_speed(
         &self,
         limit_mps: f32,
@@ -289,31 +281,4 @@ fn metrics_generational_distance(
 #[pyfunction]
 fn metrics_speed_limit(speeds: PyReadonlyArray1<'_, f32>) -> PyResult<Option<f32>> {
     Ok(speed_limit_mps(speeds.as_slice()?))
-}
-
-/// Total variation per row of means [N, D] with one standard deviation per dimension.
-#[pyfunction]
-fn metrics_total_variation(
-    mean_one: PyF32<'_>,
-    mean_other: PyF32<'_>,
-    std_dev: PyReadonlyArray1<'_, f32>,
-) -> PyResult<Vec<f64>> {
-    let width = std_dev.len().max(1);
-    let rows = mean_one.as_slice()?.chunks(width).zip(mean_other.as_slice()?.chunks(width));
-    let std_dev = std_dev.as_slice()?;
-    rows.map(|(one, other)| total_variation(one, other, std_dev).map_err(from_sim)).collect()
-}
-
-/// Cosine per agent, share of agents in conflict, mean negative cosine.
-#[pyfunction]
-fn metrics_gradient_conflict(realism: PyF32<'_>, guidance: PyF32<'_>) -> PyResult<(Vec<f64>, f64, f64)> {
-    let found =
-        gradient_conflict(realism.shape()[0], realism.as_slice()?, guidance.as_slice()?).map_err(from_sim)?;
-    Ok((found.cosine, found.conflict_share, found.mean_negative_cosine))
-}
-
-/// Pearson's r and its two-sided p value.
-#[pyfunction]
-fn metrics_pearson(x: PyReadonlyArray1<'_, f64>, y: PyReadonlyArray1<'_, f64>) -> PyResult<(f64, f64)> {
-    pearson(x.as_slice()?, y.as_slice()?).map_err(from_sim)
 }

@@ -13,13 +13,11 @@ mod motion;
 mod off_road;
 mod safety;
 mod scores;
-mod statistics;
 
 pub use collision::{CollisionReport, CollisionVariant, PairContact};
 pub use comfort::{ComfortAxes, ComfortDistance, ComfortHistograms, HISTOGRAM_BINS, comfort_distance};
 pub use displacement::{Displacement, displacement};
 pub use motion::Trajectories;
 pub use off_road::{OffRoadReport, off_road_report};
-pub use safety::{PET_HORIZON_S, min_ttc_s, over_speed, post_encroachment_time_s, speed_limit_mps};
+pub use safety::{min_ttc_s, over_speed, speed_limit_mps};
 pub use scores::{Bounds, ScoreBounds, generational_distance, pareto_front, scores};
-pub use statistics::{GradientConflict, gradient_conflict, pearson, total_variation};

@@ -1,12 +1,10 @@
-//! Surrogate safety measures of a recorded scene: least time to contact, post-encroachment time, over-speed.
+//! Surrogate safety measures of a recorded scene: least time to contact, over-speed.
 
 use super::Trajectories;
 use crate::causal::measures::TTC_CAP_S;
-use crate::geom::{OrientedBox, Real};
+use crate::geom::Real;
 use crate::state::AgentStates;
 
-/// Post-encroachment times are looked for up to this, seconds.
-pub const PET_HORIZON_S: Real = 5.0;
 /// Slower agents do not count towards the speed limit, metres per second.
 const MOVING_MPS: Real = 1.0;
 
@@ -39,46 +37,6 @@ pub fn min_ttc_s(motion: &Trajectories<'_>) -> Vec<Real> {
         }
     }
     least
-}
-
-/// Least post-encroachment time of every agent with any other, seconds; `None` beyond 5 s.
-///
-/// The time between one agent's box leaving a place and another's reaching it: the least |t - s| over steps t, s
-/// at which the box of one at t overlaps the box of the other at s. 0 for a collision. Agents that follow each
-/// other count too, with their time headway.
-pub fn post_encroachment_time_s(motion: &Trajectories<'_>) -> Vec<Option<Real>> {
-    let (num_agents, num_steps) = (motion.num_agents(), motion.num_steps());
-    let horizon = (PET_HORIZON_S / motion.dt_s()).round() as usize;
-    let boxes: Vec<Vec<(usize, OrientedBox)>> = (0..num_agents)
-        .map(|a| {
-            let present = (0..num_steps).filter(|&t| motion.is_valid(a, t));
-            present.map(|t| (t, motion.footprints()[a].at(&motion.pose(a, t)))).collect()
-        })
-        .collect();
-    let mut least: Vec<Option<usize>> = vec![None; num_agents];
-    for a in 0..num_agents {
-        for b in 0..a {
-            let reach_m = motion.footprints()[a].radius_m + motion.footprints()[b].radius_m;
-            // a later meeting than both know of already is of no interest
-            let mut limit = least[a].unwrap_or(horizon + 1).max(least[b].unwrap_or(horizon + 1));
-            for (t, box_a) in &boxes[a] {
-                let near = boxes[b].iter().filter(|(s, box_b)| {
-                    s.abs_diff(*t) < limit
-                        && !motion.is_apart((a, *t), (b, *s))
-                        && (box_a.centre - box_b.centre).norm_squared() <= reach_m * reach_m
-                });
-                if let Some(gap) =
-                    near.filter(|(_, box_b)| box_a.overlaps(box_b)).map(|(s, _)| s.abs_diff(*t)).min()
-                {
-                    limit = gap;
-                    for agent in [a, b] {
-                        least[agent] = Some(least[agent].map_or(gap, |known| known.min(gap)));
-                    }
-                }
-            }
-        }
-    }
-    least.into_iter().map(|gap| gap.map(|steps| steps as Real * motion.dt_s())).collect()
 }
 
 /// Whether every agent of a mask [A] (all, where it is shorter) drives faster than a limit for at least `at_least_s`
