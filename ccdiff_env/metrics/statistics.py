@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.metrics.motion import Motion
 
 PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
     "scr": (0.31, 0.58),
@@ -39,20 +37,6 @@ def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.f
     if array.ndim != ndim or array.shape[-2:] != (3, 20):
         raise ShapeError(f"{name} has shape {array.shape}, expected {['S'] * (ndim - 2)} + [3, 20]")
     return array
-
-
-def estimate_histograms(
-    motions: Iterable[Motion], *, axes: Literal["body", "reference_impl"] = "body", stride: int = 5
-) -> npt.NDArray[np.float64]:
-    """Estimate the reference histograms [3, 20] from logs: the mean over scenes of
-    :meth:`Motion.comfort`.
-
-    Scenes without a moving agent count as zeros, so that rows may sum to less than 1.
-    """
-    scenes = [motion.comfort(axes=axes, stride=stride) for motion in motions]
-    stacked = _histograms("motions", np.stack(scenes) if scenes else np.zeros((0, 3, 20)), 3)
-    mean: npt.NDArray[np.float64] = _native.metrics_comfort_mean(stacked)
-    return mean
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,12 @@ use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
     Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, ScoreBounds,
-    Trajectories, comfort_distance, displacement, generational_distance, min_ttc_s,
-    off_road_report, over_speed, scores, speed_limit_mps,
+    Trajectories, comfort_distance, displacement, generational_distance, min_ttc_s, off_road_report,
+    over_speed, scores, speed_limit_mps,
 };
 use ccdiff_sim::scene::{Elevations, Map};
 use ccdiff_sim::state::Footprint;
-use numpy::{
-    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
-    PyUntypedArrayMethods,
-};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -26,7 +23,6 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<NativeMotion>()?;
     module.add_function(wrap_pyfunction!(metrics_scores, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_generational_distance, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_comfort_mean, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_comfort_distance, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_speed_limit, module)?)
 }
@@ -219,16 +215,6 @@ fn histograms(flat: &[f64]) -> ComfortHistograms {
     let mut rows = [[0.0; HISTOGRAM_BINS]; 3];
     rows.as_flattened_mut().iter_mut().zip(flat).for_each(|(to, from)| *to = *from);
     ComfortHistograms { rows }
-}
-
-/// Mean [3, 20] of histograms [S, 3, 20].
-#[pyfunction]
-fn metrics_comfort_mean<'py>(
-    py: Python<'py>,
-    scenes: PyReadonlyArray3<'_, f64>,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let all: Vec<_> = scenes.as_slice()?.chunks_exact(3 * HISTOGRAM_BINS).map(histograms).collect();
-    histogram_array(py, &ComfortHistograms::mean(&all))
 }
 
 /// Earth mover's distances of the three rows of [3, 20], and their mean.

@@ -67,17 +67,6 @@ impl ComfortHistograms {
         }
         Ok(Self { rows })
     }
-
-    /// Mean over scenes; all zero without scenes.
-    pub fn mean(scenes: &[Self]) -> Self {
-        let mut rows = [[0.0; HISTOGRAM_BINS]; 3];
-        for scene in scenes {
-            for (row, of_scene) in rows.iter_mut().zip(&scene.rows) {
-                row.iter_mut().zip(of_scene).for_each(|(mean, share)| *mean += share / scenes.len() as f64);
-            }
-        }
-        Self { rows }
-    }
 }
 
 fn count_run(

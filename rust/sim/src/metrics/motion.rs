@@ -2,7 +2,6 @@
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Pose2, Real, Vector2};
-use crate::scene::LEVEL_M;
 use crate::state::{AgentStates, Footprint, Height};
 
 /// Slopes are told of steps of this length at least, metres, and are at most so steep.
@@ -100,12 +99,6 @@ impl<'a> Trajectories<'a> {
         let ahead_m = way.x * pose.cos + way.y * pose.sin;
         let grade = if ahead_m.abs() < LEAST_WAY_M { 0.0 } else { rise_m.unwrap_or(0.0) / ahead_m };
         Some(Height { elevation_m, grade: grade.clamp(-STEEPEST, STEEPEST) })
-    }
-
-    /// Whether the places of two agents at two steps are on different levels.
-    pub(super) fn is_apart(&self, (a, t): (usize, usize), (b, s): (usize, usize)) -> bool {
-        let of = |agent: usize, step: usize| self.elevation_m.get(agent * self.num_steps + step);
-        of(a, t).zip(of(b, s)).is_some_and(|(one, other)| (one - other).abs() > LEVEL_M)
     }
 
     /// Number of agents A.
