@@ -1,6 +1,6 @@
 //! The part of a location's map round one scene, in the scene frame.
 
-use crate::map_file::{BLOCK_POINTS, Bounds, GlobalLane, GlobalLine, GlobalMap, GlobalPolygon};
+use crate::map_file::{Bounds, GlobalLane, GlobalLine, GlobalMap, GlobalPolygon};
 use ccdiff_sim::geom::{Point2, Polygon, Real};
 use ccdiff_sim::scene::{Lane, Map};
 
@@ -52,16 +52,12 @@ impl Cutter {
 
     /// A polygon with the same part in the rectangle and few points far from it.
     fn near(&self, polygon: &GlobalPolygon) -> Polygon {
-        let ring = |points: &[[f64; 2]], blocks: &[Bounds]| {
-            let mut near = Vec::new();
-            near_ring(points, blocks, &self.rect, |point| near.push(recentre(self.origin, point)));
-            near
-        };
+        let ring = |points: &[[f64; 2]]| self.points(&near_ring(points, &self.rect));
         // of a hole beyond one side nothing would be left
         let holes = polygon.holes.iter().filter(|h| beyond(&h.bounds, &self.rect) == 0);
         Polygon {
-            exterior: ring(&polygon.exterior, &polygon.blocks),
-            holes: holes.map(|h| ring(&h.points, &[])).filter(|h| h.len() >= 3).collect(),
+            exterior: ring(&polygon.exterior),
+            holes: holes.map(|h| ring(&h.points)).filter(|h| h.len() >= 3).collect(),
         }
     }
 
@@ -120,35 +116,22 @@ fn beyond(points: &Bounds, rect: &Bounds) -> u8 {
         | u8::from(points.min[1] > rect.max[1]) << 3
 }
 
-/// Gives `keep` the points of a ring but those that lie, with both their neighbours, beyond one side of the rectangle:
-/// the shorter way between the neighbours lies beyond that side as well.
-///
-/// `blocks` are the boxes round [`BLOCK_POINTS`] points after one another, or nothing; they only make it faster.
-fn near_ring(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds, mut keep: impl FnMut(&[f64; 2])) {
+/// The points of a ring but those that lie, with both their neighbours, beyond one side of the rectangle: the shorter
+/// way between the neighbours lies beyond that side as well.
+fn near_ring(points: &[[f64; 2]], rect: &Bounds) -> Vec<[f64; 2]> {
     let beyond_at = |point: &[f64; 2]| beyond(&Bounds { min: *point, max: *point }, rect);
-    let Some(first) = points.first() else { return };
+    let Some(first) = points.first() else { return Vec::new() };
     // one point is left out at a time, so the neighbour before is the last one kept; the first point always stays
-    keep(first);
+    let mut near = vec![*first];
     let mut before = beyond_at(first);
-    let mut here = beyond_at(points.get(1).unwrap_or(first));
-    let mut i = 1;
-    while i < points.len() {
-        if i % BLOCK_POINTS == 0
-            && let Some(block) = blocks.get(i / BLOCK_POINTS)
-            && before & beyond(block, rect) != 0
-        {
-            // all of the block but its last point are left out
-            i = (i + BLOCK_POINTS).min(points.len()) - 1;
-            here = beyond_at(&points[i]);
-        }
-        let after = beyond_at(points.get(i + 1).unwrap_or(first));
+    for (i, point) in points.iter().enumerate().skip(1) {
+        let (here, after) = (beyond_at(point), beyond_at(points.get(i + 1).unwrap_or(first)));
         if before & here & after == 0 {
-            keep(&points[i]);
+            near.push(*point);
             before = here;
         }
-        here = after;
-        i += 1;
     }
+    near
 }
 
 /// Appends the segments of a line that lie in a rectangle (Liang and Barsky, ACM TOG 1984, edge by edge).
@@ -224,12 +207,6 @@ mod tests {
         assert!((length(&segments[0]) - 1.0).abs() < 1e-6 && (length(&segments[1]) - 0.5).abs() < 1e-6);
     }
 
-    fn near(points: &[[f64; 2]], blocks: &[Bounds], rect: &Bounds) -> Vec<[f64; 2]> {
-        let mut near = Vec::new();
-        near_ring(points, blocks, rect, |point| near.push(*point));
-        near
-    }
-
     proptest! {
         #[test]
         fn rings_cut_short_have_the_same_part_in_the_rectangle(
@@ -248,28 +225,12 @@ mod tests {
                 let polygon = Polygon::from_exterior(points);
                 polygon.clip_to_rect(Point2::new(-1.0, -1.0), Point2::new(1.0, 1.0)).unwrap_or_default()
             };
-            let (whole, short) = (clipped(&ring), clipped(&near(&ring, &[], &rect)));
+            let (whole, short) = (clipped(&ring), clipped(&near_ring(&ring, &rect)));
             prop_assert!((whole.area() - short.area()).abs() < 1e-4, "{} {}", whole.area(), short.area());
             for i in 0..100 {
                 let point = Point2::new((i % 10) as Real * 0.199 - 0.9, (i / 10) as Real * 0.199 - 0.9);
                 prop_assert_eq!(whole.contains(point), short.contains(point));
             }
-        }
-
-        #[test]
-        fn boxes_round_the_points_of_a_ring_change_nothing(
-            steps in proptest::collection::vec((-1.0_f64..1.0, -1.0_f64..1.0), 1..300),
-            bend in 0.0_f64..0.1,
-        ) {
-            let mut at = [0.0, 0.0];
-            let walk = |(i, (x, y)): (usize, &(f64, f64))| {
-                let (sin, cos) = (bend * i as f64).sin_cos();
-                at = [at[0] + x + cos, at[1] + y + sin];
-                at
-            };
-            let ring: Vec<[f64; 2]> = steps.iter().enumerate().map(walk).collect();
-            let rect = Bounds { min: [-2.0, 3.0], max: [4.0, 9.0] };
-            prop_assert_eq!(near(&ring, &Bounds::of_blocks(&ring), &rect), near(&ring, &[], &rect));
         }
 
         #[test]

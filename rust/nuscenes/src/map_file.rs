@@ -16,8 +16,6 @@ use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
 const CENTRELINE_SPACING_M: f64 = 1.0;
-/// Points of a ring that have a box of their own.
-pub(crate) const BLOCK_POINTS: usize = 16;
 
 /// Axis-aligned box, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,11 +37,6 @@ impl Bounds {
         bounds
     }
 
-    /// Boxes round [`BLOCK_POINTS`] points after one another, in order.
-    pub(crate) fn of_blocks(points: &[[f64; 2]]) -> Vec<Self> {
-        points.chunks(BLOCK_POINTS).map(Self::of).collect()
-    }
-
     pub(crate) fn touches(&self, other: &Self) -> bool {
         (0..2).all(|i| self.min[i] <= other.max[i] && other.min[i] <= self.max[i])
     }
@@ -63,8 +56,6 @@ pub(crate) struct GlobalPolygon {
     pub(crate) exterior: Vec<[f64; 2]>,
     pub(crate) holes: Vec<GlobalLine>,
     pub(crate) bounds: Bounds,
-    /// [`Bounds::of_blocks`] of the exterior.
-    pub(crate) blocks: Vec<Bounds>,
 }
 
 /// A line in the global frame, metres.
@@ -306,8 +297,7 @@ impl<'a> Assembler<'a> {
         }
         rings.retain(|ring| ring.len() >= 3);
         let holes = rings.into_iter().map(GlobalLine::new).collect();
-        let (bounds, blocks) = (Bounds::of(&exterior), Bounds::of_blocks(&exterior));
-        Ok(Some(GlobalPolygon { exterior, holes, bounds, blocks }))
+        Ok(Some(GlobalPolygon { bounds: Bounds::of(&exterior), exterior, holes }))
     }
 
     fn drivable_area(&self, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
