@@ -14,7 +14,7 @@ from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet, WorldConfig
 from ccdiff_env.bench.episode import relations
 from ccdiff_env.errors import ShapeError
 from ccdiff_env.metrics import Motion
-from ccdiff_env.policies import planning
+from ccdiff_env.planners import planning
 from ccdiff_env.scenes import map_queries
 from ccdiff_env.view.contacts import contacts
 from tests import overpass
