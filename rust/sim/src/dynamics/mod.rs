@@ -71,7 +71,7 @@ impl Default for Dynamics {
 }
 
 /// Heading and speeds after a step; what [`AgentStates`] needs beyond the [`KinState`].
-struct LateralSpeed {
+pub(crate) struct LateralSpeed {
     /// Speed of the centre to the left of the new heading, metres per second.
     lateral_mps: Real,
 }
@@ -143,8 +143,9 @@ impl Dynamics {
         states.yaw_rate_radps[agent_idx] = (after.heading_rad - before.heading_rad) / dt_s;
     }
 
+    /// As [`Self::step`], with the cosine and sine of the heading.
     #[inline]
-    fn advance(
+    pub(crate) fn advance(
         &self,
         state: &mut KinState,
         cos: Real,

@@ -1,6 +1,7 @@
 //! Where the others will be: at constant speed along their headings, or as a network expects.
 
 use super::Scene;
+use super::proposals::MOST_OFFSET_M;
 use crate::events::limits::STOPPED_MPS;
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2};
 use crate::scene::AgentKind;
@@ -10,6 +11,9 @@ use crate::state::Footprint;
 pub(super) const HORIZON_S: Real = 4.0;
 /// Seconds ahead at which the time to contact is looked at.
 pub(super) const AHEAD_S: [Real; 4] = [0.0, 0.3, 0.6, 0.9];
+
+/// Distances are certain to this, metres.
+const MARGIN_M: Real = 0.1;
 
 /// Another agent and its forecast.
 #[derive(Debug, Clone)]
@@ -27,8 +31,6 @@ pub(super) struct Other {
     /// Poses at every step from now on, until they end; none at constant velocity.
     path: Vec<Pose2>,
     dt_s: Real,
-    /// Place beside the centre line at each step.
-    pub beside: Vec<Beside>,
 }
 
 /// A box beside the centre line.
@@ -106,6 +108,8 @@ impl Other {
 pub(super) struct Forecast {
     pub others: Vec<Other>,
     pub num_steps: usize,
+    /// Boxes of those who are ever beside the centre line so near that a proposal may follow them, step after step.
+    beside: Vec<Beside>,
 }
 
 impl Forecast {
@@ -114,7 +118,8 @@ impl Forecast {
         let (states, ego) = (scene.states, scene.ego);
         let num_steps = (HORIZON_S / scene.dt_s).round().clamp(1.0, 400.0) as usize;
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
-        let mut others = Vec::new();
+        let (mut others, mut near) = (Vec::new(), Vec::new());
+        let half_way_m = scene.footprint(ego).half_width_m + MOST_OFFSET_M + MARGIN_M;
         let matters = |j: &usize| *j != ego && states.active[*j] && states.same_level(ego, *j);
         for j in (0..states.len()).filter(matters) {
             let is_static = scene.prepared.kinds[j] == AgentKind::Static;
@@ -127,33 +132,36 @@ impl Forecast {
             let (cos, sin, footprint) = (states.cos[j], states.sin[j], *scene.footprint(j));
             let heading = Vector2::new(cos, sin);
             let velocity = heading * speed_mps.copysign(states.velocity(j).dot(&heading));
-            let (path, dt_s, beside) = (path(j).unwrap_or_default(), scene.dt_s, Vec::new());
+            let (path, dt_s) = (path(j).unwrap_or_default(), scene.dt_s);
             let moves = speed_mps > STOPPED_MPS || path.len() > 1;
             let steps_m = path.windows(2).map(|pair| (pair[1].position - pair[0].position).norm());
             let most_mps = steps_m.fold(speed_mps, |most, step_m| most.max(step_m / dt_s));
-            let mut other = Other {
-                position,
-                velocity,
-                speed_mps,
-                most_mps,
-                is_static,
-                cos,
-                sin,
-                footprint,
-                path,
-                dt_s,
-                beside,
-            };
-            for t in 0..num_steps {
-                let next = match other.beside.last() {
-                    Some(last) if !moves => *last,
-                    last => other.beside(scene, t, last.map(|b| b.s_m)),
-                };
-                other.beside.push(next);
+            let other =
+                Other { position, velocity, speed_mps, most_mps, is_static, cos, sin, footprint, path, dt_s };
+            let first = other.beside(scene, 0, None);
+            let comes_m = most_mps * dt_s * num_steps as Real;
+            if first.lateral_m.abs() < footprint.radius_m + half_way_m + comes_m {
+                let begin = near.len();
+                near.push(first);
+                for t in 1..num_steps {
+                    let last = near[near.len() - 1];
+                    near.push(if moves { other.beside(scene, t, Some(last.s_m)) } else { last });
+                }
+                let leads = |b: &Beside| b.lateral_m.abs() < b.half_across_m + half_way_m;
+                if !near[begin..].iter().any(leads) {
+                    near.truncate(begin);
+                }
             }
             others.push(other);
         }
-        Self { others, num_steps }
+        let beside = (0..num_steps).flat_map(|t| near.iter().skip(t).step_by(num_steps)).copied().collect();
+        Self { others, num_steps, beside }
+    }
+
+    /// Boxes beside the centre line at a step.
+    pub(super) fn beside(&self, step: usize) -> &[Beside] {
+        let count = self.beside.len() / self.num_steps;
+        &self.beside[step * count..(step + 1) * count]
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod comfort;
 mod forecast;
+mod power;
 mod proposals;
 mod score;
 #[cfg(test)]
@@ -14,7 +15,7 @@ use crate::geom::{Point2, Pose2, Projection, Real};
 use crate::stage::{CentreLine, Ground, PreparedScene};
 use crate::state::{AgentStates, Footprint};
 use forecast::Forecast;
-use proposals::{BesideLine, Proposal, Rollout};
+use proposals::{BesideLine, Proposal, Rollout, roll};
 
 pub(crate) use proposals::steering;
 
@@ -94,7 +95,7 @@ pub(crate) fn plan(
     let futures: Vec<(Forecast, Vec<Rollout>)> = (0..num_futures)
         .map(|future| {
             let forecast = Forecast::new(scene, |agent| path(future, agent));
-            let rollouts = proposals.iter().map(|p| p.roll(scene, &forecast)).collect();
+            let rollouts = roll(scene, &forecast, &proposals);
             (forecast, rollouts)
         })
         .collect();

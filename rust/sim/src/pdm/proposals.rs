@@ -1,15 +1,19 @@
 //! Proposals: a share of the speed limit and a distance from the centre line, rolled out with IDM and the unicycle.
 
 use super::Scene;
-use super::forecast::Forecast;
+use super::forecast::{Beside, Forecast};
+use super::power::{LANES, tenth_powers};
 use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
-use crate::policy::{IdmConfig, idm_towards};
+use crate::policy::{IdmConfig, idm_with, share_of};
 use crate::stage::{CentreLine, Place};
+use crate::state::Footprint;
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
 const OFFSETS_M: [Real; 3] = [0.0, -1.0, 1.0];
+/// No offset is larger.
+pub(super) const MOST_OFFSET_M: Real = 1.0;
 /// IDM of PDM-Closed.
 const IDM: IdmConfig = IdmConfig {
     headway_s: 1.5,
@@ -55,9 +59,20 @@ pub(crate) fn steering(
     heading_error_rad: Real,
     lateral_m: Real,
 ) -> Real {
+    curve(limits, speed_mps, curvature_1pm, math::sin_cos(heading_error_rad).0, lateral_m)
+}
+
+#[inline]
+fn curve(
+    limits: &UnicycleLimits,
+    speed_mps: Real,
+    curvature_1pm: Real,
+    error_sin: Real,
+    lateral_m: Real,
+) -> Real {
     let length_m = (0.7 * speed_mps).max(3.0);
-    let (sin, _) = math::sin_cos(heading_error_rad);
-    let wanted = curvature_1pm - 2.0 / length_m * sin - lateral_m.clamp(-1.5, 1.5) / (length_m * length_m);
+    let wanted =
+        curvature_1pm - 2.0 / length_m * error_sin - lateral_m.clamp(-1.5, 1.5) / (length_m * length_m);
     let most = TURN_MPS2 / speed_mps.max(1.0).powi(2);
     let bound = limits.yaw_rate_bound(speed_mps).min(YAW_RATE_RADPS);
     (speed_mps * wanted.clamp(-most, most)).clamp(-bound, bound)
@@ -73,6 +88,7 @@ pub(super) struct BesideLine {
 }
 
 impl BesideLine {
+    #[inline]
     pub(super) fn new(line: &CentreLine, s_m: Real, state: &KinState) -> Self {
         let at = line.at(s_m);
         let (sin, cos) = math::sin_cos(at.heading_rad);
@@ -85,12 +101,113 @@ impl BesideLine {
 
     /// Yaw rate that leads to a distance from the line, after a yaw rate in the step before.
     pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real, before_radps: Real, dt_s: Real) -> Real {
+        self.steered(speed_mps, offset_m, before_radps, dt_s, math::sin_cos(self.heading_error_rad).0)
+    }
+
+    /// The same with the sine of the heading error.
+    #[inline]
+    fn steered(
+        &self,
+        speed_mps: Real,
+        offset_m: Real,
+        before_radps: Real,
+        dt_s: Real,
+        error_sin: Real,
+    ) -> Real {
         let (curvature_1pm, lateral_m) = (self.at.curvature_1pm, self.lateral_m - offset_m);
         let limits = UnicycleLimits::default();
-        let wanted = steering(&limits, speed_mps, curvature_1pm, self.heading_error_rad, lateral_m);
+        let wanted = curve(&limits, speed_mps, curvature_1pm, error_sin, lateral_m);
         let change = YAW_ACCELERATION_RADPS2 * dt_s;
         wanted.clamp(before_radps - change, before_radps + change)
     }
+}
+
+/// A proposal on its way.
+struct Drive<'a> {
+    proposal: &'a Proposal,
+    state: KinState,
+    cos: Real,
+    sin: Real,
+    s_m: Real,
+    /// Acceleration and yaw rate of the last step.
+    last: [Real; 2],
+    out: Rollout,
+}
+
+/// What one of them does next.
+struct Next {
+    beside: BesideLine,
+    wanted_mps: Real,
+    leader: Option<(Real, Real)>,
+}
+
+impl<'a> Drive<'a> {
+    fn new(scene: &Scene<'_>, proposal: &'a Proposal, num_steps: usize) -> Self {
+        let (state, s_m) = (scene.present(), scene.place.s_m);
+        let (sin, cos) = math::sin_cos(state.heading_rad);
+        let acceleration = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
+        let last = [acceleration, scene.states.yaw_rate_radps[scene.ego]];
+        let mut out = Rollout {
+            states: Vec::with_capacity(num_steps + 1),
+            directions: Vec::with_capacity(num_steps + 1),
+            actions: Vec::with_capacity(num_steps),
+            progress_m: 0.0,
+        };
+        out.states.push(state);
+        out.directions.push(Vector2::new(cos, sin));
+        Self { proposal, state, cos, sin, s_m, last, out }
+    }
+
+    #[inline]
+    fn look(&mut self, scene: &Scene<'_>, boxes: &[Beside], own: &Footprint) -> Next {
+        let (line, speed) = (scene.line, self.state.speed_mps);
+        let beside = BesideLine::new(line, self.s_m, &self.state);
+        self.s_m += beside.ahead_m;
+        let limit = beside.at.limit_mps.min(scene.speed_limit_mps);
+        let wanted_mps = (limit * self.proposal.share).min(line.at(self.s_m + 0.5 * speed).curve_speed_mps);
+        Next { wanted_mps, leader: self.proposal.leader(boxes, self.s_m, own), beside }
+    }
+
+    #[inline]
+    fn go(&mut self, next: &Next, power: Real, dt_s: Real, own: &Footprint) {
+        let (speed, [last, last_yaw_rate]) = (self.state.speed_mps, self.last);
+        let wanted = idm_with(&IDM, speed, next.leader, power);
+        let change = JERK_MPS3 * dt_s;
+        let acceleration = wanted.clamp(last - change, last + change);
+        let (error_sin, error_cos) = math::sin_cos(next.beside.heading_error_rad);
+        let yaw_rate = next.beside.steered(speed, self.proposal.offset_m, last_yaw_rate, dt_s, error_sin);
+        self.last = [acceleration, yaw_rate];
+        let action = [acceleration, yaw_rate, 0.0];
+        Dynamics::default().advance(&mut self.state, self.cos, self.sin, action, dt_s, own);
+        self.s_m += 0.5 * (speed + self.state.speed_mps) * dt_s * error_cos;
+        (self.sin, self.cos) = math::sin_cos(self.state.heading_rad);
+        self.out.states.push(self.state);
+        self.out.directions.push(Vector2::new(self.cos, self.sin));
+        self.out.actions.push(self.last);
+    }
+}
+
+/// Drives at most [`LANES`] proposals against the forecast.
+pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast, proposals: &[Proposal]) -> Vec<Rollout> {
+    let own = scene.footprint(scene.ego);
+    let mut drives: Vec<_> = proposals.iter().map(|p| Drive::new(scene, p, forecast.num_steps)).collect();
+    let mut next = Vec::with_capacity(proposals.len());
+    for t in 0..forecast.num_steps {
+        let boxes = forecast.beside(t);
+        next.clear();
+        next.extend(drives.iter_mut().map(|drive| drive.look(scene, boxes, own)));
+        let mut powers = [1.0; LANES];
+        for ((power, drive), next) in powers.iter_mut().zip(&drives).zip(&next) {
+            *power = share_of(drive.state.speed_mps, next.wanted_mps);
+        }
+        tenth_powers(&mut powers);
+        for ((drive, next), power) in drives.iter_mut().zip(&next).zip(powers) {
+            drive.go(next, power, scene.dt_s, own);
+        }
+    }
+    let start_m = scene.place.s_m;
+    let done = |drive: Drive<'_>| Rollout { progress_m: (drive.s_m - start_m).max(0.0), ..drive.out };
+    drives.into_iter().map(done).collect()
 }
 
 impl Proposal {
@@ -102,65 +219,15 @@ impl Proposal {
             .collect()
     }
 
-    /// Drives it against the forecast.
-    pub(super) fn roll(&self, scene: &Scene<'_>, forecast: &Forecast) -> Rollout {
-        let (line, dt_s, own) = (scene.line, scene.dt_s, scene.footprint(scene.ego));
-        let dynamics = Dynamics::default();
-        let mut state = scene.present();
-        let start_m = scene.place.s_m;
-        let mut s_m = start_m;
-        let mut last = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
-        let mut last_yaw_rate = scene.states.yaw_rate_radps[scene.ego];
-        let direction = |state: &KinState| {
-            let (sin, cos) = math::sin_cos(state.heading_rad);
-            Vector2::new(cos, sin)
-        };
-        let mut out = Rollout {
-            states: vec![state],
-            directions: vec![direction(&state)],
-            actions: Vec::with_capacity(forecast.num_steps),
-            progress_m: 0.0,
-        };
-        for t in 0..forecast.num_steps {
-            let beside = BesideLine::new(line, s_m, &state);
-            s_m += beside.ahead_m;
-            let speed = state.speed_mps;
-            let limit = beside.at.limit_mps.min(scene.speed_limit_mps);
-            let wanted = (limit * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
-            let leader = self.leader(forecast, t, s_m, own.half_length_m, own.half_width_m);
-            let wanted = idm_towards(&IDM, speed, wanted, leader);
-            let change = JERK_MPS3 * dt_s;
-            let acceleration = wanted.clamp(last - change, last + change);
-            let yaw_rate = beside.yaw_rate(speed, self.offset_m, last_yaw_rate, dt_s);
-            let before = state;
-            dynamics.step(&mut state, [acceleration, yaw_rate, 0.0], dt_s, own);
-            s_m +=
-                0.5 * (before.speed_mps + state.speed_mps) * dt_s * math::sin_cos(beside.heading_error_rad).1;
-            (last, last_yaw_rate) = (acceleration, yaw_rate);
-            out.states.push(state);
-            out.directions.push(direction(&state));
-            out.actions.push([acceleration, yaw_rate]);
-        }
-        out.progress_m = (s_m - start_m).max(0.0);
-        out
-    }
-
-    /// Gap to and speed of the nearest box in the way at a step.
-    fn leader(
-        &self,
-        forecast: &Forecast,
-        step: usize,
-        s_m: Real,
-        half_length_m: Real,
-        half_width_m: Real,
-    ) -> Option<(Real, Real)> {
+    /// Gap to and speed of the nearest of some boxes in the way.
+    #[inline]
+    fn leader(&self, boxes: &[Beside], s_m: Real, own: &Footprint) -> Option<(Real, Real)> {
         let mut best: Option<(Real, Real)> = None;
-        for other in &forecast.others {
-            let b = &other.beside[step];
-            if b.s_m <= s_m || (b.lateral_m - self.offset_m).abs() >= b.half_across_m + half_width_m {
+        for b in boxes {
+            if b.s_m <= s_m || (b.lateral_m - self.offset_m).abs() >= b.half_across_m + own.half_width_m {
                 continue;
             }
-            let gap_m = b.s_m - s_m - b.half_along_m - half_length_m;
+            let gap_m = b.s_m - s_m - b.half_along_m - own.half_length_m;
             if best.is_none_or(|(least, _)| gap_m < least) {
                 best = Some((gap_m, b.speed_mps));
             }

@@ -41,6 +41,12 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
         if bound < best.1 {
             break;
         }
+        // comfort, then contacts, cost less to find than the rest
+        if mean(&|f| f.mean(i, 1.0, false, f.calm(i))) < best.1
+            || mean(&|f| f.mean(i, 1.0, f.contacts(i).close, f.calm(i))) < best.1
+        {
+            continue;
+        }
         let value = mean(&|f| f.score(i));
         if value > best.1 || value == best.1 && i < best.0 {
             best = (i, value);
@@ -48,7 +54,7 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
     }
     let first = &futures[0].rollouts[best.0];
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
-    let hit = futures.iter().filter(|f| f.parts(best.0).contact.is_some_and(|t| t <= brake_steps)).count();
+    let hit = futures.iter().filter(|f| f.contacts(best.0).first.is_some_and(|t| t <= brake_steps)).count();
     let acceleration_mps2 = match 2 * hit > futures.len() {
         true if first.states[0].speed_mps < SLOW_MPS => ACCELERATION_MPS2[0],
         true => BRAKE_MPS2,
@@ -57,19 +63,41 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
     Plan { offset_m: proposals[best.0].offset_m, acceleration_mps2 }
 }
 
-/// Proposals in one future; what is scored of them is found when it is asked for.
+/// Proposals in one future.
 struct Future<'a> {
     scene: &'a Scene<'a>,
     forecast: &'a Forecast,
     rollouts: &'a [Rollout],
-    parts: Vec<OnceCell<Parts>>,
+    parts: Vec<Parts>,
     /// Most progress of a rollout times its product, metres.
     most_m: Real,
 }
 
+/// What is scored of a proposal, each found when it is asked for.
+#[derive(Clone, Default)]
+struct Parts {
+    calm: OnceCell<bool>,
+    contacts: OnceCell<Contacts>,
+    /// What the road leaves, and the share of the steps off it.
+    road: OnceCell<(Real, Real)>,
+    /// Of contacts, road and direction.
+    product: OnceCell<Real>,
+}
+
+/// Contacts of a proposal.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Contacts {
+    /// What those at fault leave of the score.
+    pub left: Real,
+    /// Step of the first one at fault.
+    pub first: Option<usize>,
+    /// Whether one is near at constant velocity.
+    pub close: bool,
+}
+
 impl<'a> Future<'a> {
     fn new(scene: &'a Scene<'a>, forecast: &'a Forecast, rollouts: &'a [Rollout]) -> Self {
-        let parts = vec![OnceCell::new(); rollouts.len()];
+        let parts = vec![Parts::default(); rollouts.len()];
         let mut found = Self { scene, forecast, rollouts, parts, most_m: 0.0 };
         let mut order: Vec<usize> = (0..rollouts.len()).collect();
         order.sort_by(|a, b| rollouts[*b].progress_m.total_cmp(&rollouts[*a].progress_m));
@@ -77,14 +105,33 @@ impl<'a> Future<'a> {
             if rollouts[i].progress_m <= found.most_m {
                 break;
             }
-            found.most_m = found.most_m.max(found.parts(i).product * rollouts[i].progress_m);
+            found.most_m = found.most_m.max(found.product(i) * rollouts[i].progress_m);
         }
         found
     }
 
-    fn parts(&self, i: usize) -> &Parts {
-        let make = || Parts::new(self.scene, self.forecast, &self.rollouts[i]);
-        self.parts[i].get_or_init(make)
+    fn calm(&self, i: usize) -> bool {
+        let (scene, rollout) = (self.scene, &self.rollouts[i]);
+        let before = scene.states.acceleration_mps2[scene.ego];
+        *self.parts[i].calm.get_or_init(|| is_calm(rollout, before, scene.dt_s))
+    }
+
+    fn contacts(&self, i: usize) -> &Contacts {
+        self.parts[i].contacts.get_or_init(|| contacts(self.scene, self.forecast, &self.rollouts[i]))
+    }
+
+    fn road(&self, i: usize) -> (Real, Real) {
+        *self.parts[i].road.get_or_init(|| road(self.scene, &self.rollouts[i]))
+    }
+
+    fn product(&self, i: usize) -> Real {
+        let left = self.contacts(i).left;
+        *self.parts[i].product.get_or_init(|| {
+            if left == 0.0 || self.road(i).0 == 0.0 {
+                return 0.0;
+            }
+            left * self.road(i).0 * direction(self.scene, &self.rollouts[i])
+        })
     }
 
     /// Progress as a share of the most; all have made it where nobody gets on.
@@ -107,38 +154,15 @@ impl<'a> Future<'a> {
     }
 
     fn score(&self, i: usize) -> Real {
-        let (p, steps) = (self.parts(i), self.forecast.num_steps as Real);
-        if p.product > 0.0 {
-            return self.mean(i, p.product, p.close, p.calm);
+        let (Contacts { first, close, .. }, product) = (self.contacts(i), self.product(i));
+        if product > 0.0 {
+            return self.mean(i, product, *close, self.calm(i));
         }
         // all proposals fail: the latest contact first
-        let contact = p.contact.map_or(steps, |t| t as Real) / steps;
-        let clear = if p.close { 0.0 } else { 1.0 };
-        1e-2 * contact - 5e-3 * p.off_road + 2e-3 * self.progress(i, 1.0) + 1e-3 * clear - 0.1
-    }
-}
-
-/// What is scored of a proposal.
-#[derive(Clone)]
-struct Parts {
-    /// Step of the first contact at fault.
-    contact: Option<usize>,
-    /// Whether a contact is near at constant velocity.
-    close: bool,
-    /// Share of the steps off the road.
-    off_road: Real,
-    calm: bool,
-    /// Of contact, road and direction.
-    product: Real,
-}
-
-impl Parts {
-    fn new(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout) -> Self {
-        let (left, contact, close) = contacts(scene, forecast, rollout);
-        let (road, off_road) = road(scene, rollout);
-        let product = if left == 0.0 || road == 0.0 { 0.0 } else { left * road * direction(scene, rollout) };
-        let calm = is_calm(rollout, scene.states.acceleration_mps2[scene.ego], scene.dt_s);
-        Self { contact, close, off_road, calm, product }
+        let steps = self.forecast.num_steps as Real;
+        let contact = first.map_or(steps, |t| t as Real) / steps;
+        let clear = if *close { 0.0 } else { 1.0 };
+        1e-2 * contact - 5e-3 * self.road(i).1 + 2e-3 * self.progress(i, 1.0) + 1e-3 * clear - 0.1
     }
 }
 
@@ -148,13 +172,9 @@ fn box_at(scene: &Scene<'_>, centre: Point2, direction: Vector2) -> OrientedBox 
     OrientedBox { centre, cos: direction.x, sin: direction.y, half_length_m, half_width_m }
 }
 
-/// What contacts at fault leave of the score, the step of the first one, and whether one is close at constant speed.
-pub(super) fn contacts(
-    scene: &Scene<'_>,
-    forecast: &Forecast,
-    rollout: &Rollout,
-) -> (Real, Option<usize>, bool) {
-    let (mut left, mut contact, mut close) = (1.0, None::<usize>, false);
+/// Contacts with all others.
+pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout) -> Contacts {
+    let (mut left, mut first, mut close) = (1.0, None::<usize>, false);
     let most_mps = rollout.states.iter().map(|state| state.speed_mps).fold(0.0, Real::max);
     for other in &forecast.others {
         let meets = Meets { scene, rollout, other };
@@ -163,11 +183,11 @@ pub(super) fn contacts(
             && is_at_fault(scene, rollout, t, other)
         {
             left = Real::min(left, if other.is_static { STATIC } else { 0.0 });
-            contact = Some(contact.map_or(t, |c| c.min(t)));
+            first = Some(first.map_or(t, |f| f.min(t)));
         }
         close = close || meets.is_close(near);
     }
-    (left, contact, close)
+    Contacts { left, first, close }
 }
 
 /// A rollout and another agent.
@@ -303,16 +323,26 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
     (if near { 0.5 * left } else { left }, off as Real / rollout.states.len() as Real)
 }
 
-/// What driving direction leaves of the score, by the longest way against traffic.
+/// What driving direction leaves of the score, by the longest way against traffic. Steps between which the ego drives less
+/// than [`AGAINST_M`] are not looked at if it is not against traffic at either.
 pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
-    let (mut way_m, mut most_m) = (0.0, 0.0 as Real);
-    for (pair, direction) in rollout.states.windows(2).zip(&rollout.directions[1..]) {
-        let at = Point2::new(pair[1].x, pair[1].y);
-        way_m += (at - Point2::new(pair[0].x, pair[0].y)).norm();
-        if !is_against_traffic(scene, at, *direction) {
-            way_m = 0.0;
+    let place = |step: usize| Point2::new(rollout.states[step].x, rollout.states[step].y);
+    let way_m = |step: usize| (place(step) - place(step - 1)).norm();
+    let against = |step: usize| is_against_traffic(scene, place(step), rollout.directions[step]);
+    let (last, mut most_m, mut clear) = (rollout.states.len() - 1, 0.0 as Real, 0);
+    while clear < last {
+        let (mut step, mut between_m) = (clear + 1, 0.0);
+        while step < last && between_m + way_m(step) < AGAINST_M[0] {
+            between_m += way_m(step);
+            step += 1;
         }
-        most_m = most_m.max(way_m);
+        if against(step) {
+            let first = (clear + 1..step).rev().take_while(|t| against(*t)).last().unwrap_or(step);
+            let run = (first..=last).take_while(|t| *t <= step || against(*t));
+            (step, between_m) = run.fold((first, 0.0), |(_, sum_m), t| (t + 1, sum_m + way_m(t)));
+            most_m = most_m.max(between_m);
+        }
+        clear = step;
     }
     if most_m < AGAINST_M[0] {
         1.0

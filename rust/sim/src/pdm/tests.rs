@@ -69,8 +69,8 @@ fn forecast(scene: &Scene<'_>) -> Forecast {
 fn rolled(world: &World, share: Real, offset_m: Real) -> Rollout {
     let scene = world.scene();
     let all = Proposal::all();
-    let proposal = all.iter().find(|p| p.share == share && p.offset_m == offset_m);
-    proposal.map(|p| p.roll(&scene, &forecast(&scene))).into_iter().next().unwrap()
+    let proposal = all.iter().position(|p| p.share == share && p.offset_m == offset_m).unwrap();
+    roll(&scene, &forecast(&scene), &all).swap_remove(proposal)
 }
 
 /// A rollout with these accelerations and yaw rates from a speed, at the ego's place.
@@ -128,7 +128,7 @@ fn others_go_on_along_their_headings_at_the_size_of_their_velocity() {
 fn leaders_may_come_the_other_way() {
     let oncoming = (40.0, -1.75, std::f32::consts::PI, [-6.0, 0.0], AgentKind::Vehicle);
     let world = World::new(&[ego(8.0), oncoming]);
-    assert!((forecast(&world.scene()).others[0].beside[0].speed_mps + 6.0).abs() < 1e-4);
+    assert!((forecast(&world.scene()).beside(0)[0].speed_mps + 6.0).abs() < 1e-4);
     let standing = World::new(&[ego(8.0), car(40.0, -1.75, 0.0)]);
     let first = |world: &World| rolled(world, 1.0, 0.0).actions[0][0];
     assert!(first(&world) < first(&standing));
@@ -149,7 +149,8 @@ fn static_obstacles_cost_half_and_agents_all() {
         let scene = world.scene();
         let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 40]);
         // bumper to bumper 16 m, 10 m/s: the boxes touch at step 16
-        assert_eq!(score::contacts(&scene, &forecast(&scene), &rollout), (left, Some(16), true));
+        let expected = score::Contacts { left, first: Some(16), close: true };
+        assert_eq!(score::contacts(&scene, &forecast(&scene), &rollout), expected);
     }
 }
 
@@ -159,7 +160,7 @@ fn blame_is_the_fronts_or_is_owed_to_who_stands_or_to_the_side_between_lanes() {
         let world = World::on(&[own, other], kind);
         let scene = world.scene();
         let rollout = made(&world, own.3[0], vec![[0.0, 0.0]; 40]);
-        score::contacts(&scene, &forecast(&scene), &rollout).1
+        score::contacts(&scene, &forecast(&scene), &rollout).first
     };
     let lane = LaneKind::Lane;
     // hit from behind at 6 m/s more, and the other way round
@@ -181,7 +182,7 @@ fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone()
         let world = World::on(&[ego(10.0), other], kind);
         let scene = world.scene();
         let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 5]);
-        score::contacts(&scene, &forecast(&scene), &rollout).2
+        score::contacts(&scene, &forecast(&scene), &rollout).close
     };
     // 11 m from centre to centre, both straight on: contact in 0.9 s if the other drives 2 m/s
     assert!(close(car(11.0, -1.75, 2.0), LaneKind::Lane));
@@ -195,7 +196,7 @@ fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone()
     // a standing ego has none
     let world = World::new(&[ego(0.0), car(4.1, -1.75, -3.0)]);
     let scene = world.scene();
-    assert!(!score::contacts(&scene, &forecast(&scene), &made(&world, 0.0, vec![[0.0, 0.0]; 9])).2);
+    assert!(!score::contacts(&scene, &forecast(&scene), &made(&world, 0.0, vec![[0.0, 0.0]; 9])).close);
 }
 
 #[test]

@@ -56,10 +56,21 @@ pub struct Idm {
 /// Acceleration of the model towards a desired speed, behind a leader (gap in metres, its speed), m/s², between
 /// −`max_braking` and `acceleration`.
 pub fn idm_towards(idm: &IdmConfig, speed: Real, desired: Real, leader: Option<(Real, Real)>) -> Real {
+    idm_with(idm, speed, leader, math::pow(share_of(speed, desired), idm.exponent))
+}
+
+/// Share of a desired speed.
+#[inline]
+pub(crate) fn share_of(speed: Real, desired: Real) -> Real {
+    speed / desired.max(0.1)
+}
+
+/// The same from the power of that share.
+#[inline]
+pub(crate) fn idm_with(idm: &IdmConfig, speed: Real, leader: Option<(Real, Real)>, power: Real) -> Real {
     let (a, b) = (idm.acceleration_mps2, idm.deceleration_mps2);
-    let ratio = speed / desired.max(0.1);
     // above the desired speed a driver slows down comfortably, not as hard as the power law asks
-    let mut acc = (a * (1.0 - math::pow(ratio, idm.exponent))).max(-b);
+    let mut acc = (a * (1.0 - power)).max(-b);
     if let Some((gap, leader_speed)) = leader {
         let closing = speed * (speed - leader_speed) / (2.0 * (a * b).sqrt());
         let wanted = idm.min_gap_m + (speed * idm.headway_s + closing).max(0.0);
