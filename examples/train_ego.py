@@ -33,8 +33,8 @@ from ccdiff_env.system.table import Column, Table
 
 #: Criticalities of the banks.
 BANKS = (1.0, 2.0)
-#: The dial: ranges of factors of reward weights.
-DIAL = {"progress": ("0.25", "2"), "collision": ("0.5", "4"), "comfort": ("0", "4")}
+#: A sixth of the worlds each: the log, IDM, fast critical traffic that reacts, what was recorded.
+TRAINED_IN = ("replay", "idm", "swift", "swift", "bank", "bank")
 RECIPES = {
     "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"),
     "unicycle": ("--dynamics", "unicycle", "--teacher", "pdm", "--noise", "0.15", "0.08"),
@@ -57,7 +57,7 @@ def arguments() -> argparse.Namespace:
         "--choose-split", help="scenes that choose the seed (default: train_val; embedded: city)"
     )
     parser.add_argument("--dynamics", default="assisted", choices=RECIPES, help="of the ego")
-    parser.add_argument("--decisions", default="1e6", help="of each training")
+    parser.add_argument("--decisions", default="7e5", help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
@@ -115,9 +115,8 @@ def main() -> None:
             continue
         words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", str(seed)]
         words += ["--threads", str(args.workers), "--out", str(folder)]
-        if args.dynamics == "assisted":
-            words += [w for name, ends in DIAL.items() for w in ("--style", name, *ends)]
-        words += [*RECIPES[args.dynamics], "--traffic", "replay", *["bank"] * 3, "--bank", *banks]
+        words += [*RECIPES[args.dynamics], "--criticality", "2", "--traffic", *TRAINED_IN]
+        words += ["--bank", *banks]
         words += ["--resume"] * (folder / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
         if cli.main(["train-ego", *words]):
             raise SystemExit(2)

@@ -4,8 +4,7 @@
     python examples/train_ego_sb3.py --algorithm sac
     python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --start runs/train_ego
 
-The first takes two minutes of one core; the last continues in critical CCDiff traffic. Each draws
-the success rate on held-out scenes, and compares planner scores.
+The first takes two minutes of one core, the last continues it. Each draws its success rate.
 """
 
 from __future__ import annotations
@@ -45,6 +44,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--decisions", type=int, help="of training (default: two minutes)")
     parser.add_argument("--start", type=Path, help="folder of a run to continue from")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--option", nargs="*", default=[], help="NAME=JSON of worlds or algorithm")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a run of seconds")
     args = parser.parse_args()
@@ -72,8 +72,7 @@ class Curve(BaseCallback):
     def __init__(self, env: VecNormalize, decisions: int) -> None:
         super().__init__()
         self.env, self.decisions, self.every = env, decisions, max(decisions // 10, 1)
-        self.rows: list[tuple[int, float, float]] = []
-        self.evaluating_s, self.begin_s = 0.0, time.process_time()
+        self.rows, self.evaluating_s, self.begin_s = [], 0.0, time.process_time()
 
     def evaluate(self) -> None:
         before = time.process_time()
@@ -94,9 +93,8 @@ def draw(rows: list[tuple[int, float, float]], path: Path) -> None:
     """Draw the success rate over CPU seconds."""
     last = rows[-1][1]
     points = " ".join(f"{50 + 430 * s / last:.1f},{250 - 230 * rate:.1f}" for _, s, rate in rows)
-    heights = {share: 250 - 230 * share for share in (0, 0.25, 0.5, 0.75, 1)}
-    line = '<path d="M50 {0}h430" stroke="#ddd"/><text x="8" y="{1}">{2:.0%}</text>'
-    lines = "".join(line.format(y, y + 4, share) for share, y in heights.items())
+    line = '<path d="M50 {0}h430" stroke="#ddd"/><text x="8" y="{0}">{1:.0%}</text>'
+    lines = "".join(line.format(250 - 230 * share, share) for share in (0, 0.25, 0.5, 0.75, 1))
     path.write_text(
         '<svg xmlns="http://www.w3.org/2000/svg" width="500" height="300" font-family="sans-serif" '
         f'font-size="12"><rect width="500" height="300" fill="#fff"/>{lines}'
@@ -114,16 +112,18 @@ def main() -> None:
     if args.smoke:
         worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
         settings = settings | ({"n_steps": 2, "batch_size": 8} if args.algorithm == "ppo" else {})
-    critical = {"criticality": args.criticality, "denoising_steps": 1}
     options = {"traffic": args.traffic, "dynamics": args.dynamics, "decision_steps": 3}
-    options["ccdiff"] = critical if args.traffic == "ccdiff" else {}
-    train = options | {"scenes": scenes_from(args), "start_spread_steps": 50}
+    if args.traffic == "ccdiff":
+        options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 1}
+    given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
+    settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
+    options |= given
+    train = {"start_spread_steps": 50} | options | {"scenes": scenes_from(args)}
     env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(worlds, **train)), norm_reward=False)
     if args.start:
         env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
     test = options | {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
-    test_env = SB3VecEnv(ccdiff_env.make_vec(tests, **test))
-    test_env = VecNormalize(test_env, training=False, norm_reward=False)
+    test_env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(tests, **test)), False, norm_reward=False)
     test_env.obs_rms = env.obs_rms
     model = algorithm("MlpPolicy", env, seed=args.seed, device="cpu", **settings)
     if args.start:
@@ -140,7 +140,7 @@ def main() -> None:
     (args.out / "curve.json").write_text(json.dumps(curve.rows) + "\n")
     print(f"\n{'planner':18s}" + "".join(map("{:>10s}".format, FIGURES)))
     for planner in (f"{args.out}/untrained.zip", f"{args.out}/ego.zip", "constant_velocity", "idm"):
-        rows = play(held_out, planner, Traffic("", args.traffic, options["ccdiff"]))
+        rows = play(held_out, planner, Traffic("", args.traffic, options.get("ccdiff", {})))
         means = (np.mean([row[name] for row in rows]) for name in FIGURES)
         print(f"{Path(planner).stem:18s}" + "".join(f"{mean:10.2f}" for mean in means))
 

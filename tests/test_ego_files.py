@@ -19,12 +19,12 @@ from ccdiff_env.errors import (
     DatasetNotFoundError,
     ShapeError,
 )
-from ccdiff_env.planners.ego import OBSERVATION, save_ego
+from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
 
-OPTIONS = {"observation": dict(OBSERVATION), "dynamics": "assisted", "decision_steps": 3}
+OPTIONS = {"dynamics": "assisted", "decision_steps": 3}
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ import ccdiff_env
 from ccdiff_env import WorldConfig, planners
 from ccdiff_env.config import EgosConfig, UnicycleLimits
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
-from ccdiff_env.planners.ego import OBSERVATION, load_ego, save_ego
+from ccdiff_env.planners.ego import load_ego, save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.worlds import Worlds
 
 STYLES = {"progress": (0.5, 2.0), "comfort": (0.0, 4.0)}
-UNICYCLE = {"observation": dict(OBSERVATION), "dynamics": UnicycleLimits()}
+UNICYCLE = {"dynamics": UnicycleLimits()}
 CONFIG = WorldConfig().with_options(**UNICYCLE)
 
 
@@ -70,9 +70,10 @@ def test_a_dial_that_is_not_there_is_refused(name, message):
 @pytest.fixture
 def unicycle(scenes, tmp_path):
     """A policy that decides at every step, and does not know how far its goal is."""
-    agent = agent_of(ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG).worlds.layout)
-    tensors = {name: tensor.numpy().copy() for name, tensor in agent.state_dict().items()}
-    tensors["policy.0.weight"][:, OBSERVATION["ego_columns"].index("route_remaining")] = 0.0
+    layout = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG).worlds.layout
+    tensors = {name: part.numpy().copy() for name, part in agent_of(layout).state_dict().items()}
+    (ego,) = (entry for entry in layout.entries if entry.name == "ego")
+    tensors["policy.0.weight"][:, ego.offset + ego.columns.index("route_remaining")] = 0.0
     path = tmp_path / "unicycle.safetensors"
     save_ego(path, tensors, UNICYCLE, {})
     return path

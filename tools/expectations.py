@@ -40,6 +40,28 @@ TRAININGS = {
         ["--dynamics", "assisted", "--decisions", "200000"],
     ),
 }
+#: What plain PPO is without a part of the default: title and options of the example.
+WITHOUT = {
+    "held": ("actions held for three steps", ["decision_steps=1", "gamma=0.986"]),
+    "lean": (
+        "the lean observation",
+        ['observation={"num_map_segments": 64, "num_neighbors": 16, "num_route_points": 20}'],
+    ),
+    "weights": (
+        "small reward weights",
+        [
+            'reward={"progress": 0.1, "collision": -10, "off_road": -5, "goal": 2, '
+            '"speed_limit": -0.05, "lane_keeping": -0.02}'
+        ],
+    ),
+    "starts": ("starts all over the log", ["start_spread_steps=0"]),
+    "gamma": ("the discount of 0.96", ["gamma=0.99"]),
+    "noise": ("little noise at first", ['policy_kwargs={"log_std_init": 0.0}']),
+}
+TRAININGS |= {
+    f"without_{name}": (f"PPO without {title}", "unicycle", ["--option", *options])
+    for name, (title, options) in WITHOUT.items()
+}
 TESTED = ("idm", "ccdiff", "ccdiff-1")
 SEEDS = range(3)
 
@@ -57,7 +79,7 @@ def trained(name: str, out: Path) -> list[list[float]]:
     """Train, unless it has been done; return the learning curve."""
     curve = out / name / "curve.json"
     if not curve.is_file():
-        words = [word.format(out=out) for word in TRAININGS[name][2]]
+        words = [word.replace("{out}", str(out)) for word in TRAININGS[name][2]]
         script = [
             sys.executable,
             str(ROOT / "examples" / "train_ego_sb3.py"),

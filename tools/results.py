@@ -74,6 +74,10 @@ _PLANNERS = Made(
     },
     pivot="traffic",
 )
+_EGOS = (
+    "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
+    "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2"
+)
 _SCR, _ORR = Column("scr"), Column("orr", interval=False)
 _FDE, _CFD = Column("fde", digits=1, interval=False), Column("cfd", digits=1, interval=False)
 _COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
@@ -105,8 +109,7 @@ TABLES: dict[str, Made] = {
         },
     ),
     "egos": Made(
-        "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
-        "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2",
+        _EGOS,
         ("planner", "traffic"),
         {
             "score": Column("score", digits=3),
@@ -114,6 +117,16 @@ TABLES: dict[str, Made] = {
             "not at fault": Column("no_at_fault_collision", digits=3, interval=False),
             "comfort": Column("comfort", digits=3, interval=False),
         },
+    ),
+    "ego_pairs": Made(
+        _EGOS,
+        ("against", "traffic"),
+        {
+            "ego less it": Column("difference", digits=3, sign="+"),
+            "p": Column("p", digits=4, interval=False),
+        },
+        where={"planner": "ego", "figure": "score"},
+        file="pairs.csv",
     ),
     "dial": Made(
         "bench planners --planners idm --seeds 0,1,2 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
@@ -254,6 +267,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {
         "planner": _planner,
+        "against": _planner,
         "traffic": lambda name: "mean" if name in _ENDS else TRAFFIC[name].label,
         "figure": lambda name: name.replace("_", " "),
     }

@@ -42,12 +42,19 @@ CORRELATION = 0.7
 #: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
 HALF = torch.cpu._is_avx512_bf16_supported()
 #: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
-#: other way, and a decision after which contact is a second away; this grows from 0 at 1.6 s.
-AT_FAULT, WRONG_WAY, CLOSE = -1.0, -2.0, -0.2
-#: IDM stops for what crosses its way, and there it is hit: an assisted ego may drive on, at other
-#: prices; a place beside the route costs its square.
-DELTA_MPS2 = (-6.0, 6.0)
-PRICES, ASIDE = {"comfort": -0.02, "speed_limit": -0.05}, -0.02
+#: other way, a decision after which contact is a second away (grows from 0 at 1.6 s), and one
+#: with a jerk of 6 m/s³ (grows from 0 at 3).
+AT_FAULT, WRONG_WAY, CLOSE, ROUGH = -2.0, -2.0, -0.3, -0.1
+#: An assisted ego brakes earlier than its base, and is comfortable by its limits.
+ASSISTED: dict[str, Any] = {
+    "delta_mps2": (-4.0, 0.5),
+    "offset_m": (-0.5, 0.5),
+    "acceleration_mps2": (-8.0, 2.0),
+    "max_jerk_mps3": 2.5,
+    "base_jerk_mps3": 2.0,
+}
+#: Weights of its reward; a place beside the route costs its square.
+PRICES, ASIDE = {"comfort": -0.04, "speed_limit": -0.05}, -0.02
 #: Traffic in which every vehicle is calm, as usual, or hasty.
 STYLES: dict[str, Any] = {
     "traffic": {"calm": 0.25, "idm": 0.5, "hasty": 0.25},
@@ -110,6 +117,9 @@ class Worlds:
         self.ttc = (
             rows.offset + rows.columns.index("ttc") + rows.shape[1] * np.arange(rows.shape[0])
         )
+        ego = entries["ego"]
+        self.acceleration = ego.offset + ego.columns.index("acceleration")
+        self.decision_s = config.decision_steps * config.dt_s
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
         self.episodes: list[Floats] = []
         begun = zip(self.envs, self.parts, strict=True)
@@ -126,11 +136,15 @@ class Worlds:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
         for env, part, backtrack in zip(self.envs, self.parts, self.backtracks, strict=True):
+            before = self.obs[part, self.acceleration].copy()
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
+            change_mps2 = 10.0 * np.abs(self.obs[part, self.acceleration] - before)
             end, seen = terminated | truncated, self.obs[part]
             failed = end
             ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
             reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
+            rough = np.clip(change_mps2 / self.decision_s / 3.0 - 1.0, 0.0, 1.0)
+            reward = reward + ROUGH * rough * ~end
             reward = reward + self.aside * actions[part, 1] ** 2
             if truncated.any():
                 cut.append(np.flatnonzero(truncated) + part.start)
@@ -233,7 +247,7 @@ def train(args: argparse.Namespace) -> None:
     policies = [policy for policy in (near, given) if policy is not None]
     dynamics: Any = args.dynamics
     if dynamics == "assisted":
-        dynamics = {"assisted": {"base": args.base, "delta_mps2": DELTA_MPS2}}
+        dynamics = {"assisted": {"base": args.base, **ASSISTED}}
     fitting: dict[str, Any] = {
         "dynamics": policies[0].config.action.dynamics if policies else dynamics,
         "decision_steps": args.decision_steps,

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--teacher",
         help=f"rule to imitate first, and to stay near, of: {', '.join(RULES)} (default: none)",
     )
-    parser.add_argument("--kl", type=float, default=0.05, help="price of leaving the anchor")
+    parser.add_argument("--kl", type=float, default=0.1, help="price of leaving the anchor")
     parser.add_argument(
         "--style",
         nargs=3,

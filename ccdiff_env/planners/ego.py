@@ -21,50 +21,10 @@ from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import fitting_fields, schema_digest
 from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, Ranges, read_policy
 
-__all__ = ["OBSERVATION", "EgoPolicy", "load_ego", "save_ego"]
+__all__ = ["EgoPolicy", "load_ego", "save_ego"]
 
 F32 = npt.NDArray[np.float32]
 
-#: A lean observation: the ego on its route, 10 points of the route, the 12 nearest agents. What
-#: tells one scene from another is left out, so that egos do not learn scenes by heart.
-OBSERVATION: Mapping[str, Any] = {
-    "num_neighbors": 12,
-    "num_route_points": 10,
-    "route_spacing_m": 4.0,
-    "num_map_segments": 0,
-    "ego_columns": (
-        "speed",
-        "acceleration",
-        "yaw_rate",
-        "length",
-        "last_action_0",
-        "last_action_1",
-        "speed_limit",
-        "route_distance",
-        "route_sin",
-        "route_cos",
-        "off_road",
-        "route_remaining",
-        "leader_gap",
-        "leader_closing",
-    ),
-    "agent_columns": (
-        "x",
-        "y",
-        "cos",
-        "sin",
-        "velocity_x",
-        "velocity_y",
-        "speed",
-        "length",
-        "width",
-        "ttc",
-        "is_vehicle",
-        "route_position",
-        "route_distance",
-        "route_speed",
-    ),
-}
 _LAYERS = (
     "encoder.0",
     "encoder.2",

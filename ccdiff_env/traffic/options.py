@@ -173,6 +173,9 @@ class AssistedLimits(Options):
     #: The acceleration changes no faster than this, except where the base brakes (m/s³, in (0,
     #: 1000]).
     max_jerk_mps3: float = 8.0
+    #: The base's own acceleration changes no faster than this, except where it brakes harder than
+    #: nuPlan's comfort allows, 4.05 m/s² (m/s³, in (0, 1000]).
+    base_jerk_mps3: float = 1000.0
     #: Lowest and highest speed (m/s, in [-100, 100]).
     speed_mps: tuple[float, float] = (0.0, 30.0)
 

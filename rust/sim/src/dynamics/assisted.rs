@@ -41,6 +41,9 @@ options! {
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²", range MOTION;
         /// The acceleration changes no faster than this, except where the base brakes.
         max_jerk_mps3: Real = 8.0, unit "m/s³", range within(0.0, 1000.0).open_below();
+        /// The base's own acceleration changes no faster than this, except where it brakes harder than nuPlan's comfort
+        /// allows, 4.05 m/s².
+        base_jerk_mps3: Real = 1000.0, unit "m/s³", range within(0.0, 1000.0).open_below();
         /// Lowest and highest speed.
         speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s", range MOTION;
     }

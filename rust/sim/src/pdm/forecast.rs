@@ -1,7 +1,6 @@
 //! Where the others will be: at constant speed along their headings, or as a network expects.
 
 use super::Scene;
-use super::proposals::MOST_OFFSET_M;
 use crate::events::limits::STOPPED_MPS;
 use crate::geom::{OrientedBox, Point2, Pose2, Real, Vector2};
 use crate::scene::AgentKind;
@@ -12,6 +11,8 @@ pub(super) const HORIZON_S: Real = 4.0;
 /// Seconds ahead at which the time to contact is looked at.
 pub(super) const AHEAD_S: [Real; 4] = [0.0, 0.3, 0.6, 0.9];
 
+/// Greatest distance of a proposal from the centre line, metres.
+pub(super) const MOST_OFFSET_M: Real = 1.0;
 /// Distances are certain to this, metres.
 const MARGIN_M: Real = 0.1;
 

@@ -1,7 +1,7 @@
 //! Proposals: a share of the speed limit and a distance from the centre line, rolled out with IDM and the unicycle.
 
 use super::Scene;
-use super::forecast::{Beside, Forecast};
+use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
 use super::power::{LANES, tenth_powers};
 use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
@@ -11,9 +11,7 @@ use crate::state::Footprint;
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
-const OFFSETS_M: [Real; 3] = [0.0, -1.0, 1.0];
-/// No offset is larger.
-pub(super) const MOST_OFFSET_M: Real = 1.0;
+const OFFSETS_M: [Real; 3] = [0.0, -MOST_OFFSET_M, MOST_OFFSET_M];
 /// IDM of PDM-Closed.
 const IDM: IdmConfig = IdmConfig {
     headway_s: 1.5,

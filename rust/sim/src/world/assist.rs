@@ -1,6 +1,7 @@
 //! From the action of assisted driving to that of the unicycle: IDM or PDM-Closed, and their ways come in here.
 
 use crate::dynamics::{Action, AssistedBase, AssistedLimits, BesideRoute};
+use crate::events::limits::ACCELERATION_MPS2;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan};
 use crate::policy::{WorldView, idm_acceleration};
@@ -31,7 +32,15 @@ pub(crate) fn assisted_action(
         }
     };
     let before = states.acceleration_mps2[agent_idx];
+    let base = held(limits, base, before, view.dt_s);
     [limits.acceleration(base, command[0], before, view.dt_s), yaw_rate, 0.0]
+}
+
+/// The base's acceleration as far as its jerk allows; the emergency brake is not held.
+fn held(limits: &AssistedLimits, base_mps2: Real, before_mps2: Real, dt_s: Real) -> Real {
+    let least_mps2 = ACCELERATION_MPS2[0];
+    let (from_mps2, change) = (before_mps2.max(least_mps2), limits.base_jerk_mps3 * dt_s);
+    if base_mps2 <= least_mps2 { base_mps2 } else { base_mps2.clamp(from_mps2 - change, from_mps2 + change) }
 }
 
 /// Yaw rate that leads to a distance from the route.
