@@ -132,6 +132,8 @@ def _planners(args: argparse.Namespace) -> int:
         *report.parts_tables(found),
     ]
     files = {"figures.csv": report.figures_table(found)}
+    if len(planners) > 1:
+        files["pairs.csv"] = report.pairs_table(found)
     criticality = {
         name: float(TRAFFIC[name].ccdiff.get("criticality", 0.0))
         for name in traffic

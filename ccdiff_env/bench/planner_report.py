@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ __all__ = [
     "comparison",
     "figures_table",
     "headlines",
+    "pairs_table",
     "parts_tables",
     "short_name",
     "summary",
@@ -182,6 +184,24 @@ def _pairs(
         for other in dict.fromkeys([*bases, best]):
             if other in scores and other != planner:
                 yield planner, other, scores[planner] - scores[other]
+
+
+def pairs_table(found: Results) -> Table:
+    """Return the scores of each two planners, their difference and its p, by traffic and over all.
+
+    ``value`` is that of the planner, ``other`` that of the one that it is compared with.
+    """
+    planners, traffic = _names(found)
+    rows: TableRows = []
+    for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]:
+        for name in (name for name in ("score", NUPLAN) if name in _parts(found)):
+            scores = {p: _scores(found, p, some, name).mean(axis=0) for p in planners}
+            means = {p: _mean_of(values) for p, values in scores.items()}
+            for one, other in permutations(planners, 2):
+                less = difference(scores[one] - scores[other])
+                rows.append([one, other, label, name, means[one], means[other], *less])
+    columns = ["planner", "against", "traffic", "figure", "value", "other", "difference", "p"]
+    return Table(columns, rows)
 
 
 def parts_tables(found: Results) -> list[Block]:

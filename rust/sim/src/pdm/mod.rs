@@ -4,7 +4,6 @@
 
 mod comfort;
 mod forecast;
-mod power;
 mod proposals;
 mod score;
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use super::Scene;
 use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
-use super::power::{LANES, tenth_powers};
 use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
 use crate::policy::{IdmConfig, idm_with, share_of};
@@ -167,8 +166,9 @@ impl<'a> Drive<'a> {
     }
 
     #[inline]
-    fn go(&mut self, next: &Next, power: Real, dt_s: Real, own: &Footprint) {
+    fn go(&mut self, next: &Next, dt_s: Real, own: &Footprint) {
         let (speed, [last, last_yaw_rate]) = (self.state.speed_mps, self.last);
+        let power = tenth_power(share_of(speed, next.wanted_mps));
         let wanted = idm_with(&IDM, speed, next.leader, power);
         let change = JERK_MPS3 * dt_s;
         let acceleration = wanted.clamp(last - change, last + change);
@@ -185,27 +185,27 @@ impl<'a> Drive<'a> {
     }
 }
 
-/// Drives at most [`LANES`] proposals against the forecast.
+/// Drives proposals against the forecast.
 pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast, proposals: &[Proposal]) -> Vec<Rollout> {
     let own = scene.footprint(scene.ego);
     let mut drives: Vec<_> = proposals.iter().map(|p| Drive::new(scene, p, forecast.num_steps)).collect();
-    let mut next = Vec::with_capacity(proposals.len());
     for t in 0..forecast.num_steps {
         let boxes = forecast.beside(t);
-        next.clear();
-        next.extend(drives.iter_mut().map(|drive| drive.look(scene, boxes, own)));
-        let mut powers = [1.0; LANES];
-        for ((power, drive), next) in powers.iter_mut().zip(&drives).zip(&next) {
-            *power = share_of(drive.state.speed_mps, next.wanted_mps);
-        }
-        tenth_powers(&mut powers);
-        for ((drive, next), power) in drives.iter_mut().zip(&next).zip(powers) {
-            drive.go(next, power, scene.dt_s, own);
+        for drive in &mut drives {
+            let next = drive.look(scene, boxes, own);
+            drive.go(&next, scene.dt_s, own);
         }
     }
     let start_m = scene.place.s_m;
     let done = |drive: Drive<'_>| Rollout { progress_m: (drive.s_m - start_m).max(0.0), ..drive.out };
     drives.into_iter().map(done).collect()
+}
+
+/// x¹⁰, for [`IDM`]'s exponent.
+fn tenth_power(x: Real) -> Real {
+    let x2 = x * x;
+    let x4 = x2 * x2;
+    x4 * x4 * x2
 }
 
 impl Proposal {
