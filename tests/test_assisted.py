@@ -71,6 +71,32 @@ def test_the_first_column_changes_idms_acceleration_within_the_jerk(scenes):
     assert braked > len(scenes) // 2
 
 
+@pytest.mark.parametrize("base", ["idm", "pdm"])
+def test_the_bases_jerk_is_held_outside_emergencies(base, scenes):
+    asked = {"scenes": scenes, "traffic": "idm", "on_collision": "ignore"}
+
+    def accelerations(action=0.0, **limits):
+        env, driven_scenes = EgoEnv(dynamics={"assisted": {"base": base} | limits}, **asked), []
+        for i in range(len(scenes)):
+            env.reset(seed=i, options={"scene": i})
+            driven_scenes.append(driven(env, [action, 0]))
+        return driven_scenes
+
+    def changes(episode, added_mps2=0.0):
+        """Per step of 0.1 s, while rolling, but for emergencies: the base brakes by 4.05 m/s²."""
+        a, rolling = episode["acceleration"], episode["speed"] > 0
+        return np.diff(a)[rolling[1:] & (np.minimum(a[1:], a[:-1]) > added_mps2 - 4.0)]
+
+    free = accelerations()
+    for episode, beyond in zip(free, accelerations(base_jerk_mps3=105.0), strict=True):
+        # from 2.4 to -8 m/s² in a step is 104 m/s³: the default of 1000 holds nothing
+        assert np.array_equal(episode["acceleration"], beyond["acceleration"])
+    assert max(np.abs(changes(episode)).max() for episode in free) > 0.3
+    for action, added_mps2 in ((0.0, 0.0), (0.1, 0.2)):
+        for episode in accelerations(action, base_jerk_mps3=2.0):
+            assert np.abs(changes(episode, added_mps2) - added_mps2).max() <= 2.0 * 0.1 + 1e-4
+
+
 def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
     env = EgoEnv(scenes=scenes, dynamics="assisted")
     env.reset(seed=0)
