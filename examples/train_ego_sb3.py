@@ -117,7 +117,7 @@ def main() -> None:
         options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 1}
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
-    options |= given
+    options |= {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
     train = {"start_spread_steps": 50} | options | {"scenes": scenes_from(args)}
     env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(worlds, **train)), norm_reward=False)
     if args.start:

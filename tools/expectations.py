@@ -1,8 +1,9 @@
 """What to expect of training: ``python -m tools.expectations`` runs it and writes the table.
 
 Runs examples/train_ego_sb3.py with each algorithm, then drives the held-out scenes with what it
-learned and with planners that learn nothing. Keeps the figures in docs/results/expectations.json
-and writes the table of docs/learning.md. A training that has finished is not repeated.
+learned and with planners that learn nothing. ``--parts`` instead trains PPO without each part of
+the defaults. Keeps the figures in docs/results and writes the tables of docs/learning.md. A
+training that has finished is not repeated.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ from typing import Any
 import ccdiff_env
 from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import TRAFFIC, play
-from ccdiff_env.system.table import Column, Table
+from ccdiff_env.system.table import Cell, Column, Table
 
 ROOT = Path(__file__).resolve().parents[1]
-DATA, PAGE = ROOT / "docs" / "results" / "expectations.json", ROOT / "docs" / "learning.md"
-TRAIN, TEST = "embedded/city", "embedded/val"
+PAGE = ROOT / "docs" / "learning.md"
+DATA, PARTS_DATA = (ROOT / "docs" / "results" / f"{n}.json" for n in ("expectations", "parts"))
+#: The second chose observation, reward and settings, too.
+TRAIN, TEST, PARTS_TEST = "embedded/city", "embedded/val", "embedded/train+val"
 #: Title, action, and arguments of the example; ``{out}`` is the folder of all runs.
 TRAININGS = {
     "ppo": ("PPO", "unicycle", []),
@@ -40,32 +43,34 @@ TRAININGS = {
         ["--dynamics", "assisted", "--decisions", "200000"],
     ),
 }
-#: What plain PPO is without a part of the default: title and options of the example.
-WITHOUT = {
-    "held": ("actions held for three steps", ["decision_steps=1", "gamma=0.986"]),
-    "lean": (
-        "the lean observation",
-        ['observation={"num_map_segments": 64, "num_neighbors": 16, "num_route_points": 20}'],
-    ),
+#: PPO with all of the defaults, and without a part of them: title and options of the example.
+PARTS = {
+    "all": ("all of the defaults", []),
+    "held": ("a decision every step, discount 0.986", ["decision_steps=1", "gamma=0.986"]),
     "weights": (
-        "small reward weights",
+        "larger reward weights",
         [
             'reward={"progress": 0.1, "collision": -10, "off_road": -5, "goal": 2, '
             '"speed_limit": -0.05, "lane_keeping": -0.02}'
         ],
     ),
-    "starts": ("starts all over the log", ["start_spread_steps=0"]),
-    "gamma": ("the discount of 0.96", ["gamma=0.99"]),
-    "noise": ("little noise at first", ['policy_kwargs={"log_std_init": 0.0}']),
+    "gamma": ("discount 0.99", ["gamma=0.99"]),
+    "lean": (
+        "observation of 1,250 numbers, with the map",
+        [
+            'config={"observation": {"num_map_segments": 64, "num_neighbors": 16, '
+            '"num_route_points": 20}}'
+        ],
+    ),
+    "starts": ("every episode from the same start", ["start_spread_steps=0"]),
+    "noise": ("standard deviation of actions 1 at first", ['policy_kwargs={"log_std_init": 0.0}']),
 }
 TRAININGS |= {
-    f"without_{name}": (f"PPO without {title}", "unicycle", ["--option", *options])
-    for name, (title, options) in WITHOUT.items()
+    f"part_{name}": (title, "", ["--decisions", "300000", "--option", *options])
+    for name, (title, options) in PARTS.items()
 }
 TESTED = ("idm", "ccdiff", "ccdiff-1")
 SEEDS = range(3)
-
-
 #: Planners that learn nothing: title and action.
 OTHERS = {
     "noop": ("zero action", "unicycle"),
@@ -92,11 +97,11 @@ def trained(name: str, out: Path) -> list[list[float]]:
     return rows
 
 
-def figures(planner: str, file: Path) -> dict[str, list[float]]:
+def figures(planner: str, file: Path, test: str, tested: tuple[str, ...]) -> dict[str, list[float]]:
     """Success in IDM traffic and scores, with intervals over the scenes, unless a file has them."""
     if not file.is_file():
-        scenes, found = ccdiff_env.load(TEST), {}
-        for traffic in TESTED:
+        scenes, found = ccdiff_env.load(test), {}
+        for traffic in tested:
             draws = SEEDS if "ccdiff" in traffic else SEEDS[:1]
             rows = [row for k in draws for row in play(scenes, planner, TRAFFIC[traffic], seed=k)]
             for figure in ("success", "score") if traffic == "idm" else ("score",):
@@ -107,59 +112,67 @@ def figures(planner: str, file: Path) -> dict[str, list[float]]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Return the table in Markdown."""
+    """Return a table in Markdown, with the columns that its rows have."""
     heads = {
+        "title": "planner",
+        "action": "action",
+        "decisions": "decisions",
+        "cpu_s": "CPU s",
         "success idm": Column("success, IDM"),
         "score idm": Column("score, IDM"),
         "score ccdiff": Column("score, CCDiff"),
         "score ccdiff-1": Column("score, CCDiff at criticality 1"),
     }
-    shown = [
-        [
-            row["title"],
-            row["action"],
-            f"{row['decisions']:,}" if "decisions" in row else "",
-            f"{row['cpu_s']:.0f}" if "cpu_s" in row else "",
-            *(tuple(row[name]) for name in heads),
-        ]
-        for row in rows
-    ]
-    return str(Table(["planner", "action", "decisions", "CPU s", *heads.values()], shown))
+    heads = {name: head for name, head in heads.items() if any(row.get(name) for row in rows)}
+    forms = {"decisions": "{:,}", "cpu_s": "{:.0f}"}
+
+    def cell(row: dict[str, Any], name: str) -> Cell:
+        value = row.get(name, "")
+        return tuple(value) if " " in name else forms.get(name, "{}").format(value) if value else ""
+
+    shown = [[cell(row, name) for name in heads] for row in rows]
+    return str(Table([*heads.values()], shown))
 
 
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
-    parser.add_argument("--only", nargs="+", choices=TRAININGS, default=[*TRAININGS])
+    names = [name for name in TRAININGS if not name.startswith("part_")]
+    parser.add_argument("--only", nargs="+", choices=names, default=names)
+    parser.add_argument("--parts", action="store_true", help="PPO without parts of the defaults")
     args = parser.parse_args()
     out, rows = args.out, list[dict[str, Any]]()
+    test, tested, file = TEST, TESTED, DATA
+    if args.parts:
+        args.only, test, tested = [f"part_{name}" for name in PARTS], PARTS_TEST, ("idm",)
+        file = PARTS_DATA
     for name in args.only:
         title, action, _ = TRAININGS[name]
         curve = trained(name, out)
         if name == "ppo":
             rows.append({"title": "PPO, untrained", "action": action})
-            rows[-1] |= figures(str(out / name / "untrained.zip"), out / "untrained.json")
+            found = figures(str(out / name / "untrained.zip"), out / "untrained.json", test, tested)
+            rows[-1] |= found
         made = {"decisions": int(curve[-1][0]), "cpu_s": curve[-1][1], "curve": curve}
         rows.append({"title": title, "action": action, **made})
-        rows[-1] |= figures(str(out / name / "ego.zip"), out / f"{name}.json")
-    for planner, (title, action) in OTHERS.items():
-        found = figures(planner, out / f"{planner}.json")
+        rows[-1] |= figures(str(out / name / "ego.zip"), out / f"{name}.json", test, tested)
+    for planner, (title, action) in ({} if args.parts else OTHERS).items():
+        found = figures(planner, out / f"{planner}.json", test, tested)
         rows.append({"title": title, "action": action, **found})
-    kept = {"command": f"python -m tools.expectations --only {' '.join(args.only)}"}
-    kept["scenes"] = TEST
-    # the second chose observation, reward and settings
-    kept |= {"trained_on": TRAIN, "chosen_on": "embedded/city"}
+    which = "--parts" if args.parts else f"--only {' '.join(args.only)}"
+    kept = {"command": f"python -m tools.expectations {which}", "scenes": test}
+    kept |= {"trained_on": TRAIN, "chosen_on": TRAIN}
     lines = ",\n  ".join(json.dumps(row) for row in rows)
-    DATA.write_text(json.dumps(kept, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n')
-    render()
+    file.write_text(json.dumps(kept, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n')
+    render(file)
 
 
-def render() -> None:
-    """Write the table into the page."""
-    mark, end = "<!-- table: expectations -->\n", "<!-- end -->"
+def render(file: Path) -> None:
+    """Write a table into the page."""
+    mark, end = f"<!-- table: {file.stem} -->\n", "<!-- end -->"
     head, _, rest = PAGE.read_text(encoding="utf-8").partition(mark)
-    rows = json.loads(DATA.read_text(encoding="utf-8"))["rows"]
+    rows = json.loads(file.read_text(encoding="utf-8"))["rows"]
     tail = rest[rest.index(end) :]
     PAGE.write_text(f"{head}{mark}\n{table(rows)}\n\n{tail}", encoding="utf-8")
 
