@@ -12,6 +12,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ def trained(name: str, out: Path) -> list[list[float]]:
     return rows
 
 
-def figures(planner: str, file: Path, test: str, tested: tuple[str, ...]) -> dict[str, list[float]]:
+def figures(planner: str, file: Path, test: str, tested: Sequence[str]) -> dict[str, list[float]]:
     """Success in IDM traffic and scores, with intervals over the scenes, unless a file has them."""
     if not file.is_file():
         scenes, found = ccdiff_env.load(test), {}
@@ -113,7 +114,7 @@ def figures(planner: str, file: Path, test: str, tested: tuple[str, ...]) -> dic
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a table in Markdown, with the columns that its rows have."""
-    heads = {
+    heads: dict[str, Column | str] = {
         "title": "planner",
         "action": "action",
         "decisions": "decisions",
@@ -143,10 +144,11 @@ def main() -> None:
     parser.add_argument("--parts", action="store_true", help="PPO without parts of the defaults")
     args = parser.parse_args()
     out, rows = args.out, list[dict[str, Any]]()
-    test, tested, file = TEST, TESTED, DATA
+    test, tested, file = (
+        (PARTS_TEST, TESTED[:1], PARTS_DATA) if args.parts else (TEST, TESTED, DATA)
+    )
     if args.parts:
-        args.only, test, tested = [f"part_{name}" for name in PARTS], PARTS_TEST, ("idm",)
-        file = PARTS_DATA
+        args.only = [f"part_{name}" for name in PARTS]
     for name in args.only:
         title, action, _ = TRAININGS[name]
         curve = trained(name, out)
