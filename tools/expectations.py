@@ -30,7 +30,7 @@ TRAIN, TEST, PARTS_TEST = "embedded/city", "embedded/val", "embedded/train+val"
 TRAININGS = {
     "ppo": ("PPO", "unicycle", []),
     "ppo_ccdiff": (
-        "the same, then in live CCDiff at criticality 1",
+        "PPO, then live CCDiff at criticality 1",
         "unicycle",
         [
             *("--traffic", "ccdiff", "--criticality", "1"),
