@@ -277,7 +277,10 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
     }
     assert sets_table(sets, realism)[1][0][0][:5] == ["idm", 3, 2, 0, 1]
     text = document(*tables(sets, realism, crossed))
-    assert "| IDM | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.50 | 1.0 | 2.0 |" in text
+    assert (
+        "| IDM on the log's path | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.50 | 1.0 | 2.0 |"
+        in text
+    )
     assert plot(crossed, tmp_path / "cross").stat().st_size > 0
 
 
