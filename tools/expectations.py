@@ -63,11 +63,9 @@ PARTS = {
             '"num_route_points": 20}}'
         ],
     ),
-    "starts": ("every episode from the same start", ["start_spread_steps=0"]),
-    "noise": ("standard deviation of actions 1 at first", ['policy_kwargs={"log_std_init": 0.0}']),
 }
 TRAININGS |= {
-    f"part_{name}": (title, "", ["--decisions", "300000", "--option", *options])
+    f"part_{name}": (title, "", ["--decisions", "200000", "--option", *options])
     for name, (title, options) in PARTS.items()
 }
 TESTED = ("idm", "ccdiff", "ccdiff-1")
