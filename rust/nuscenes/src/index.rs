@@ -34,6 +34,15 @@ impl<T: Sync> TokenIndex<T> {
         Some(&self.entries[self.place(token)?].1)
     }
 
+    /// [`Self::get`] with a look first at the entry after the one that was found last: lists of tokens often name entries
+    /// one after the other. The outcome is the same whatever `next` says.
+    pub(crate) fn get_from(&self, next: &mut usize, token: Token) -> Option<&T> {
+        let follows = self.entries.get(*next).is_some_and(|(t, _)| *t == token);
+        let found = if follows { *next } else { self.place(token)? };
+        *next = found + 1;
+        Some(&self.entries[found].1)
+    }
+
     /// All entries in the order they were given.
     pub(crate) fn entries(&self) -> &[(Token, T)] {
         &self.entries
@@ -54,9 +63,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn finds_what_a_map_finds(
+        fn finds_what_a_map_finds_wherever_it_looks_first(
             random in proptest::collection::vec(any::<u128>(), 0..200),
             close in proptest::collection::vec(0_u128..50, 0..30),
+            mut next in 0_usize..300,
         ) {
             let tokens: Vec<Token> = random.into_iter().chain(close).map(Token).collect();
             let expected: BTreeMap<Token, usize> = tokens.iter().copied().zip(0..).collect();
@@ -68,6 +78,7 @@ mod tests {
             let index = TokenIndex::new(entries).ok().unwrap();
             for token in tokens.iter().copied().chain((0..60).map(Token)) {
                 prop_assert_eq!(index.get(token), expected.get(&token));
+                prop_assert_eq!(index.get_from(&mut next, token), expected.get(&token));
             }
             if let Some(token) = tokens.first() {
                 prop_assert_eq!(TokenIndex::new(vec![(*token, 1), (*token, 2)]).err(), Some(*token));

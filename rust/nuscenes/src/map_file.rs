@@ -4,7 +4,7 @@ use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::index::TokenIndex;
-use crate::record::{Record, Source, Text, elements, members, parse, plain_string};
+use crate::record::{Record, Source, Text, elements, members, parse, string};
 use crate::report::MapReport;
 use crate::stream::BYTE_ORDER_MARK;
 use crate::token::Token;
@@ -261,12 +261,10 @@ impl<'a> Assembler<'a> {
     fn points(&self, owner: Token, list: Text<'a>) -> Result<Vec<[f64; 2]>> {
         let tokens = elements(list)?;
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
+        let mut next = 0;
         for text in tokens {
-            let token = match plain_string(text.0) {
-                Some(bytes) => Token::from_bytes(bytes),
-                None => Token::from_text(&parse::<String>(text)?),
-            };
-            let point = self.nodes.get(token);
+            let token = Token::from_bytes(&string(text)?);
+            let point = self.nodes.get_from(&mut next, token);
             points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
         }
         points.dedup();

@@ -1,15 +1,14 @@
 //! One JSON object of which some fields are wanted: they are found in one pass, and only those asked for are parsed.
 //!
-//! Tables have many fields that nobody needs here (file names, links between annotations …). Passing over values is several
-//! times faster than making something of them.
+//! Tables have many fields that nobody needs here (file names, links between annotations …). Of these only the end is looked
+//! for, which is several times faster than reading them; what stands within them is not checked.
 
 use crate::error::{NuscenesError, Result};
 use crate::token::Token;
+use memchr::{memchr, memchr2};
 use serde::Deserialize;
-use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
-use serde_json::value::RawValue;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fmt;
 use std::path::Path;
 
 /// A piece of a file's text, and where it stands.
@@ -23,16 +22,16 @@ pub(crate) struct Source<'a> {
     pub(crate) offset: u64,
 }
 
-impl<'a> Source<'a> {
+impl Source<'_> {
     pub(crate) fn fail(&self, at: usize, message: impl Into<String>) -> NuscenesError {
         let offset = self.offset + at as u64;
         NuscenesError::Json { path: self.path.to_owned(), offset, message: message.into() }
     }
 
-    /// Where a value of the stretch's text stands.
-    fn text(&self, text: &'a [u8], value: &'a RawValue) -> Text<'a> {
-        let at = value.get().as_ptr().addr() - text.as_ptr().addr();
-        (value.get().as_bytes(), Source { offset: self.offset + at as u64, ..*self })
+    /// What stands at a place of the stretch's text is not what should.
+    fn expected(&self, text: &[u8], at: usize, what: &str) -> NuscenesError {
+        let found = text.get(at).map_or("the end".to_owned(), |byte| format!("{:?}", *byte as char));
+        self.fail(at, format!("found {found}, expected {what}, in {}", excerpt(text)))
     }
 
     /// Invalid JSON in the stretch's text.
@@ -56,58 +55,84 @@ fn excerpt(bytes: &[u8]) -> String {
     if bytes.len() > SHOWN { format!("{text}…") } else { text }
 }
 
-/// Which of some names a key is; looks at a likely one first.
-struct Name<'n>(&'n [&'static str], usize);
-
-impl<'de> DeserializeSeed<'de> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn deserialize<D: Deserializer<'de>>(self, key: D) -> std::result::Result<Option<usize>, D::Error> {
-        key.deserialize_str(self)
-    }
+/// Position of the first byte from `at` on that is not white space.
+fn skip_space(text: &[u8], at: usize) -> usize {
+    let space = text[at..].iter().take_while(|byte| byte.is_ascii_whitespace());
+    at + space.count()
 }
 
-impl Visitor<'_> for Name<'_> {
-    type Value = Option<usize>;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the name of a field")
-    }
-
-    fn visit_str<E>(self, key: &str) -> std::result::Result<Option<usize>, E> {
-        let Self(names, likely) = self;
-        let is_likely = names.get(likely).is_some_and(|name| *name == key);
-        Ok(if is_likely { Some(likely) } else { names.iter().position(|name| *name == key) })
-    }
-}
-
-/// The values of some names in an object.
-struct Fields<const N: usize>(&'static [&'static str; N]);
-
-impl<'de, const N: usize> Visitor<'de> for Fields<N> {
-    type Value = [Option<&'de RawValue>; N];
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an object")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> std::result::Result<Self::Value, A::Error> {
-        let (mut values, mut likely) = ([None; N], 0);
-        while let Some(name) = map.next_key_seed(Name(self.0, likely))? {
-            let Some(field) = name else {
-                map.next_value::<IgnoredAny>()?;
-                continue;
-            };
-            let named = |error: A::Error| {
-                let text = error.to_string();
-                let text = text.split(" at line ").next().unwrap_or_default();
-                A::Error::custom(format!("{text} (field {:?})", self.0[field]))
-            };
-            values[field].get_or_insert(map.next_value::<&RawValue>().map_err(named)?);
-            likely = field + 1;
+/// Position after the value that begins at `at`; `None` where the text ends in it or no value begins there.
+pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
+    let mut depth = 0_usize;
+    loop {
+        match text.get(at)? {
+            b'"' => loop {
+                at += 1 + memchr2(b'"', b'\\', text.get(at + 1..)?)?;
+                if text[at] == b'"' {
+                    break;
+                }
+                at += 1;
+            },
+            b'{' | b'[' => depth += 1,
+            b'}' | b']' => depth = depth.checked_sub(1)?,
+            _ if depth > 0 => {}
+            _ => {
+                let ends = |b: &u8| matches!(b, b',' | b':' | b'}' | b']') || b.is_ascii_whitespace();
+                let length = text[at..].iter().position(ends)?;
+                return (length > 0).then_some(at + length);
+            }
         }
-        Ok(values)
+        at += 1;
+        if depth == 0 {
+            return Some(at);
+        }
     }
+}
+
+/// Gives `take` where each of the items between brackets begins, for where it ends.
+fn walk(
+    (text, source): Text<'_>,
+    brackets: [u8; 2],
+    mut take: impl FnMut(usize) -> Result<usize>,
+) -> Result<()> {
+    let mut at = skip_space(text, 0);
+    if text.get(at) != Some(&brackets[0]) {
+        return Err(source.expected(text, at, if brackets[0] == b'{' { "an object" } else { "an array" }));
+    }
+    at = skip_space(text, at + 1);
+    if text.get(at) != Some(&brackets[1]) {
+        loop {
+            at = skip_space(text, take(at)?);
+            match text.get(at) {
+                Some(b',') => at = skip_space(text, at + 1),
+                Some(byte) if *byte == brackets[1] => break,
+                _ => return Err(source.expected(text, at, "a comma or a closing bracket")),
+            }
+        }
+    }
+    at = skip_space(text, at + 1);
+    if at < text.len() { Err(source.expected(text, at, "the end of the record")) } else { Ok(()) }
+}
+
+/// The value that begins at a place, and where it ends.
+fn value<'a>((text, source): Text<'a>, at: usize) -> Result<(Text<'a>, usize)> {
+    let end = value_end(text, at).ok_or_else(|| source.expected(text, at, "a value"))?;
+    Ok(((&text[at..end], Source { offset: source.offset + at as u64, ..source }), end))
+}
+
+/// Gives `take` the texts of the name and the value of each member of an object.
+fn walk_members<'a>(of: Text<'a>, mut take: impl FnMut(Text<'a>, Text<'a>) -> Result<()>) -> Result<()> {
+    let (text, source) = of;
+    walk(of, *b"{}", |at| {
+        let (name, end) = value(of, at)?;
+        let colon = skip_space(text, end);
+        if text[at] != b'"' || text.get(colon) != Some(&b':') {
+            return Err(source.expected(text, at, "the name of a field and a colon"));
+        }
+        let (member, end) = value(of, skip_space(text, colon + 1))?;
+        take(name, member)?;
+        Ok(end)
+    })
 }
 
 /// Some fields of an object. If a name appears twice, the first one counts.
@@ -115,16 +140,24 @@ pub(crate) struct Record<'a, const N: usize> {
     source: Source<'a>,
     text: &'a [u8],
     names: &'static [&'static str; N],
-    values: [Option<&'a RawValue>; N],
+    values: [Option<Text<'a>>; N],
 }
 
 impl<'a, const N: usize> Record<'a, N> {
     /// The record of a text that should be an object.
     pub(crate) fn new(text: &'a [u8], names: &'static [&'static str; N], source: Source<'a>) -> Result<Self> {
-        let mut json = serde_json::Deserializer::from_slice(text);
-        let values = json.deserialize_map(Fields(names)).and_then(|values| json.end().map(|()| values));
-        let values =
-            values.map_err(|e| source.fail(0, format!("{}, in record {}", reason(&e), excerpt(text))))?;
+        let (mut values, mut likely) = ([None; N], 0);
+        walk_members((text, source), |name, value| {
+            let key = string(name)?;
+            let is = |field: usize| names[field].as_bytes() == &*key;
+            // fields come in one order in most records
+            let field = if is(likely) { Some(likely) } else { (0..N).find(|field| is(*field)) };
+            if let Some(field) = field {
+                values[field].get_or_insert(value);
+                likely = (field + 1) % N;
+            }
+            Ok(())
+        })?;
         Ok(Self { source, text, names, values })
     }
 
@@ -135,13 +168,12 @@ impl<'a, const N: usize> Record<'a, N> {
 
     /// The text of a value, and where it stands.
     pub(crate) fn raw(&self, field: usize) -> Result<Text<'a>> {
-        let value = self.values[field].ok_or_else(|| self.fault(field, "missing field"))?;
-        Ok(self.source.text(self.text, value))
+        self.values[field].ok_or_else(|| self.fault(field, "missing field"))
     }
 
     /// Whether there is such a field and it is not null.
     pub(crate) fn has(&self, field: usize) -> bool {
-        self.values[field].is_some_and(|value| value.get() != "null")
+        self.values[field].is_some_and(|(text, _)| text != b"null")
     }
 
     /// A value of any kind.
@@ -153,8 +185,7 @@ impl<'a, const N: usize> Record<'a, N> {
 
     /// A token.
     pub(crate) fn token(&self, field: usize) -> Result<Token> {
-        let (text, _) = self.raw(field)?;
-        match plain_string(text) {
+        match plain_string(self.raw(field)?.0) {
             Some(bytes) => Ok(Token::from_bytes(bytes)),
             None => Ok(Token::from_text(&self.parse::<String>(field)?)),
         }
@@ -169,7 +200,12 @@ impl<'a, const N: usize> Record<'a, N> {
 /// The bytes of a string that has no escapes.
 pub(crate) fn plain_string(text: &[u8]) -> Option<&[u8]> {
     let inner = text.strip_prefix(b"\"")?.strip_suffix(b"\"")?;
-    (!inner.contains(&b'\\')).then_some(inner)
+    memchr(b'\\', inner).is_none().then_some(inner)
+}
+
+/// The bytes of a string.
+pub(crate) fn string(of: Text<'_>) -> Result<Cow<'_, [u8]>> {
+    plain_string(of.0).map_or_else(|| Ok(parse::<String>(of)?.into_bytes().into()), |bytes| Ok(bytes.into()))
 }
 
 /// A value of any kind from its text.
@@ -179,20 +215,30 @@ pub(crate) fn parse<'a, T: Deserialize<'a>>((text, source): Text<'a>) -> Result<
 
 /// The members of an object.
 pub(crate) fn members(of: Text<'_>) -> Result<BTreeMap<String, Text<'_>>> {
-    let found: BTreeMap<String, &RawValue> = parse(of)?;
-    Ok(found.into_iter().map(|(key, value)| (key, of.1.text(of.0, value))).collect())
+    let mut found = BTreeMap::new();
+    walk_members(of, |name, value| {
+        found.insert(parse(name)?, value);
+        Ok(())
+    })?;
+    Ok(found)
 }
 
 /// The elements of an array.
 pub(crate) fn elements(of: Text<'_>) -> Result<Vec<Text<'_>>> {
-    let found: Vec<&RawValue> = parse(of)?;
-    Ok(found.into_iter().map(|value| of.1.text(of.0, value)).collect())
+    let mut found = Vec::new();
+    walk(of, *b"[]", |at| {
+        let (text, end) = value(of, at)?;
+        found.push(text);
+        Ok(end)
+    })?;
+    Ok(found)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use serde_json::Value;
 
     fn source() -> Source<'static> {
         Source { path: Path::new("t.json"), offset: 100 }
@@ -203,7 +249,7 @@ mod tests {
         let names = &["a", "b", "t"];
         for text in [
             r#"{"a": [1.5, -2e3], "x": {"a": "}]\"", "y": [[]]}, "b":"\u00e9{","t":"00000000000000000000000000000010"}"#,
-            "{ \"t\"\n:\"00000000000000000000000000000010\" ,\"b\" : \"é{\",\"a\":[1.5,-2000.0], \"a\": 3\r\n}",
+            "{ \"\\u0074\"\n:\"00000000000000000000000000000010\" ,\"b\" : \"é{\",\"a\":[1.5,-2000.0], \"a\": 3\r\n}",
         ] {
             let record = Record::new(text.as_bytes(), names, source()).unwrap();
             assert_eq!(record.parse::<[f64; 2]>(0).unwrap(), [1.5, -2000.0]);
@@ -218,9 +264,9 @@ mod tests {
     fn faults_name_field_value_and_place() {
         let names = &["a", "b"];
         let whole = Record::new(br#"{"a": [1, 2, 3]}"#, names, source()).unwrap();
-        let broken = Record::new(br#"{"a": [1, NaN]}"#, names, source());
-        for message in [whole.parse::<[f64; 2]>(0).unwrap_err(), broken.err().unwrap()].map(|e| e.to_string())
-        {
+        let broken = Record::new(br#"{"a": [1, NaN]}"#, names, source()).unwrap();
+        for record in [&whole, &broken] {
+            let message = record.parse::<[f64; 2]>(0).unwrap_err().to_string();
             for words in ["byte 100", "t.json", "\"a\"", "[1, "] {
                 assert!(message.contains(words), "{message}");
             }
@@ -239,13 +285,40 @@ mod tests {
             "{\"a\" 1}",
             "{a:1}",
             "{\"a\":}",
+            "{\"a\":]}",
+            "{\"a\\x\":1}",
             "{}x",
         ] {
             assert!(Record::new(text.as_bytes(), names, source()).is_err(), "{text}");
         }
     }
 
+    fn any_json() -> impl Strategy<Value = Value> {
+        let leaf = prop_oneof![
+            Just(Value::Null),
+            any::<i64>().prop_map(Value::from),
+            ".{0,6}".prop_map(Value::from)
+        ];
+        leaf.prop_recursive(3, 24, 4, |inner| {
+            prop_oneof![
+                proptest::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
+                proptest::collection::btree_map(".{0,3}", inner, 0..4)
+                    .prop_map(|members| Value::Object(members.into_iter().collect())),
+            ]
+        })
+    }
+
     proptest! {
+        #[test]
+        fn members_and_elements_are_those_that_serde_json_finds(json in any_json(), is_pretty in any::<bool>()) {
+            let text = if is_pretty { serde_json::to_string_pretty(&json) } else { serde_json::to_string(&json) }.unwrap();
+            let of = (text.as_bytes(), source());
+            let found = members(of).map(|found| found.into_iter().map(|(k, v)| (k, parse(v).unwrap())).collect());
+            prop_assert_eq!(found.ok().map(Value::Object), json.is_object().then(|| json.clone()));
+            let found = elements(of).map(|found| found.into_iter().map(|v| parse(v).unwrap()).collect());
+            prop_assert_eq!(found.ok().map(Value::Array), json.is_array().then_some(json));
+        }
+
         #[test]
         fn arbitrary_bytes_never_panic(bytes in proptest::collection::vec(prop_oneof![
             Just(b'['), Just(b']'), Just(b'{'), Just(b'}'), Just(b'"'), Just(b'\\'), Just(b','), Just(b':'), any::<u8>()

@@ -5,10 +5,8 @@
 
 use crate::error::{NuscenesError, Result};
 use crate::file;
-use crate::record::{Record, Source};
+use crate::record::{Record, Source, value_end};
 use rayon::prelude::*;
-use serde::de::IgnoredAny;
-use serde_json::Deserializer;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
@@ -100,13 +98,6 @@ where
     block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
 }
 
-/// Whether an error is that the text ends too early, perhaps in a number.
-fn breaks_off(text: &[u8], error: &serde_json::Error) -> bool {
-    let (last, before) =
-        (text.rsplit(|byte| *byte == b'\n').next(), text.iter().filter(|byte| **byte == b'\n'));
-    error.is_eof() || (error.line(), error.column()) == (before.count() + 1, last.map_or(0, <[u8]>::len))
-}
-
 /// Where the scanner stands.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 enum At {
@@ -180,13 +171,7 @@ impl<'a, R: Read> Blocks<'a, R> {
                 At::Start if BYTE_ORDER_MARK.get(self.offset as usize + i) == Some(&byte) => {}
                 At::Start if byte == b'[' => self.at = At::Item { after_comma: false },
                 At::Item { .. } if byte == b'{' => {
-                    let mut found = Deserializer::from_slice(&bytes[i..]).into_iter::<IgnoredAny>();
-                    let end = match found.next() {
-                        Some(Err(error)) if breaks_off(&bytes[i..], &error) => break,
-                        // what is wrong with a record is said where it is parsed
-                        Some(Err(_)) | None => bytes.len(),
-                        Some(Ok(_)) => i + found.byte_offset(),
-                    };
+                    let Some(end) = value_end(bytes, i) else { break };
                     records.push(i..end);
                     self.at = At::Separator;
                     i = end;

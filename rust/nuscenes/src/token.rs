@@ -3,6 +3,9 @@
 use std::fmt;
 use xxhash_rust::xxh3::xxh3_128;
 
+/// One in each of eight bytes.
+const EACH: u64 = 0x0101_0101_0101_0101;
+
 /// A token of the data set in 16 bytes: the value of 32 lower-case hexadecimal digits, otherwise a hash of the text.
 ///
 /// Official tokens are of the first kind. Two different texts with one value would be reported as a duplicate or a
@@ -21,13 +24,23 @@ impl Token {
     }
 }
 
-/// The value of 32 lower-case hexadecimal digits.
+/// The value of 32 lower-case hexadecimal digits, eight of them at a time.
 fn hex_value(bytes: &[u8]) -> Option<u128> {
-    let is_digit = |byte: &u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
-    let digit = |byte: &u8| u64::from(if *byte < b'a' { byte - b'0' } else { byte - b'a' + 10 });
-    let value = |digits: &[u8]| u128::from(digits.iter().fold(0, |value, byte| value << 4 | digit(byte)));
-    let (high, low) = bytes.split_at_checked(16)?;
-    (low.len() == 16 && bytes.iter().all(is_digit)).then(|| value(high) << 64 | value(low))
+    let bytes: &[u8; 32] = bytes.try_into().ok()?;
+    let (mut value, mut wrong) = (0, 0);
+    for digits in bytes.as_chunks::<8>().0 {
+        let text = u64::from_be_bytes(*digits);
+        // letters have bit 6, and 1 to 6 in their lower half
+        let lower_half = EACH * 0x0f;
+        let nibbles = ((text & lower_half) + (text >> 6 & EACH) * 9) & lower_half;
+        // what is not a digit is not what its value is written as
+        let is_letter = (nibbles + EACH * 6) >> 4 & EACH;
+        wrong |= text ^ (nibbles + EACH * 0x30 + is_letter * 0x27);
+        let pairs = (nibbles | nibbles >> 4) & 0x00ff_00ff_00ff_00ff;
+        let fours = (pairs | pairs >> 8) & 0x0000_ffff_0000_ffff;
+        value = value << 32 | u128::from((fours | fours >> 16) as u32);
+    }
+    (wrong == 0).then_some(value)
 }
 
 /// For messages: the digits of an official token; of any other only its hash is known.
