@@ -1,7 +1,8 @@
 //! One JSON object of which some fields are wanted: they are found in one pass, and only those asked for are parsed.
 //!
 //! Tables have many fields that nobody needs here (file names, links between annotations …). Of these only the end is looked
-//! for, which is several times faster than reading them; what stands within them is not checked.
+//! for, which is several times faster than reading them; what stands within them, and after the last field
+//! asked for, is not checked.
 
 use crate::error::{NuscenesError, Result};
 use crate::token::Token;
@@ -75,7 +76,10 @@ pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
             },
             b'{' | b'[' => depth += 1,
             b'}' | b']' => depth = depth.checked_sub(1)?,
-            _ if depth > 0 => {}
+            _ if depth > 0 => {
+                let more = text[at + 1..].iter();
+                at += more.take_while(|b| !matches!(b, b'"' | b'{' | b'[' | b'}' | b']')).count();
+            }
             _ => {
                 let ends = |b: &u8| matches!(b, b',' | b':' | b'}' | b']') || b.is_ascii_whitespace();
                 let length = text[at..].iter().position(ends)?;
@@ -89,11 +93,11 @@ pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
     }
 }
 
-/// Gives `take` where each of the items between brackets begins, for where it ends.
+/// Gives `take` where each of the items between brackets begins, for where it ends; `None` if no more are wanted.
 fn walk(
     (text, source): Text<'_>,
     brackets: [u8; 2],
-    mut take: impl FnMut(usize) -> Result<usize>,
+    mut take: impl FnMut(usize) -> Result<Option<usize>>,
 ) -> Result<()> {
     let mut at = skip_space(text, 0);
     if text.get(at) != Some(&brackets[0]) {
@@ -102,7 +106,8 @@ fn walk(
     at = skip_space(text, at + 1);
     if text.get(at) != Some(&brackets[1]) {
         loop {
-            at = skip_space(text, take(at)?);
+            let Some(end) = take(at)? else { return Ok(()) };
+            at = skip_space(text, end);
             match text.get(at) {
                 Some(b',') => at = skip_space(text, at + 1),
                 Some(byte) if *byte == brackets[1] => break,
@@ -120,8 +125,8 @@ fn value<'a>((text, source): Text<'a>, at: usize) -> Result<(Text<'a>, usize)> {
     Ok(((&text[at..end], Source { offset: source.offset + at as u64, ..source }), end))
 }
 
-/// Gives `take` the texts of the name and the value of each member of an object.
-fn walk_members<'a>(of: Text<'a>, mut take: impl FnMut(Text<'a>, Text<'a>) -> Result<()>) -> Result<()> {
+/// Gives `take` the texts of the name and the value of each member of an object, until it wants no more (`false`).
+fn walk_members<'a>(of: Text<'a>, mut take: impl FnMut(Text<'a>, Text<'a>) -> Result<bool>) -> Result<()> {
     let (text, source) = of;
     walk(of, *b"{}", |at| {
         let (name, end) = value(of, at)?;
@@ -130,8 +135,7 @@ fn walk_members<'a>(of: Text<'a>, mut take: impl FnMut(Text<'a>, Text<'a>) -> Re
             return Err(source.expected(text, at, "the name of a field and a colon"));
         }
         let (member, end) = value(of, skip_space(text, colon + 1))?;
-        take(name, member)?;
-        Ok(end)
+        Ok(take(name, member)?.then_some(end))
     })
 }
 
@@ -156,7 +160,7 @@ impl<'a, const N: usize> Record<'a, N> {
                 values[field].get_or_insert(value);
                 likely = (field + 1) % N;
             }
-            Ok(())
+            Ok(values.iter().any(Option::is_none))
         })?;
         Ok(Self { source, text, names, values })
     }
@@ -218,7 +222,7 @@ pub(crate) fn members(of: Text<'_>) -> Result<BTreeMap<String, Text<'_>>> {
     let mut found = BTreeMap::new();
     walk_members(of, |name, value| {
         found.insert(parse(name)?, value);
-        Ok(())
+        Ok(true)
     })?;
     Ok(found)
 }
@@ -229,7 +233,7 @@ pub(crate) fn elements(of: Text<'_>) -> Result<Vec<Text<'_>>> {
     walk(of, *b"[]", |at| {
         let (text, end) = value(of, at)?;
         found.push(text);
-        Ok(end)
+        Ok(Some(end))
     })?;
     Ok(found)
 }

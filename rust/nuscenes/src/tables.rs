@@ -1,7 +1,7 @@
 //! The rows of the official tables, and the join of them to the logged facts of each scene.
 
 use crate::error::{NuscenesError, Result};
-use crate::index::{TokenIndex, find_twice};
+use crate::index::TokenIndex;
 use crate::record::Record;
 use crate::stream::read_table;
 use crate::token::Token;
@@ -100,7 +100,7 @@ impl Tables {
         read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
 
-    fn index<T: Sync>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
+    fn index<T>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
         TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token.to_string()))
     }
 
@@ -218,10 +218,7 @@ impl Tables {
             let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation, 0.0)?;
             Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.parse(4)? }))
         })?;
-        let tokens: Vec<Token> = rows.iter().map(|a| a.token).collect();
-        if let Some(token) = find_twice(tokens) {
-            return Err(self.duplicate(TABLE, "token", token.to_string()));
-        }
+        self.index(TABLE, rows.iter().map(|row| (row.token, ())).collect())?;
         let instances = self.read_instances(&rows)?;
         let track =
             |group: Vec<u32>| Ok((rows[group[0] as usize].slot, self.track(&rows, &group, &instances)?));
