@@ -124,12 +124,14 @@ fn near_ring(points: &[[f64; 2]], rect: &Bounds) -> Vec<[f64; 2]> {
     // one point is left out at a time, so the neighbour before is the last one kept; the first point always stays
     let mut near = vec![*first];
     let mut before = beyond_at(first);
+    let mut here = beyond_at(points.get(1).unwrap_or(first));
     for (i, point) in points.iter().enumerate().skip(1) {
-        let (here, after) = (beyond_at(point), beyond_at(points.get(i + 1).unwrap_or(first)));
+        let after = beyond_at(points.get(i + 1).unwrap_or(first));
         if before & here & after == 0 {
             near.push(*point);
             before = here;
         }
+        here = after;
     }
     near
 }

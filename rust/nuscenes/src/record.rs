@@ -76,10 +76,7 @@ pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
             },
             b'{' | b'[' => depth += 1,
             b'}' | b']' => depth = depth.checked_sub(1)?,
-            _ if depth > 0 => {
-                let more = text[at + 1..].iter();
-                at += more.take_while(|b| !matches!(b, b'"' | b'{' | b'[' | b'}' | b']')).count();
-            }
+            _ if depth > 0 => {}
             _ => {
                 let ends = |b: &u8| matches!(b, b',' | b':' | b'}' | b']') || b.is_ascii_whitespace();
                 let length = text[at..].iter().position(ends)?;
@@ -159,8 +156,9 @@ impl<'a, const N: usize> Record<'a, N> {
             if let Some(field) = field {
                 values[field].get_or_insert(value);
                 likely = (field + 1) % N;
+                return Ok(values.iter().any(Option::is_none));
             }
-            Ok(values.iter().any(Option::is_none))
+            Ok(true)
         })?;
         Ok(Self { source, text, names, values })
     }
