@@ -21,8 +21,12 @@ const IDM: IdmConfig = IdmConfig {
     exponent: 10.0,
     anticipation_s: 0.0,
 };
-/// Changes of acceleration and of yaw rate that the tracker makes, m/s³ and rad/s².
-const JERK_MPS3: Real = 8.0;
+/// The tracker accelerates towards the speed planned for this time ahead, s, by this share of what would reach it (an LQR
+/// with weights 10 and 1), and the acceleration follows with a lag, s.
+const LOOK_S: Real = 1.0;
+const SHARE: Real = 10.0 / 11.0;
+const LAG_S: Real = 0.2;
+/// Greatest change of the yaw rate, rad/s².
 const YAW_ACCELERATION_RADPS2: Real = 0.75;
 /// Lateral acceleration up to which the tracker steers, m/s², and its highest yaw rate, rad/s.
 const TURN_MPS2: Real = 4.5;
@@ -122,6 +126,8 @@ impl BesideLine {
 /// A proposal on its way.
 struct Drive<'a> {
     proposal: &'a Proposal,
+    /// Speeds that IDM plans, m/s: now, after each step, and some steps further.
+    planned_mps: Vec<Real>,
     state: KinState,
     cos: Real,
     sin: Real,
@@ -131,16 +137,9 @@ struct Drive<'a> {
     out: Rollout,
 }
 
-/// What one of them does next.
-struct Next {
-    beside: BesideLine,
-    wanted_mps: Real,
-    leader: Option<(Real, Real)>,
-}
-
 impl<'a> Drive<'a> {
-    fn new(scene: &Scene<'_>, proposal: &'a Proposal, num_steps: usize) -> Self {
-        let (state, s_m) = (scene.present(), scene.place.s_m);
+    fn new(scene: &Scene<'_>, forecast: &Forecast, proposal: &'a Proposal, look: usize) -> Self {
+        let (state, s_m, num_steps) = (scene.present(), scene.place.s_m, forecast.num_steps);
         let (sin, cos) = math::sin_cos(state.heading_rad);
         let acceleration = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
         let last = [acceleration, scene.states.yaw_rate_radps[scene.ego]];
@@ -152,32 +151,24 @@ impl<'a> Drive<'a> {
         };
         out.states.push(state);
         out.directions.push(Vector2::new(cos, sin));
-        Self { proposal, state, cos, sin, s_m, last, out }
+        let planned_mps = proposal.speeds(scene, forecast, look);
+        Self { proposal, planned_mps, state, cos, sin, s_m, last, out }
     }
 
+    /// One step towards the speed planned `look` steps ahead.
     #[inline]
-    fn look(&mut self, scene: &Scene<'_>, boxes: &[Beside], own: &Footprint) -> Next {
-        let (line, speed) = (scene.line, self.state.speed_mps);
-        let beside = BesideLine::new(line, self.s_m, &self.state);
-        self.s_m += beside.ahead_m;
-        let limit = beside.at.limit_mps.min(scene.speed_limit_mps);
-        let wanted_mps = (limit * self.proposal.share).min(line.at(self.s_m + 0.5 * speed).curve_speed_mps);
-        Next { wanted_mps, leader: self.proposal.leader(boxes, self.s_m, own), beside }
-    }
-
-    #[inline]
-    fn go(&mut self, next: &Next, dt_s: Real, own: &Footprint) {
-        let (speed, [last, last_yaw_rate]) = (self.state.speed_mps, self.last);
-        let power = tenth_power(share_of(speed, next.wanted_mps));
-        let wanted = idm_with(&IDM, speed, next.leader, power);
-        let change = JERK_MPS3 * dt_s;
-        let acceleration = wanted.clamp(last - change, last + change);
-        let (error_sin, error_cos) = math::sin_cos(next.beside.heading_error_rad);
-        let yaw_rate = next.beside.steered(speed, self.proposal.offset_m, last_yaw_rate, dt_s, error_sin);
+    fn go(&mut self, scene: &Scene<'_>, look: usize, own: &Footprint) {
+        let (dt_s, speed, [last, last_yaw_rate]) = (scene.dt_s, self.state.speed_mps, self.last);
+        let beside = BesideLine::new(scene.line, self.s_m, &self.state);
+        let planned_mps = self.planned_mps[self.out.actions.len() + look];
+        let wanted = SHARE * (planned_mps - speed) / (look as Real * dt_s);
+        let acceleration = last + dt_s / (dt_s + LAG_S) * (wanted - last);
+        let (error_sin, error_cos) = math::sin_cos(beside.heading_error_rad);
+        let yaw_rate = beside.steered(speed, self.proposal.offset_m, last_yaw_rate, dt_s, error_sin);
         self.last = [acceleration, yaw_rate];
         let action = [acceleration, yaw_rate, 0.0];
         Dynamics::default().advance(&mut self.state, self.cos, self.sin, action, dt_s, own);
-        self.s_m += 0.5 * (speed + self.state.speed_mps) * dt_s * error_cos;
+        self.s_m += beside.ahead_m + 0.5 * (speed + self.state.speed_mps) * dt_s * error_cos;
         (self.sin, self.cos) = math::sin_cos(self.state.heading_rad);
         self.out.states.push(self.state);
         self.out.directions.push(Vector2::new(self.cos, self.sin));
@@ -187,13 +178,11 @@ impl<'a> Drive<'a> {
 
 /// Drives proposals against the forecast.
 pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast, proposals: &[Proposal]) -> Vec<Rollout> {
-    let own = scene.footprint(scene.ego);
-    let mut drives: Vec<_> = proposals.iter().map(|p| Drive::new(scene, p, forecast.num_steps)).collect();
-    for t in 0..forecast.num_steps {
-        let boxes = forecast.beside(t);
+    let (own, look) = (scene.footprint(scene.ego), (LOOK_S / scene.dt_s).round().max(1.0) as usize);
+    let mut drives: Vec<_> = proposals.iter().map(|p| Drive::new(scene, forecast, p, look)).collect();
+    for _ in 0..forecast.num_steps {
         for drive in &mut drives {
-            let next = drive.look(scene, boxes, own);
-            drive.go(&next, scene.dt_s, own);
+            drive.go(scene, look, own);
         }
     }
     let start_m = scene.place.s_m;
@@ -215,6 +204,24 @@ impl Proposal {
             .iter()
             .flat_map(|offset_m| SHARES.map(|share| Self { share, offset_m: *offset_m }))
             .collect()
+    }
+
+    /// Speeds that IDM plans along the line, m/s: now, after each step, and `more` steps further.
+    fn speeds(&self, scene: &Scene<'_>, forecast: &Forecast, more: usize) -> Vec<Real> {
+        let (line, own) = (scene.line, scene.footprint(scene.ego));
+        let (mut s_m, mut speed) = (scene.place.s_m, scene.present().speed_mps);
+        let mut speeds = vec![speed];
+        for t in 0..forecast.num_steps + more {
+            let boxes = forecast.beside(t.min(forecast.num_steps - 1));
+            let limit = line.at(s_m).limit_mps.min(scene.speed_limit_mps);
+            let wanted = (limit * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
+            let power = tenth_power(share_of(speed, wanted));
+            let acceleration = idm_with(&IDM, speed, self.leader(boxes, s_m, own), power);
+            s_m += speed * scene.dt_s;
+            speed = (speed + acceleration * scene.dt_s).max(0.0);
+            speeds.push(speed);
+        }
+        speeds
     }
 
     /// Gap to and speed of the nearest of some boxes in the way.
