@@ -26,6 +26,7 @@ from ccdiff_env.traffic import (
     driver_names,
     read_ranking,
 )
+from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import (
     DYNAMICS,
     ActionConfig,
@@ -45,7 +46,6 @@ from ccdiff_env.traffic.options import (
     RewardConfig,
     UnicycleLimits,
     WorldOptions,
-    check,
 )
 
 if TYPE_CHECKING:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import re
@@ -11,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import ccdiff_env
-from ccdiff_env import _native, config
+from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from tools.configuration import FILES, tables
 
@@ -153,10 +152,3 @@ def test_every_field_says_what_it_is():
         assert table["doc"].strip()
         for field in table["fields"]:
             assert field["doc"].strip().endswith("."), (table["name"], field["name"])
-
-
-def test_fields_of_python_have_no_others_than_rust():
-    rust = {t["name"]: {f["name"] for f in t["fields"]} for t in tables()}
-    for name in (*PLACES, "CcdiffConfig"):
-        own = {f.name for f in dataclasses.fields(getattr(config, name))}
-        assert own - {"ccdiff"} == rust[name]

@@ -377,8 +377,3 @@ def test_guidance_settings_that_are_unknown_or_out_of_range_are_named() -> None:
         model.plan([road()], [40], guidance="rl")
     with pytest.raises(ShapeError, match="lists of agents"):
         model.plan([road()], [40], guidance="rl", guided=[[0], [1]])
-
-
-def test_weights_that_are_not_there_are_named():
-    with pytest.raises(FileNotFoundError, match=r'no file nothere\.safetensors; "fast" is'):
-        EgoEnv(traffic="ccdiff", ccdiff={"weights": "nothere.safetensors"})

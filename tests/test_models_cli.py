@@ -64,17 +64,6 @@ def test_a_missing_data_set_is_an_error_in_one_line(
     assert "Traceback" not in message
 
 
-def test_a_progress_bar_does_not_run_past_its_end():
-    from ccdiff_env.models.curves import progress_bar
-
-    bar = progress_bar(10.0, "s", True)
-    bar.update(9.9)
-    bar.update(1.0)
-    bar.update(3.0)
-    bar.set_postfix_str("done")
-    bar.close()
-
-
 def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path: Path) -> None:
     from tools.train_all import main as train_all
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ccdiff_env import EgoEnv, embedded_scenes, load
+from ccdiff_env import EgoEnv, embedded_scenes
 from ccdiff_env.bench.planners import TRAFFIC, play
 from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import BUILT_IN
-from ccdiff_env.scenes.sources import SOURCES, Source
-from ccdiff_env_cli import main
 
 
 @pytest.fixture(scope="module")
@@ -113,21 +111,6 @@ def test_an_option_decides_how_much_of_the_route_is_a_success(scenes):
     assert success(min(1.0, reached * 1.1))[0] == 0.0
     with pytest.raises(ConfigError, match="success_completion"):
         EgoEnv(scenes=scenes, success_completion=1.5)
-
-
-def test_a_source_is_one_record(scenes, monkeypatch, capsys, tmp_path):
-    with pytest.raises(ConfigError, match="no source 'mine'"):
-        load("mine")
-    monkeypatch.setitem(SOURCES, "mine", Source("mine", "my scenes", lambda place: scenes))
-    assert [scene.name for scene in load("mine?limit=2")] == [s.name for s in scenes[:2]]
-    assert EgoEnv(scenes="mine", traffic="idm").reset(seed=0)[1]["scene"] in [
-        scene.name for scene in scenes
-    ]
-    assert main(["scenes", "--scenes", "mine"]) == 0
-    assert scenes[2].name in capsys.readouterr().out
-    command = ["bench", "planners", "--scenes", "mine", "--limit", "1", "--planners", "idm"]
-    options = ["--traffic", "idm", "--workers", "1", "--quiet", "--out", str(tmp_path)]
-    assert main([*command, *options]) == 0
 
 
 def test_a_planner_is_one_entry(scenes, monkeypatch):

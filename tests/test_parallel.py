@@ -16,7 +16,7 @@ from pettingzoo.test.max_cycles_test import max_cycles_test
 
 import ccdiff_env
 from ccdiff_env import Scene, aec_env, errors, parallel_env
-from ccdiff_env.envs import key_agents
+from ccdiff_env.envs.agent_selection import RANKINGS
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.metrics import causal
 
@@ -191,22 +191,9 @@ def test_rankings_of_any_states_are_those_of_numpy():
             valid=valid,
             mend=False,
         )
-        for ranking in key_agents.RANKINGS:
+        for ranking in RANKINGS:
             got = scene.ranked_vehicles(num_steps - 1, ranking)
             assert got == [0, *ranked_by_numpy(ranking, states, candidates)]
-
-
-def test_the_ranking_by_distance_is_that_of_brute_force(scenes):
-    scene = scenes["cut-in-04"] if "cut-in-04" in scenes.names else scenes[0]
-    step = 30
-    metres = metres_of_others(scene, step)
-    there = list(metres)
-    got = scene.ranked_vehicles(step, "nearest")
-    assert got == [0, *sorted(there, key=metres.__getitem__)]
-    for ranking in key_agents.RANKINGS:
-        ranked = scene.ranked_vehicles(step, ranking)
-        assert sorted(ranked) == [0, *there]
-        assert ranked[0] == 0
 
 
 def test_the_ranking_by_contact_is_that_of_boxes_that_are_moved(scenes):

@@ -13,7 +13,6 @@ from traffic_play import FIELDS, Play
 import ccdiff_env
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import (
-    CheckpointError,
     ConfigError,
     DatasetError,
     DatasetNotFoundError,
@@ -218,16 +217,6 @@ def test_a_file_that_holds_no_ranking_is_refused_by_name(scenes, tmp_path, text)
         Play(scenes[:1], ccdiff={"ranking": str(path)})
     with pytest.raises(DatasetNotFoundError, match=r"nobody\.json"):
         Play(scenes[:1], ccdiff={"ranking": str(tmp_path / "nobody.json")})
-
-
-def test_weights_that_are_not_there_or_no_weights_are_refused(scenes, tmp_path):
-    with pytest.raises(OSError, match=r"none\.safetensors"):
-        Play(scenes[:1], ccdiff={"weights": str(tmp_path / "none.safetensors")})
-    bad = tmp_path / "bad.safetensors"
-    for text in (b"\x08\x00\x00\x00\x00\x00\x00\x00nonsense", b"# A page, no weights", b""):
-        bad.write_bytes(text)
-        with pytest.raises(CheckpointError, match=r"not a safetensors file .*bad\.safetensors"):
-            Play(scenes[:1], ccdiff={"weights": str(bad)})
 
 
 def test_a_scene_without_a_map_is_refused_by_name():

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.key_agents import KeyRanking, ranking_named
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic.options import VehicleRanking
 
 Agents: TypeAlias = Literal["all"] | int | Sequence[str]
 Adversaries: TypeAlias = Literal["others"] | int | Sequence[str] | None
 Names: TypeAlias = Literal["token", "slot"]
 Bool = npt.NDArray[np.bool_]
 
+#: Ways to rank vehicles, see :meth:`Scene.ranked_vehicles`.
+RANKINGS: tuple[VehicleRanking, ...] = get_args(VehicleRanking)
 #: Most slots of a world.
 MAX_SLOTS = 512
 
@@ -45,7 +47,7 @@ class AgentSelection:
     ids: tuple[tuple[str, ...], ...]
     adversaries: tuple[frozenset[str], ...]
     num_slots: int
-    ranking: KeyRanking | None = None
+    ranking: VehicleRanking | None = None
     num_adversaries: int = 0
 
     @classmethod
@@ -55,7 +57,7 @@ class AgentSelection:
         config: WorldConfig,
         *,
         agents: Agents,
-        ranking: KeyRanking,
+        ranking: VehicleRanking,
         adversaries: Adversaries,
     ) -> AgentSelection:
         """Choose the agents.
@@ -79,7 +81,8 @@ class AgentSelection:
         ConfigError
             If a choice does not exist or is more than there are, or leaves a scene without anybody.
         """
-        ranking = ranking_named(ranking)
+        if ranking not in RANKINGS:
+            raise unknown("ranking", str(ranking), RANKINGS)
         count = _count("agents", agents, "all")
         if count is not None:
             _expect_most("agents", count, min(_most_vehicles(scenes), MAX_SLOTS))
@@ -114,7 +117,7 @@ class AgentSelection:
         first: int,
         spread: int,
         count: int | None,
-        ranking: KeyRanking,
+        ranking: VehicleRanking,
         adversaries: Adversaries,
     ) -> AgentSelection:
         """Leave the choice among the vehicles of each start to the worlds."""

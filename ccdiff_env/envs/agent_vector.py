@@ -15,9 +15,9 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents
 from ccdiff_env.envs.as_vector import AsVector, with_masks
 from ccdiff_env.envs.drawing import FPS
-from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
+from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
@@ -72,7 +72,7 @@ class AgentVectorEnv(FollowsTraining, AsVector):
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         agents: Agents = "all",
-        ranking: KeyRanking = "nearest",
+        ranking: VehicleRanking = "nearest",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         observation: Form = "flat",

@@ -15,10 +15,10 @@ from pettingzoo import ParallelEnv
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
 from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
-from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
+from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import (
     Scenes,
     StepArrays,
@@ -85,7 +85,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         agents: Agents = "all",
-        ranking: KeyRanking = "nearest",
+        ranking: VehicleRanking = "nearest",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         names: Names = "token",

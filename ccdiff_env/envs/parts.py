@@ -8,10 +8,9 @@ from typing import Any, Literal, NamedTuple
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
 from ccdiff_env.envs.drawing import check_render_mode, checked_render_options
-from ccdiff_env.envs.key_agents import KeyRanking
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seated
-from ccdiff_env.traffic.options import Autoreset
+from ccdiff_env.traffic.options import Autoreset, VehicleRanking
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.spaces import FORMS, Form
@@ -78,7 +77,7 @@ def agent_parts(
     options: Mapping[str, Any],
     *,
     agents: Agents,
-    ranking: KeyRanking,
+    ranking: VehicleRanking,
     adversaries: Adversaries,
     adversary_shaping: float,
 ) -> tuple[Worlds, AgentSelection, dict[str, Any]]:

@@ -1,57 +1,13 @@
-"""Curves of a training: files, TensorBoard, a bar on the terminal."""
+"""Curves of a training: files, TensorBoard."""
 
 from __future__ import annotations
 
 import csv
-import sys
 from pathlib import Path
-from typing import Protocol
 
 from ccdiff_env.system.files import read_text, write_aside
 
-__all__ = ["Curves", "Progress", "progress_bar"]
-
-
-class Progress(Protocol):
-    """What a training asks of a progress bar."""
-
-    def update(self, n: float) -> object:
-        """Go on by ``n`` units."""
-
-    def set_postfix_str(self, s: str) -> object:
-        """Show a text behind the bar."""
-
-    def close(self) -> object:
-        """End the bar."""
-
-
-class _Silent:
-    """Progress bar that shows nothing."""
-
-    def update(self, n: float) -> None: ...
-    def set_postfix_str(self, s: str) -> None: ...
-    def close(self) -> None: ...
-
-
-def progress_bar(total: float, unit: str, shown: bool) -> Progress:
-    """Return a bar of tqdm, or one that shows nothing where none can be."""
-    if not shown or not sys.stderr.isatty():
-        return _Silent()
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return _Silent()
-    form = "{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}{postfix}]"
-
-    class Bar(tqdm):  # type: ignore[misc]
-        """Ends at its total: beyond it tqdm forgets the total, and the format asks for it."""
-
-        def update(self, n: float | None = 1) -> bool | None:
-            shown: bool | None = super().update(min(n or 0, total - self.n))
-            return shown
-
-    bar: Progress = Bar(total=total, unit=unit, bar_format=form, dynamic_ncols=True)
-    return bar
+__all__ = ["Curves"]
 
 
 class Curves:

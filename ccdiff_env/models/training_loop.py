@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ccdiff_env.models.curves import Curves, progress_bar
+from ccdiff_env.models.curves import Curves
+from ccdiff_env.system.progress import bar
 
 if TYPE_CHECKING:
     from ccdiff_env import _models
@@ -56,7 +57,7 @@ def run_training(
     begin = last = time.monotonic()
     first = run.step
     total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
-    bar = progress_bar(total, "s" if steps is None else "steps", progress)
+    shown = bar("s" if steps is None else "steps", progress)
     said = ""
 
     def checkpoint() -> None:
@@ -89,9 +90,9 @@ def run_training(
                 count = max(min(count, run.cooldown[1] - run.step), 1)
             losses = run.run(count)
             now = time.monotonic()
-            bar.update(count if steps is not None else now - begin - elapsed)
+            shown.update(count if steps is not None else now - begin - elapsed)
             loss = sum(losses) / len(losses)
-            bar.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
+            shown.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
             curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
             if now - last > checkpoint_minutes * 60.0:
                 checkpoint()
@@ -99,7 +100,7 @@ def run_training(
     finally:
         # also on Ctrl-C, so that nothing is lost
         checkpoint()
-        bar.close()
+        shown.close()
 
 
 def _maybe_cool_down(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
-__all__ = ["shown"]
+__all__ = ["bar", "shown"]
 
 T = TypeVar("T")
 
@@ -27,3 +27,20 @@ def shown(steps: Iterable[T], *, what: str, total: int | None = None, done: int 
         yield from tqdm(counted, total=total, initial=done, **bar)
     else:
         yield from steps
+
+
+class _Silent:
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_: None
+
+
+def bar(unit: str, wanted: bool) -> Any:
+    """Return a bar of tqdm that counts ``unit``, or one that shows nothing where none can be."""
+    if not wanted or not sys.stderr.isatty():
+        return _Silent()
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return _Silent()
+    form = "{n:.0f} {unit} [{elapsed}{postfix}]"
+    return tqdm(unit=unit, bar_format=form, dynamic_ncols=True)

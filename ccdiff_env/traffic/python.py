@@ -14,7 +14,8 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
 from ccdiff_env.system.named_objects import named_instance
-from ccdiff_env.traffic.options import PythonOptions, check
+from ccdiff_env.traffic.checked_options import check
+from ccdiff_env.traffic.options import PythonOptions
 
 if TYPE_CHECKING:
     from ccdiff_env.scenes import Scene, SceneSet

@@ -42,10 +42,11 @@ PLAYED: dict[str, Any] = {
 }
 #: Criticalities under a slider.
 LEVELS = tuple(0.25 * k for k in range(9))
-#: Stands for the step that matters.
-MOMENT = -1
+#: Suffixes of images and videos.
+IMAGES = ("png", "svg", "gif", "mp4")
 #: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
+    "step": None,
     "follow": None,
     "span": 90.0,
     "size": None,
@@ -120,19 +121,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep that episode in this file (.npz; default: not kept)",
     )
     draw = parser.add_argument_group(
-        "an image or a video instead of a page, as the suffix of --out also asks for"
+        "an image or a video instead of a page, where --out ends in .png, .svg, .gif or .mp4"
     )
-    for kind in ("png", "svg"):
-        draw.add_argument(
-            f"--{kind}",
-            type=int,
-            nargs="?",
-            const=MOMENT,
-            metavar="STEP",
-            help=f"write {kind.upper()} of a step, or of the one that matters (default: a page)",
-        )
-    draw.add_argument("--gif", action="store_true", help="write a GIF")
-    draw.add_argument("--mp4", action="store_true", help="write an MP4")
+    draw.add_argument("--step", type=int, help="step of an image (default: the one that matters)")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
     draw.add_argument("--span", type=float, help="metres across an image (default: 90)")
     draw.add_argument(
@@ -147,33 +138,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write what the arguments ask for; print its path."""
-    kinds = _kinds(args)
     args.what, *others = args.what
     if others and args.traffic is not None:
         raise ConfigError("--traffic plays one scene: show others beside it with --compare")
     args.compare = others + args.compare
     folder = Path(args.what)
     if not is_drive(args.what) and folder.is_dir():
-        return _folder(args, folder, kinds)
+        return _folder(args, folder)
+    suffix = "html" if args.out is None else args.out.suffix.lower().lstrip(".")
+    if suffix not in ("html", "htm", "", *IMAGES):
+        listed = ", ".join(f".{name}" for name in ("html", *IMAGES))
+        raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
     if args.traffic is None:
         _settle(args, PLAYED, "plays a scene: give --traffic, too")
-    if not kinds:
-        _settle(args, DRAWN, "goes with --png, --svg, --gif and --mp4")
+    if suffix not in IMAGES:
+        _settle(args, DRAWN, "goes with an image: --out that ends in .png, .svg, .gif or .mp4")
     elif args.open:
         raise ConfigError("--open shows pages, not images")
     if args.slider:
-        if kinds or args.compare:
-            raise ConfigError(
-                "--slider is for a page of runs that are played: no other option of "
-                "images, and no --compare, goes with it"
-            )
+        if suffix in IMAGES or args.compare:
+            raise ConfigError("--slider is for a page of runs that are played, without --compare")
         args.criticality = args.criticality or LEVELS
     _settle(args, PLAYED | DRAWN)
     runs = _played(args) if args.traffic is not None else [_found(args, args.what)]
     runs += [_found(args, word, like=runs[0].rollout) for word in args.compare]
-    suffix = kinds[0] if kinds else "html"
-    out = args.out or Path(file_name(runs[0].rollout.scene.name, f".{suffix}"))
-    if kinds:
+    out = args.out or Path(file_name(runs[0].rollout.scene.name, ".html"))
+    if suffix in IMAGES:
         _image(args, runs, out, suffix)
         print(out)
         return 0
@@ -182,26 +172,6 @@ def run(args: argparse.Namespace) -> int:
     write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared, slider=args.slider)
     say_page(out, open_it=args.open)
     return 0
-
-
-def _kinds(args: argparse.Namespace) -> list[str]:
-    """What is asked for instead of a page, by an option or the suffix of ``--out``: one or none."""
-    asked = {"png": args.png is not None, "svg": args.svg is not None}
-    asked |= {"gif": args.gif, "mp4": args.mp4}
-    kinds = [name for name, wanted in asked.items() if wanted]
-    if len(kinds) > 1:
-        raise ConfigError("give one of --png, --svg, --gif and --mp4")
-    if args.out is None or Path(args.what[0]).is_dir():
-        return kinds
-    suffix = args.out.suffix.lower().lstrip(".")
-    if suffix in asked and not kinds:
-        kinds = [suffix]
-        if suffix in ("png", "svg"):
-            setattr(args, suffix, MOMENT)
-    if suffix not in (*(kinds or ("html", "htm")), ""):
-        listed = ", ".join(f".{name}" for name in kinds or ("html", *asked))
-        raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
-    return kinds
 
 
 def _settle(args: argparse.Namespace, options: Mapping[str, Any], refused: str = "") -> None:
@@ -270,10 +240,10 @@ def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
     return titles, ", ".join(p for p, shared in zip(parts[0], same, strict=True) if p and shared)
 
 
-def _folder(args: argparse.Namespace, folder: Path, kinds: list[str]) -> int:
+def _folder(args: argparse.Namespace, folder: Path) -> int:
     refused = "does not go with a folder, which gives pages"
-    if kinds or args.compare not in ([], [LOG]):
-        raise ConfigError('a folder gives pages; of the options only --compare "log" goes with it')
+    if args.compare not in ([], [LOG]):
+        raise ConfigError('of the options only --compare "log" goes with a folder')
     _settle(args, PLAYED | DRAWN | {"traffic": None}, refused)
     out = args.out or folder / "replays"
     pages = write_pages(folder, out, compare_log=bool(args.compare))
@@ -293,6 +263,8 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path, kind: str) -
     first, *others = (run.rollout for run in runs)
     titles = [run.title for run in runs] if others else [first.scene.name]
     if kind in ("gif", "mp4"):
+        if args.step is not None:
+            raise ConfigError(f"--step is of an image, but --out is {out}")
         save_video(
             first,
             out,
@@ -304,12 +276,11 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path, kind: str) -
         )
         return
     videos = [Video(run.rollout, title=t, **options) for run, t in zip(runs, titles, strict=True)]
-    asked = getattr(args, kind)
-    step = videos[0].moment if asked == MOMENT else asked
+    step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
         render.save(side_by_side(videos, step), out)
     elif others:
-        raise ConfigError("--svg shows one run: write each by itself")
+        raise ConfigError("an SVG shows one run: write each by itself")
     else:
         write_aside(out, videos[0].svg(step))

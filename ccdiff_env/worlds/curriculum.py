@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.traffic.options import check
+from ccdiff_env.traffic.checked_options import check
 
 __all__ = ["Criticality", "Curriculum", "FollowsTraining", "SceneWeights"]
 

@@ -20,7 +20,8 @@ from ccdiff_env.errors import (
 )
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
-from ccdiff_env.traffic.options import Autoreset, check
+from ccdiff_env.traffic.checked_options import check
+from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.configured import SceneChoice
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
