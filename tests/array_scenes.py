@@ -51,12 +51,13 @@ def array_scene(*agents, name="own", dt_s=DT_S, layers=None):
     )
 
 
-def played(env, action=None, **reset):
+def played(env, action=None, seed=0, **reset):
     """Play an episode; yield step of the log, states and info after each step."""
-    env.reset(seed=0, **reset)
+    env.reset(seed=seed, **reset)
     native, done = env.worlds.native, False
     while not done:
         act = np.zeros(env.action_space.shape, np.float32) if action is None else action
         _, reward, terminated, truncated, info = env.step(act)
         done = terminated or truncated
-        yield native.status(0).step_idx, native.states(0), {**info, "reward": reward}
+        ends = {"reward": reward, "terminated": terminated, "truncated": truncated}
+        yield native.status(0).step_idx, native.states(0), {**info, **ends}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 import math
 import os
@@ -306,9 +305,3 @@ def test_bad_input_is_refused_with_the_offending_part():
     with pytest.raises(UnknownNameError, match="agent"):
         causal.rank("listed", top_k=1, valid=[True], agents=[1])
     assert issubclass(ShapeError, CcdiffError)
-
-
-def test_examples_in_the_documentation_run():
-    result = doctest.testmod(causal)
-    assert result.attempted > 0
-    assert result.failed == 0

@@ -86,6 +86,8 @@ def test_snapshots_copies_and_certificates_go_on_and_a_batch_plays_the_same(name
     twins.append(EgoEnv(**options))
     assert np.array_equal(twins[-1].restore(state), env.observation())
     assert twins[-1].worlds.native.digest(0) == digest
+    samples = env.action_space.sample().tolist()
+    assert all(twin.action_space.sample().tolist() == samples for twin in twins[:-1])
     expected = played(env, actions(40))
     for twin in twins:
         assert same(played(twin, actions(40)), expected)

@@ -91,14 +91,20 @@ def test_observations_lie_in_their_space(form, scenes):
     env = EgoEnv(scenes=scenes, **form)
     env.action_space.seed(0)
     for episode in range(6):
-        obs, _ = env.reset(seed=episode)
-        done = False
-        while not done:
-            assert obs in env.observation_space
-            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
-            assert np.isfinite(reward)
-            done = terminated or truncated
+        assert_in_space(env, seed=episode)
+
+
+def assert_in_space(env, **reset):
+    """Drive at random through an episode; everything observed is in the space."""
+    obs, info = env.reset(**reset)
+    done = False
+    while not done:
         assert obs in env.observation_space
+        obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        assert np.isfinite(reward)
+        done = terminated or truncated
+    assert obs in env.observation_space
+    return info
 
 
 @pytest.mark.nuscenes
@@ -107,14 +113,7 @@ def test_observations_of_real_scenes_lie_in_their_space(data_root):
     env = EgoEnv(scenes=scenes, traffic="idm", on_collision="ignore", on_off_road="ignore")
     env.action_space.seed(0)
     for name in scenes.names:
-        obs, info = env.reset(seed=1, options={"scene": name})
-        assert info["scene"] == name
-        done = False
-        while not done:
-            assert obs in env.observation_space
-            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
-            assert np.isfinite(reward)
-            done = terminated or truncated
+        assert assert_in_space(env, seed=1, options={"scene": name})["scene"] == name
 
 
 def test_dict_and_flat_observations_hold_the_same_numbers(scenes):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 import pytest
+from array_scenes import played
 from gymnasium import wrappers
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
@@ -236,16 +237,11 @@ def test_a_collision_terminates_and_the_horizon_truncates(scenes):
     crash = EgoEnv(scenes=scenes, traffic="idm", on_off_road="ignore", horizon_steps=150)
     endings = {"terminated": 0, "truncated": 0}
     for seed in range(12):
-        crash.reset(seed=seed)
-        done = False
-        while not done:
-            *_, terminated, truncated, info = crash.step(np.array([1.0, 0.0], np.float32))
-            done = terminated or truncated
-        assert terminated != truncated
-        caused = info["collision"] or info["goal_reached"]
-        assert bool(caused) == terminated
-        assert bool(info["time_limit"]) == truncated
-        endings["terminated" if terminated else "truncated"] += 1
+        *_, (_, _, info) = played(crash, np.array([1.0, 0.0], np.float32), seed=seed)
+        caused = bool(info["collision"] or info["goal_reached"])
+        assert (info["terminated"], info["truncated"]) == (caused, bool(info["time_limit"]))
+        assert caused != info["truncated"]
+        endings["terminated" if caused else "truncated"] += 1
     assert endings["terminated"] > 0
 
 
@@ -278,10 +274,6 @@ def test_stable_baselines3_learns_on_it(name, options, settings, scenes):
 
 def test_success_is_reported_to_learners(scenes):
     env = ccdiff_env.EgoEnv(scenes=scenes, driver="replay", terminate_at_goal=False)
-    env.reset(seed=0)
-    done = False
-    while not done:
-        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-        done = terminated or truncated
+    *_, (_, _, info) = played(env)
     assert info["is_success"] == info["metrics"]["is_success"]
     assert info["metrics"]["route_completion"] == pytest.approx(1.0, abs=0.05)

@@ -10,10 +10,9 @@ import pickle
 import threading
 import weakref
 
-import gymnasium
 import numpy as np
 import pytest
-from test_envs import ID, assert_same_trace, same
+from test_envs import same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
@@ -26,19 +25,6 @@ from ccdiff_env.errors import (
 )
 
 ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
-
-
-@pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_copies_and_pickles_go_on_where_the_original_stands(make, scenes):
-    env = gymnasium.make(ID, scenes=scenes, traffic="idm").unwrapped
-    env.action_space.seed(5)
-    env.reset(seed=3)
-    env.step(ACTIONS[0])
-    twin = make(env)
-    assert twin.spec == env.spec
-    assert_same_trace([twin.step(ACTIONS[1])], [env.step(ACTIONS[1])])
-    assert same(twin.reset()[0], env.reset()[0])
-    assert np.array_equal(twin.action_space.sample(), env.action_space.sample())
 
 
 def test_copies_of_an_environment_that_was_never_reset_work(scenes):

@@ -183,16 +183,7 @@ def test_networks_and_their_graph_leave_out_other_levels(tmp_path: Path) -> None
 
 def test_recordings_keep_heights(tmp_path: Path) -> None:
     scenes = load(tmp_path, CROSSING)
-    env = EgoEnv(scenes=scenes, traffic="idm", driver="idm", **OPTIONS)
-    recorder = Recorder(env)
-    env.reset(seed=0)
-    recorder.start()
-    done = False
-    while not done:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample() * 0)
-        recorder.step()
-        done = terminated or truncated
-    rollout = recorder.rollout()
+    rollout = play(scenes, "idm", traffic="idm")["rollout"]
     assert rollout.elevation_m is not None
     np.testing.assert_allclose(rollout.elevation_m[0], overpass.BRIDGE_M, atol=0.01)
     rollout.save(tmp_path / "r.npz")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 from pathlib import Path
 
@@ -338,9 +337,3 @@ def test_bad_input_is_refused_with_the_offending_part():
         one.comfort(axes="world")
     with pytest.raises(ConfigError, match="stride"):
         one.comfort(stride=0)
-
-
-def test_examples_in_the_documentation_run():
-    result = doctest.testmod(metrics.motion)
-    assert result.attempted > 0
-    assert result.failed == 0

@@ -246,20 +246,11 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
         (lambda obs: np.full((2, 5, 3), np.nan), ShapeError, "lambda"),
         (3, ConfigError, "int cannot be called"),
         ("robot", ConfigError, "robot"),
-        ("nowhere_at_all:X", ConfigError, "no module 'nowhere_at_all' in .*nor installed"),
-        ("json:Nothing", ConfigError, "no 'Nothing' in module 'json'"),
     ],
 )
 def test_mistakes_name_the_planner(scenes, planner, error, words):
     with pytest.raises(error, match=words):
         drive(scenes, planner, REPLAY)
-
-
-def test_modules_of_the_working_folder_are_found(scenes, tmp_path, monkeypatch):
-    text = "import numpy as np\ndef still(obs):\n    return np.zeros((len(obs), 2))\n"
-    (tmp_path / "my_own_planner.py").write_text(text)
-    monkeypatch.chdir(tmp_path)
-    assert len(drive(scenes, "my_own_planner:still", REPLAY)[0]) == 2
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ import os
 import pickle
 import warnings
 
-import gpudrive_scene
 import numpy as np
 import pytest
-from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene, vehicle
+from array_scenes import played
+from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene
 
 import ccdiff_env
 from ccdiff_env import errors
@@ -79,22 +79,13 @@ def test_edges_bound_the_road(loaded):
 @pytest.mark.parametrize("turn", [0.0, 0.6])
 def test_who_leaves_the_road_is_off_it(loaded, turn):
     env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, traffic="idm")
-    env.reset(seed=0)
-    for _ in range(80):
-        _, _, terminated, truncated, info = env.step(np.array([1.0, turn], dtype=np.float32))
-        if terminated or truncated:
-            break
+    *_, (_, _, info) = played(env, np.array([1.0, turn], dtype=np.float32))
     assert info["off_road"], "straight on over the kerb, or a turn over the median"
 
 
 def test_the_logged_ego_stays_on_the_road(loaded):
     env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, driver="replay")
-    env.reset(seed=0)
-    done = False
-    while not done:
-        _, _, terminated, truncated, info = env.step(env.action_space.sample() * 0)
-        assert not info["off_road"]
-        done = terminated or truncated
+    assert not any(info["off_road"] for *_, info in played(env))
 
 
 def test_folders_and_patterns_are_read_when_looked_at(tmp_path):
@@ -127,17 +118,10 @@ def test_files_open_everywhere(tmp_path, verb):
         "view": ["waymo_1", "--traffic", "idm", "-o", f"{out}.html"],
         "train": ["--steps", "1", "--batch-scenes", "1", "--quiet", "--out", out],
         "bench": [
-            "planners",
-            "--planners",
-            "idm,replay",
-            "--traffic",
-            "idm",
-            "--seeds",
-            "0",
-            "--quiet",
+            *("planners", "--planners", "idm,replay", "--traffic", "idm", "--seeds", "0"),
+            *("--quiet", "--out", out),
         ],
     }[verb]
-    words = [*words, "--out", out] if verb == "bench" else words
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)  # such as one of a scene without a road
         assert main([verb, *words, "--scenes", f"gpudrive:{tmp_path}/waymo_?.json"]) == 0
@@ -173,15 +157,8 @@ def test_networks_and_images_see_the_road(loaded):
     assert np.isfinite(np.stack(states)).all()
     image = loaded[0].render(10, size=(300, 300), span_m=100.0)
     bare = loaded[0].map_layers() | {"drivable_area": []}
-    tracks = loaded[0].tracks()
-    without = ccdiff_env.Scene.from_arrays(
-        "bare",
-        agent_ids=loaded[0].agent_ids,
-        agent_types=loaded[0].agent_types,
-        sizes=loaded[0].sizes,
-        **tracks,
-        map_layers=bare,
-    )
+    kept = {name: getattr(loaded[0], name) for name in ("agent_ids", "agent_types", "sizes")}
+    without = ccdiff_env.Scene.from_arrays("bare", **kept, **loaded[0].tracks(), map_layers=bare)
     shown = (image != without.render(10, size=(300, 300), span_m=100.0)).any(axis=-1).mean()
     assert shown > 0.05, "the road's surface is drawn"
 
@@ -294,10 +271,3 @@ def test_a_scene_without_lines_has_no_road(tmp_path):
     loaded = ccdiff_env.load_gpudrive(save(tmp_path / "bare.json", data), cache=False)
     assert not loaded[0].has_road
     assert loaded.report.scenes[0].road == "none"
-
-
-def test_the_generator_of_these_tests_is_what_the_field_writes():
-    data = gpudrive_scene.scene()
-    ego = data["objects"][1]
-    assert len(ego["position"]) == len(ego["heading"]) == len(ego["velocity"]) == STEPS
-    assert vehicle(1, 25.0, -6.0, 85.0, first=3)["position"][0]["x"] == -10000.0

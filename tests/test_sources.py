@@ -406,31 +406,6 @@ def test_run_folders_of_the_former_form_are_refused_in_a_line():
 
 
 @pytest.mark.nuscenes
-@pytest.mark.parametrize("verb", ["scenes", "view", "train", "bench"])
-def test_scenarionet_files_open_everywhere(data_root, tmp_path, verb):
-    text = f"scenarionet:{data_root / 'scenarionet'}"
-    out = tmp_path / "out"
-    words = {
-        "scenes": [],
-        "view": ["scene-0757", "--traffic", "idm", "-o", f"{out}.html"],
-        "train": ["--steps", "1", "--batch-scenes", "1", "--quiet", "--out", str(out)],
-        "bench": [
-            "planners",
-            "--planners",
-            "idm",
-            "--traffic",
-            "idm",
-            "--quiet",
-            "--out",
-            str(out),
-        ],
-    }[verb]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of scenes without a road
-        assert main([verb, *words, "--scenes", text]) == 0
-
-
-@pytest.mark.nuscenes
 def test_texts_open_what_load_nuscenes_opens(data_root):
     folder = data_root / "nuscenes"
     expected = ccdiff_env.load_nuscenes(folder, MINI, "mini_val")

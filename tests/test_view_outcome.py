@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_view import remade, shown_events
+from test_view import shown_events
 from view_rollouts import NUM_STEPS, planned_rollout
 
 from ccdiff_env.record.rollout import RolloutEvent
+from ccdiff_env.scenes import with_tracks
 from ccdiff_env.view import log_rollout
 from ccdiff_env.view.outcome import outcome
 
@@ -35,7 +36,7 @@ def test_an_ego_that_waits_as_its_log_does_is_not_late():
     tracks["position"][0] = tracks["position"][0, :1]
     waiting = replace(
         run,
-        scene=remade(run.scene, tracks),
+        scene=with_tracks(run.scene, tracks),
         position=np.concatenate([tracks["position"][:1, :NUM_STEPS], run.position[1:]]),
         events=(RolloutEvent(NUM_STEPS - 1, "ego", None, "time_limit"),),
     )

@@ -27,21 +27,12 @@ MAX_SLOTS = 512
 
 @dataclass(frozen=True)
 class AgentSelection:
-    """Who is controlled from outside, in every scene.
+    """Who is controlled from outside, in every scene: ids, one per slot, the ego first, and
+    adversaries.
 
-    Parameters
-    ----------
-    ids
-        Controlled agents of each scene, one per slot, the ego first; of a ranking at starts that
-        are drawn, all vehicles that any start has.
-    adversaries
-        Ids among them that play against the others.
-    num_slots
-        Most agents that are controlled in any scene.
-    ranking
-        Ranking where episodes start; ``None`` for agents that are chosen beforehand.
-    num_adversaries
-        Slots behind the first that hold adversaries, with a ranking.
+    Of a ranking at starts that are drawn, ``ids`` are all vehicles that any start has, and the
+    slots behind the first hold ``num_adversaries``; ``ranking`` is ``None`` for agents that are
+    chosen beforehand.
     """
 
     ids: tuple[tuple[str, ...], ...]
@@ -60,26 +51,11 @@ class AgentSelection:
         ranking: VehicleRanking,
         adversaries: Adversaries,
     ) -> AgentSelection:
-        """Choose the agents.
+        """Choose the agents, see :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
 
-        Parameters
-        ----------
-        scenes
-            The scenes.
-        config
-            Configuration that says at which steps of the log episodes start.
-        agents
-            ``"all"`` vehicles that are there at the start, the ego and the first K - 1 others of
-            the ranking, or ids. K is at most the vehicles that any scene ever has at a time.
-        ranking
-            How the others are ranked.
-        adversaries
-            ``None``, all ``"others"`` than the ego, the first n others, or ids.
-
-        Raises
-        ------
-        ConfigError
-            If a choice does not exist or is more than there are, or leaves a scene without anybody.
+        ``config`` says at which steps of the log episodes start. K is at most the vehicles that any
+        scene ever has at a time. A :class:`ConfigError` refuses a choice that does not exist, is
+        more than there are, or leaves a scene without anybody.
         """
         if ranking not in RANKINGS:
             raise unknown("ranking", str(ranking), RANKINGS)
@@ -145,16 +121,9 @@ class AgentSelection:
         return cls(tuple(ids), against, num_slots, ranking)
 
     def config(self, scenes: SceneSet, config: WorldConfig, shaping: float) -> WorldConfig:
-        """Return the configuration with these agents in its slots, in their roles.
+        """Return the configuration with these agents of the scenes in its slots, in their roles.
 
-        Parameters
-        ----------
-        scenes
-            The scenes that they were chosen in.
-        config
-            Configuration to start from.
-        shaping
-            Share of what its own driving costs it in the reward of an adversary.
+        ``shaping`` is the share of what its own driving costs it in the reward of an adversary.
         """
         roles = zip(scenes.names, self.ids, self.adversaries, strict=True)
         against = {

@@ -22,21 +22,8 @@ KEPT = 512
 class Backtrack:
     """Lets a share of the episodes of vector worlds begin before failures of those who drive there.
 
-    The traffic of such an episode is resampled: the failure need not recur.
-
-    Parameters
-    ----------
-    env
-        Worlds in ``same_step`` mode.
-    share
-        Of the episodes, 0 to 1.
-    seed
-        Chooses them, the moments and the seeds of their futures.
-
-    Raises
-    ------
-    ConfigError
-        If the share is out of range.
+    The traffic of such an episode is resampled: the failure need not recur. The worlds are in
+    ``same_step`` mode; ``seed`` chooses episodes, moments and the seeds of their futures.
     """
 
     def __init__(self, env: EgoVectorEnv, share: float, seed: int) -> None:
@@ -56,10 +43,8 @@ class Backtrack:
     def step(self, ended: Bool, failed: Bool) -> npt.NDArray[np.int64]:
         """Follow a step of the worlds; returns those that were put before a failure.
 
-        Parameters
-        ----------
-        ended, failed
-            Worlds [E] whose episodes ended in the step, and those of them that failed.
+        ``ended`` and ``failed`` are worlds [E] whose episodes ended in the step, and those of them
+        that failed.
         """
         self._now += 1
         again = []

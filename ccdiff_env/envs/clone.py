@@ -38,22 +38,10 @@ class _Worlds(Protocol):
 def imitate(agent: Agent, worlds: _Worlds, teacher: str, *, decisions: int, seed: int) -> float:
     """Train the means of a policy on the actions of a rule; returns the last mean error.
 
-    Parameters
-    ----------
-    agent, worlds
-        The policy and where it drives; the rule drives fewer and fewer of the worlds.
-    teacher
-        Name of :data:`~ccdiff_env.planners.rules.RULES`. Its actions are those of one step, also
-        where the policy holds them for more.
-    decisions
-        Decisions of all worlds together.
-    seed
-        Chooses who drives, and the noise.
-
-    Raises
-    ------
-    ConfigError
-        For assisted dynamics.
+    The rule ``teacher``, of :data:`~ccdiff_env.planners.rules.RULES`, drives fewer and fewer of the
+    worlds, for ``decisions`` of all of them together. Its actions are those of one step, also where
+    the policy holds them for more. ``seed`` chooses who drives, and the noise. Assisted dynamics
+    are a :class:`ConfigError`.
     """
     rules = [RULES[teacher](env.worlds) for env in worlds.envs]
     rng, size = np.random.default_rng(seed), len(worlds.obs)

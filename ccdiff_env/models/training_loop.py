@@ -32,26 +32,11 @@ def run_training(
     progress: bool,
     solver_steps: int,
 ) -> None:
-    """Run a training to its end, with checkpoints on the way.
+    """Run a training to its end, with checkpoints and validations every ``checkpoint_minutes``.
 
-    Parameters
-    ----------
-    run
-        The run.
-    files
-        Where its state and its weights are written.
-    curves
-        Losses and validations of the run.
-    steps, minutes
-        When to stop; exactly one of them. Minutes count this call alone.
-    notes
-        Kept in the header of the weights.
-    checkpoint_minutes
-        Time between checkpoints and validations.
-    validation_samples, solver_steps
-        Held-out (scene, step) pairs per validation, and denoising steps of their plans.
-    progress
-        Whether to show a progress bar.
+    ``files`` are state and weights; ``notes`` stand in the header of the weights. It stops at so
+    many ``steps``, or after ``minutes`` of this call. ``validation_samples`` are held-out (scene,
+    step) pairs, ``solver_steps`` the denoising steps of their plans.
     """
     state, weights = files
     begin = last = time.monotonic()

@@ -14,14 +14,8 @@ __all__ = ["Held"]
 
 
 class Held:
-    """Holds the actions of a batch, unless the worlds do so themselves.
-
-    Parameters
-    ----------
-    worlds
-        E worlds, driven in their first slots.
-    steps
-        Steps of a decision.
+    """Holds the actions of a batch for the ``steps`` of a decision, unless the worlds do so
+    themselves.
     """
 
     def __init__(self, worlds: Worlds, steps: int) -> None:

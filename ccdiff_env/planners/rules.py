@@ -87,15 +87,7 @@ class _Diffusion(RulePlanner):
 class NoOp:
     """Takes the zero action at every step: the unicycle keeps its speed and heading.
 
-    Parameters
-    ----------
-    worlds
-        Worlds with one slot, driven from outside by numbers.
-
-    Raises
-    ------
-    ConfigError
-        If actions are indices of a grid, which need not hold zero.
+    Indices of a grid, which need not hold zero, are a :class:`ConfigError`.
     """
 
     def __init__(self, worlds: Worlds) -> None:

@@ -19,16 +19,8 @@ F32 = npt.NDArray[np.float32]
 class Steering:
     """Turns an acceleration and a distance from the route into normalised actions.
 
-    Parameters
-    ----------
-    worlds
-        Worlds whose first slot is steered, with continuous actions of the unicycle or bicycle, or
-        with assisted ones: there, accelerations are changes of IDM's.
-
-    Raises
-    ------
-    ConfigError
-        For indices of a grid, and for the delta-pose model.
+    Worlds have continuous actions of the unicycle or bicycle in their first slot, or assisted ones,
+    where accelerations are changes of IDM's; others are a :class:`ConfigError`.
     """
 
     def __init__(self, worlds: Worlds) -> None:

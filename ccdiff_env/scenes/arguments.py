@@ -29,15 +29,8 @@ def add_scene_arguments(
 ) -> None:
     """Add which scenes are played: ``--scenes``, its short forms, and ``--limit``.
 
-    Parameters
-    ----------
-    parser
-        Of the command.
-    use
-        ``"train"`` or ``"test"``: which split of a source is meant where none is named; all
-        scenes for ``None``.
-    several
-        Whether ``--split`` takes several names.
+    ``use`` is ``"train"`` or ``"test"``: which split of a source is meant where none is named; all
+    scenes for ``None``. With ``several``, ``--split`` takes several names.
     """
     usual = Place(PLAIN.name, split=PLAIN.usual[""].get(use or "", "all"))
     forms = ", ".join(source.form for source in SOURCES.values())

@@ -161,16 +161,10 @@ class _Unpickler(pickle._Unpickler):
 
 
 def load_scenario_dict(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a scenario description without running code from it.
+    """Read a scenario description without running code from it; arrays are read-only.
 
-    Arrays are read-only.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        There is no such file.
-    DatasetError
-        The file is damaged, or its pickle asks for anything but numpy arrays and plain containers.
+    A pickle that is damaged, or asks for anything but numpy arrays and plain containers, is a
+    :class:`DatasetError`.
     """
     with reading("scenario", path):
         data = read_bytes(path)

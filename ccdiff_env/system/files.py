@@ -54,19 +54,8 @@ def reading(
 ) -> Iterator[None]:
     """Let a loader raise exceptions of the package only, which name the file.
 
-    Parameters
-    ----------
-    what
-        What the file holds, for messages.
-    path
-        The file.
-    error
-        Raised for whatever else goes wrong in the block.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no such file, or its path is longer than the system's may be.
+    ``what`` is what the file holds; ``error`` is raised for whatever else goes wrong in the block.
+    A missing file, or a path longer than the system's may be, is a :class:`DatasetNotFoundError`.
     """
     place = os.fspath(path)
     try:
@@ -95,12 +84,7 @@ def _fault(what: str, found: Exception) -> str:
 def read_bytes(path: str | os.PathLike[str], most: int = MOST_BYTES) -> bytes:
     """Return the bytes of a regular file; a link may lead to one.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    OSError
-        If it is a pipe, device or folder, has more than ``most`` bytes, or cannot be read.
+    A pipe, device or folder, and more than ``most`` bytes, are an ``OSError``.
     """
     # not blocking: to open a pipe waits for its writer
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -127,12 +111,9 @@ def num_values(text: str) -> int:
 def parsed_object(text: str | bytes) -> dict[str, Any]:
     """Return the object that a JSON text from a file holds.
 
-    Raises
-    ------
-    ValueError
-        If it is no JSON, nested too deep, no object, or holds what cannot be computed with or
-        written again: numbers that are not finite, integers beyond 64 bits, half letters. Also
-        if it has more than :data:`MOST_VALUES` values.
+    A ``ValueError`` refuses what is no object, nested too deep, has more than :data:`MOST_VALUES`
+    values, or holds what cannot be computed with or written again: numbers that are not finite,
+    integers beyond 64 bits, half letters.
     """
     plain = text if isinstance(text, str) else text.decode("utf-8-sig")
     if num_values(plain) > MOST_VALUES:

@@ -17,25 +17,12 @@ __all__ = ["named_instance", "named_object", "option_values"]
 
 
 def named_object(text: str, what: str) -> Any:
-    """Import what a text names; modules of the working folder are found, too.
+    """Import ``module:name``; modules of the working folder are found, too.
 
-    Parameters
-    ----------
-    text
-        ``module:name``, with options ``?name=value&name=value`` after it. Values are numbers,
-        ``true``, ``false``, ``null`` and quoted texts of JSON; everything else is a text itself.
-    what
-        What it is, for messages.
-
-    Returns
-    -------
-    Any
-        The object. With options: a class of it whose options are given, or a function likewise.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such module, object or option; the message names the options there are.
+    Options follow as ``?name=value&name=value``: numbers, ``true``, ``false``, ``null`` and quoted
+    texts of JSON; everything else is a text itself. With options, the result is a class whose
+    options are given, or a function likewise. A :class:`ConfigError` names a module, object or
+    option that is not there; ``what`` says in it what the object is.
     """
     path, _, options = text.partition("?")
     module, _, name = path.partition(":")
@@ -86,12 +73,7 @@ def _options_of(found: Any) -> list[str]:
 def option_values(options: str, what: str, text: str) -> dict[str, Any]:
     """Return the values of ``name=value&name=value`` by name, as in :func:`named_object`.
 
-    Names of parts, ``part.name``, are names, too.
-
-    Raises
-    ------
-    ConfigError
-        If it is of another form; names ``what`` and the whole ``text``.
+    Names of parts, ``part.name``, are names, too. Another form is a :class:`ConfigError`.
     """
     found: dict[str, Any] = {}
     for part in options.split("&"):

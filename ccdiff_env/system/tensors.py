@@ -44,15 +44,7 @@ def tensor_bytes(tensors: Mapping[str, F32], metadata: Mapping[str, str]) -> byt
 
 
 def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str, str]]:
-    """Read arrays and texts.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no such file.
-    DatasetError
-        If it is damaged, too large, or holds anything else than finite float32.
-    """
+    """Read arrays and texts; anything else than finite float32 is a :class:`DatasetError`."""
     with reading("policy", path):
         data = read_bytes(path, MAX_BYTES)
         (length,) = struct.unpack_from("<Q", data)

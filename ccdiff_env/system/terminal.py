@@ -35,19 +35,12 @@ def counted(number: int, what: str) -> str:
 
 
 def align(markdown: str, *, width: int = ENDLESS, bold: bool = False) -> str:
-    """Return Markdown whose tables are aligned for reading; numbers to the right.
+    """Return Markdown whose tables are aligned for reading in lines of ``width``; numbers to the
+    right.
 
     Rules under heads become lines. Tables that are too wide lose their intervals, then their heads
-    stand on several lines, then their columns stand in several tables.
-
-    Parameters
-    ----------
-    markdown
-        Text.
-    width
-        Letters of a line, at most.
-    bold
-        Whether emphasised cells (``**0.90**``) and headings are bold; else cells keep a star.
+    stand on several lines, then their columns stand in several tables. Emphasised cells
+    (``**0.90**``) and headings are ``bold``; else cells keep a star.
     """
     out: list[str] = []
     rows: list[list[str]] = []

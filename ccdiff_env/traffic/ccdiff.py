@@ -80,18 +80,9 @@ PAPER_PROTOCOL: Mapping[str, Any] = {
 def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     """Read who matters in each scene, most important first, as a person may have listed it.
 
-    Parameters
-    ----------
-    path
-        JSON: ``{"scene-0103": ["<instance token>", "ego", ...], ...}``. Vehicles
-        that are not listed come after these: nearest time to contact first, then distance.
-
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no such file.
-    DatasetError
-        If it holds anything else, naming the scene.
+    The file is JSON: ``{"scene-0103": ["<instance token>", "ego", ...], ...}``. Vehicles that are
+    not listed come after these: nearest time to contact first, then distance. Anything else is a
+    :class:`DatasetError` that names the scene.
     """
     with reading("ranking", path):
         found = parsed_object(read_text(path))

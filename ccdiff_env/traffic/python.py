@@ -236,16 +236,7 @@ class PythonTraffic(PythonOptions):
 class BoundTraffic:
     """A model in an environment: what is called with arrays, checks the answer and returns it.
 
-    Parameters
-    ----------
-    name
-        Name of the driver, for messages.
-    traffic
-        The model.
-    scenes
-        Scenes of the environment.
-    dt_s
-        Its step.
+    ``name`` is that of the driver, for messages.
     """
 
     def __init__(self, name: str, traffic: PythonTraffic, scenes: SceneSet, dt_s: float) -> None:
@@ -261,12 +252,8 @@ class BoundTraffic:
     def __call__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> F32:
         """Return the plans [M, T, 3] or [M, T, 2] of the agents of a batch.
 
-        Raises
-        ------
-        ShapeError
-            If the answer has another shape, or is too short for the time between plans.
-        PolicyError
-            If the plan of an agent that the model drives is not finite.
+        Another shape, or too few steps for the time between plans, is a :class:`ShapeError`; a plan
+        that is not finite a :class:`PolicyError`.
         """
         scenes = tuple(self._scenes[i] for i in arrays["scene_idx"])
         batch = TrafficBatch(**arrays, scenes=scenes, dt_s=self._dt_s)

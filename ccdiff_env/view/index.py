@@ -40,27 +40,11 @@ class Entry:
 
 
 def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:
-    """Write a page for each rollout below a folder, and ``index.html`` that links them.
+    """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it, then
+    the pages.
 
-    Parameters
-    ----------
-    folder
-        Folder of rollouts (``.npz``), searched as deep as it goes.
-    out
-        Folder of the pages.
-    compare_log
-        Show the log of the scene beside each rollout.
-
-    Returns
-    -------
-    list of Path
-        The index, then the pages.
-
-    Raises
-    ------
-    DatasetNotFoundError, DatasetError
-        If there are no rollouts below the folder, or none that can be read. Others are left out
-        with a warning.
+    ``compare_log`` shows the log of the scene beside each. Files that cannot be read are left out
+    with a warning; none at all is a :class:`DatasetNotFoundError` or :class:`DatasetError`.
     """
     files = sorted(folder.rglob("*.npz"))
     if not files:
@@ -122,16 +106,8 @@ def _data_address(image: Image) -> str:
 
 
 def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = None) -> str:
-    """Return an HTML page that links replays in their order, with what became of each.
-
-    Parameters
-    ----------
-    title
-        Heading.
-    entries
-        The replays.
-    home
-        Address and title of a page above this one.
+    """Return an HTML page that links replays in their order, with what became of each, and the page
+    above.
     """
     cards = "\n".join(_card(entry) for entry in _short(entries))
     mishaps = Counter(entry.outcome.mishap for entry in entries)

@@ -54,18 +54,10 @@ def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive on the page.
+    """A drive on the page: scene, traffic (of :data:`TRAFFIC`), criticality (0 to 2), and keys of
+    each step.
 
-    Parameters
-    ----------
-    scene
-        Name of an embedded scene.
-    traffic
-        Who drives the others: one of :data:`TRAFFIC`.
-    criticality
-        Strength of a network's guidance, 0 to 2.
-    keys
-        Keys held in each step, [T]: accelerate 1, brake 2, left 4, right 8, added up.
+    Keys are numbers added up: accelerate 1, brake 2, left 4, right 8.
     """
 
     scene: str
@@ -78,12 +70,8 @@ class Drive:
     ) -> Iterator[npt.NDArray[np.float32]]:
         """Yield normalised acceleration and yaw rate [2] of each step, as the page computes them.
 
-        Parameters
-        ----------
-        velocity_mps
-            Gives the ego's velocity [2] before the step.
-        top_mps
-            From this speed on nothing accelerates.
+        ``velocity_mps`` gives the ego's velocity [2] before the step; from ``top_mps`` on nothing
+        accelerates.
         """
         steer = 0.0
         for held in self.keys:

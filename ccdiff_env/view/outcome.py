@@ -49,21 +49,12 @@ GOES = {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode"}
 
 @dataclass(frozen=True)
 class Happening:
-    """One thing that happened: both sides of a collision are one.
+    """One thing that happened at a recorded step to an agent and a partner (indices, -1 for none).
 
-    Parameters
-    ----------
-    step
-        Recorded step.
-    agent, partner
-        Indices of who it happened to and of the other one; -1 where there is none.
-    lane
-        Whose it is: the ego's, that of a vehicle that plans guide, or that of the others.
-    kind
-        ``"collision"``, ``"overlap"`` (both follow the log, whose boxes are not exact, or one does
-        and meets another that stands), ``"off_road"``, ``"goal"`` or ``"time_limit"``.
-    text
-        A few words.
+    Both sides of a collision are one. ``lane`` says whose it is: the ego's, that of a guided
+    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"overlap"`` (both follow the log,
+    whose boxes are not exact, or one does and meets another that stands), ``"off_road"``,
+    ``"goal"`` or ``"time_limit"``.
     """
 
     step: int
@@ -76,20 +67,10 @@ class Happening:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an episode.
+    """What became of the ego in words, whether it is bad or good, and collisions of others alone.
 
-    Parameters
-    ----------
-    tone
-        Whether it is bad or good for the ego, or neither.
-    text
-        What became of the ego, and when.
-    others
-        Collisions in which the ego has no part.
-    opening_s
-        A moment before what matters most, seconds from the start.
-    decided_s
-        When it is known, seconds from the start.
+    ``opening_s`` is a moment before what matters most, ``decided_s`` when it is known; both count
+    from the start.
     """
 
     tone: Tone

@@ -101,18 +101,9 @@ def page_html(
 
 
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
-    """Return a page of text: a heading, a line below it, and HTML.
+    """Return a page of text: a heading, a line below it, and HTML with its CSS.
 
     Tables of the class ``sorts`` are sorted by a click.
-
-    Parameters
-    ----------
-    title, line
-        Texts.
-    style
-        CSS of the body.
-    body
-        HTML.
     """
     texts = {"title": html.escape(title), "line": html.escape(line)}
     script = part("plain.js")
@@ -131,18 +122,10 @@ def filled_page(template: str, parts: Mapping[str, str]) -> str:
 def address(
     path: str, *, time_s: float | None = None, follow: str | None = None, play: bool = False
 ) -> str:
-    """Return the address of a page that opens at a moment and follows an agent.
+    """Return the address of a page that opens at a moment, in seconds from the start, and follows
+    the agent of an id.
 
-    Parameters
-    ----------
-    path
-        Address of the page.
-    time_s
-        Seconds from the start of the run.
-    follow
-        Id of the agent.
-    play
-        Play from that moment; without, the page waits there.
+    It plays from there, or waits.
     """
     wishes = {"t": None if time_s is None else f"{time_s:.1f}", "follow": follow}
     if play and time_s is not None:

@@ -28,30 +28,11 @@ FPS = {".gif": 10.0, ".mp4": 30.0}
 class Video:
     """Draws steps of one rollout.
 
-    Parameters
-    ----------
-    rollout
-        What to draw.
-    size
-        Width and height, pixels.
-    span_m
-        Metres across the width.
-    follow
-        Id of the agent in the middle; the first agent (the ego) by default.
-    centre_m
-        A point (x, y) of the scene in the middle instead, metres: the image stands still.
-    up_rad
-        Direction that points to the top.
-    graph
-        Draw the edges of the causal graph of the plan in force that reach the followed agent
-        within two hops.
-    captions
-        Write the title, the time, what became of the ego, names of agents, a scale bar and what
-        the colours mean.
-    theme
-        Ground and colours: ``"light"`` or ``"dark"``.
-    title
-        What stands before the time; the scene's name by default.
+    ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id;
+    the first agent by default), or the point ``centre_m`` of the scene. ``up_rad`` points to the
+    top. ``graph`` draws the causal edges of the plan in force that reach the followed agent within
+    two hops; ``captions`` are title, time, verdict, names, scale bar and legend; ``theme`` is
+    ``"light"`` or ``"dark"``. A :class:`ConfigError` names an agent that is not there.
     """
 
     def __init__(
@@ -297,24 +278,11 @@ def save_video(
     progress: Callable[[Iterable[float]], Iterable[float]] = iter,
     **options: object,
 ) -> None:
-    """Write a video (``.gif``, ``.mp4``) at ``speed`` times the pace of the world.
+    """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
+    world.
 
-    Motion between steps is drawn, too: :data:`FPS` images a second.
-
-    Parameters
-    ----------
-    rollout, compare
-        What to show, side by side where there are several.
-    path
-        File to write.
-    titles
-        Name of each run; by default the scene's.
-    speed
-        Pace.
-    progress
-        Goes over the moments, and may show how far it is.
-    options
-        Those of :class:`Video`.
+    Motion between steps is drawn, too: :data:`FPS` images a second. ``titles`` names the runs, by
+    default by scene; ``progress`` goes over the moments; ``options`` are those of :class:`Video`.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")

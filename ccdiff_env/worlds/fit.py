@@ -44,17 +44,8 @@ def fitting_fields(config: WorldConfig) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Fit:
-    """What a policy was trained in.
-
-    Parameters
-    ----------
-    options
-        Fields of :class:`~ccdiff_env.WorldConfig`: actions, observations, steps of a decision,
-        seconds of a step.
-    form
-        Form of the observations: ``"flat"``, ``"dict"`` or ``"bev"``.
-    schema
-        Digest of what the numbers mean, see :func:`schema_digest`.
+    """What a policy was trained in: fields of :class:`~ccdiff_env.WorldConfig` (:data:`FIELDS`),
+    form of observations, and :func:`schema_digest`.
     """
 
     options: Mapping[str, Any]

@@ -19,16 +19,10 @@ def network_policies(
 ) -> dict[str, object]:
     """Return the policies of a configuration that need a network, by name, for the native worlds.
 
-    They plan on ``num_threads`` threads; plans do not depend on their number.
-
-    Raises
-    ------
-    MissingFeatureError
-        A network needs torch, see :func:`~ccdiff_env.models.needs_torch`.
-    ConfigError, CheckpointError, SceneError, DatasetNotFoundError
-        Settings, weights or scenes do not fit; the message says which.
-    UnknownNameError
-        No scene has an agent that contacts shall be aimed at.
+    They plan on ``num_threads`` threads; plans do not depend on their number. Raises
+    :class:`MissingFeatureError` where a network needs torch, :class:`UnknownNameError` where no
+    scene has an agent that contacts shall be aimed at, and errors that name settings, weights or
+    scenes that do not fit.
     """
 
     def made(name: str, kind: str, options: str) -> object:

@@ -121,21 +121,10 @@ def _with_style(tensors: Mapping[str, F32], factors: F32) -> dict[str, F32]:
 
 
 def egos_policy(asked: EgosConfig, dt_s: float) -> object:
-    """Return traffic of native worlds that a policy drives.
+    """Return traffic of native worlds with steps of ``dt_s`` that a policy drives.
 
-    Parameters
-    ----------
-    asked
-        The policy, of :data:`SHIPPED` or a file, and its dial.
-    dt_s
-        Seconds of a step of the worlds.
-
-    Raises
-    ------
-    DatasetNotFoundError, DatasetError
-        If there is no such file, or it is damaged.
-    ConfigError
-        If it fits neither the step, nor this version, nor the style.
+    Raises :class:`DatasetError` where there is no such file or it is damaged, :class:`ConfigError`
+    where it fits neither the step, nor this version, nor the style.
     """
     path = SHIPPED.get(asked.policy, Path(asked.policy))
     if path.suffix != ".safetensors":

@@ -18,16 +18,10 @@ _HEAD = struct.Struct("<6sHqd")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One world at one moment.
+    """One world at one moment: the native snapshot, and what else the future depends on.
 
-    Parameters
-    ----------
-    world
-        The native snapshot.
-    actions
-        Actions since the episode began, float32 rows; ``None`` where they were not recorded.
-    criticality
-        What the episode drew; ``None`` where nothing is drawn.
+    ``actions`` are those since the episode began, float32 rows, ``None`` where they were not
+    recorded; ``criticality`` is what the episode drew.
     """
 
     world: bytes
@@ -43,12 +37,8 @@ class Snapshot:
     def put(self, worlds: Worlds, world_idx: int, seed: int | None = None) -> None:
         """Put a world into it; with a seed, its future is another one.
 
-        Raises
-        ------
-        SnapshotError
-            If it belongs to another configuration or other scenes; nothing has changed then.
-        ResetNeededError
-            With a seed, if the world was never reset.
+        A :class:`SnapshotError` leaves the world as it was. A seed for a world that was never reset
+        is a :class:`ResetNeededError`.
         """
         other = None if seed is None else normalize_seed(seed)
         worlds.native.restore(world_idx, self.world)

@@ -36,22 +36,10 @@ def read_columns(text: str) -> tuple[InfoColumn, ...]:
 
 @dataclass(frozen=True)
 class Entry:
-    """A part of the observation row.
+    """A part of the observation row: key and shape in the dictionary form, first float in the row.
 
-    Parameters
-    ----------
-    name
-        Key in the dictionary form.
-    shape
-        Shape in the dictionary form.
-    offset
-        First float in the flat row.
-    is_mask
-        Whether it tells which rows of the entry before it are there.
-    columns
-        Names of the columns, the last axis; empty for masks.
-    low, high
-        Least and greatest value of each column.
+    A mask tells which rows of the entry before it are there. Columns, with their bounds, are the
+    last axis; masks have none.
     """
 
     name: str
@@ -78,18 +66,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class Layout:
-    """The schema of observations: entries of a row one after the other, and a raster.
+    """The schema of observations: entries of a row of D floats one after the other, and a raster.
 
-    Parameters
-    ----------
-    entries
-        Parts of the row.
-    size
-        Floats of the row D.
-    raster
-        Shape [channels, S, S] of the bird's-eye raster, where there is one.
-    channels
-        Names of its channels.
+    ``raster`` is its shape [channels, S, S], where there is one.
     """
 
     entries: tuple[Entry, ...]

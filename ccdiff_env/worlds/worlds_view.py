@@ -106,18 +106,10 @@ def behind(shown: Any) -> Any:
 
 
 def worlds_view(worlds: Worlds, who: str) -> Any:
-    """Return worlds that can only be read, and show what a vehicle can know.
+    """Return worlds that can only be read, and show what a vehicle can know; errors name ``who``.
 
     There is no log, snapshot or plan of others, no name, token or hash of a scene, no seed, and
-    nothing of who drives the others.
-
-    It is a rule that is kept, not a wall: code that digs through private names gets through.
-
-    Parameters
-    ----------
-    worlds
-        The worlds.
-    who
-        The planner, for errors.
+    nothing of who drives the others. It is a rule that is kept, not a wall: code that digs through
+    private names gets through.
     """
     return _View(worlds, _WORLDS, f"{who}: worlds")
