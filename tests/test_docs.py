@@ -1,4 +1,4 @@
-"""What README, docs and docstrings show runs: Python in order, command lines at least parsed."""
+"""What README, docs and docstrings show runs; citations and tables of pages hold."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import contextlib
 import doctest
 import importlib
 import io
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -14,12 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 import ccdiff_env
 import ccdiff_env_cli
 from ccdiff_env.scenes.embedded import unpack
-from ccdiff_env.view.sources import play_scene
+from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env_cli import parse
+from tools import expectations, gallery
+from tools.results import DATA, USED_FOR
+from tools.task_tables import TABLES, filled
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *ROOT.glob("[A-Z]*[A-Z].md"), *sorted((ROOT / "docs").glob("*.md"))]
@@ -236,3 +241,161 @@ def test_charts_are_those_of_the_results_that_were_kept(name):
     said = re.compile('aria-label="[^"]*[0-9][^"]*"')
     assert said.findall(MADE[name]()) == said.findall(made) != [], "python -m tools.charts"
     assert "prefers-color-scheme:dark" in made
+
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
+
+
+def test_tables_are_those_of_the_schemas():
+    text = PAGE.read_text(encoding="utf-8")
+    assert filled(text) == text, "python -m tools.task_tables docs/tasks.md"
+    assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
+
+
+def test_images_and_pages_that_are_named_exist():
+    text = PAGE.read_text(encoding="utf-8")
+    for name in re.findall(r"\]\(([\w./]+)\)", text):
+        assert (PAGE.parent / name).exists(), name
+
+
+def test_pictures_of_the_front_page_are_copied_into_the_site():
+    names = re.findall(r'<img src="([^"]+)"', PAGE.with_name("index.md").read_text("utf-8"))
+    settings = PAGE.with_name("conf.py").read_text("utf-8")
+    assert names
+    for name in names:
+        assert PAGE.with_name(name).is_file(), name
+        assert f'html_extra_path = ["{name}"]' in settings
+
+
+#: A page and perhaps a heading; names in quotes or backticks are files that the code writes.
+CITATION = re.compile(r"(?<![\w\"`'/{*])((?:docs/)?[\w-]+\.md)(?:#([\w-]+))?(?! \d)\b")
+LINK = re.compile(r"\]\(([\w./-]+\.md)?(?:#([\w-]+))?\)")
+
+
+def headings(page: Path) -> set[str]:
+    """Anchors of a page, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def lost(page: Path, heading: str | None) -> bool:
+    """Whether a citation leads nowhere."""
+    return not page.exists() or (heading is not None and heading not in headings(page))
+
+
+def code() -> list[Path]:
+    """Every file of code that may cite a page."""
+    folders = [("rust", "*.rs"), ("ccdiff_env", "*.py"), ("tests", "*.py"), ("examples", "*.py")]
+    files = [file for folder, ending in folders for file in (ROOT / folder).rglob(ending)]
+    return [file for file in files if file != Path(__file__).resolve()]
+
+
+def test_citations_in_code_resolve():
+    dead, found = [], 0
+    for file in code():
+        text = file.read_text(encoding="utf-8")
+        for line in re.findall(r"^.*\.md.*$", text, re.MULTILINE):
+            assert not re.search(r"\.md \d", line), f"{file}: cite a heading, not a number: {line}"
+            for name, heading in CITATION.findall(line):
+                found += 1
+                folders = (ROOT / "docs", ROOT, file.parent)
+                if all(lost(folder / name, heading or None) for folder in folders):
+                    dead.append(f"{file.relative_to(ROOT)}: {name}#{heading}")
+    assert dead == []
+    assert found > 60, "the pattern no longer finds the citations"
+
+
+def test_files_that_the_architecture_names_exist():
+    """Paths may leave out leading folders and ``src``; braces hold several names."""
+    text = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+    found = []
+    for name in re.findall(r"`([\w/.{},-]+\.(?:rs|py|js))`", text):
+        before, _, rest = name.partition("{")
+        inner, _, after = rest.partition("}")
+        found += [f"{before}{one}{after}" for one in inner.split(",")]
+    folders = ("rust", "ccdiff_env", "tests", "tools", "examples", "benchmarks")
+    files = [
+        f"/{file.relative_to(ROOT)}" for folder in folders for file in (ROOT / folder).rglob("*.*")
+    ]
+    files = [file.replace("/src/", "/") for file in files]
+    named = {name: f"/{name.replace('/src/', '/')}" for name in found}
+    assert [name for name, end in named.items() if not any(f.endswith(end) for f in files)] == []
+    assert len(found) > 30
+
+
+def test_links_between_pages_resolve():
+    dead = []
+    for page in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
+        for name, heading in LINK.findall(page.read_text(encoding="utf-8")):
+            if (name or heading) and lost(page.parent / name if name else page, heading or None):
+                dead.append(f"{page.name}: {name}#{heading}")
+    assert dead == []
+
+
+FILES = [path for path in sorted(DATA.glob("*.json")) if '"scenes"' in path.read_text("utf-8")]
+
+
+def scenes_of(splits: str) -> set[str]:
+    """Names of scenes of splits that are joined by ``+``, of nuScenes or of the package."""
+    if splits.startswith("embedded/") or splits == "city":
+        return {f"embedded {s.name}" for s in ccdiff_env.load(f"embedded/{splits.split('/')[-1]}")}
+    return {name for split in splits.split("+") for name in ccdiff_env.scenes.splits()[split]}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_scenes_that_trained_or_chose_never_report(path):
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    reported = scenes_of(kept["scenes"].split(" of ")[-1])
+    assert reported
+    named = {value for row in kept["rows"] for value in row.values() if isinstance(value, str)}
+    used = [splits for name, splits in USED_FOR.items() if name in named]
+    for splits in [*used, *(kept[key] for key in ("trained_on", "chosen_on") if key in kept)]:
+        assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
+
+
+def test_the_shipped_egos_are_covered():
+    named = {
+        row["planner"]
+        for path in FILES
+        for row in json.loads(path.read_text(encoding="utf-8"))["rows"]
+        if "planner" in row
+    }
+    assert named & set(USED_FOR)
+
+
+def test_the_table_of_expectations_is_that_of_its_results():
+    rows = json.loads(expectations.DATA.read_text(encoding="utf-8"))["rows"]
+    assert expectations.table(rows) in expectations.PAGE.read_text(encoding="utf-8")
+    curve = next(row["curve"] for row in rows if "curve" in row)
+    assert curve[-1][2] > curve[0][2] + 0.2
+
+
+HERO = Path(__file__).resolve().parents[1] / "docs/hero.gif"
+
+
+def test_the_image_moves_and_loads_fast():
+    assert HERO.stat().st_size < 500_000
+    with Image.open(HERO) as video:
+        assert video.n_frames > 30
+
+
+@pytest.mark.parametrize("task", ["ego", "multi_agent", "selection"])
+def test_the_image_of_a_task_moves_and_loads_fast(task):
+    path = HERO.with_name(f"task_{task}.gif")
+    assert path.stat().st_size < 400_000
+    with Image.open(path) as video:
+        assert video.n_frames > 10
+    assert path.name in HERO.with_name("tasks.md").read_text(encoding="utf-8")
+
+
+def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):
+    scenes = [find_scene(name) for name in ("cut-in-04", "tee-crossing-01")]
+    index = gallery.write_gallery(tmp_path / "gallery", scenes).read_text(encoding="utf-8")
+    # the story first: reached in realistic traffic, hit in critical traffic
+    assert index.index("tee-crossing-01.html") < index.index("cut-in-04.html")
+    assert "realistic: ego reached its goal" in index
+    pages = sorted((tmp_path / "gallery").glob("*-*.html"))
+    assert len(pages) == 2
+    for page in pages:
+        assert f'href="{page.name}' in index
+        assert page.read_text(encoding="utf-8").count('class="run"') == 2

@@ -1,16 +1,25 @@
-"""What wrappers and learners of others ask of environments."""
+"""What wrappers and learners of others ask: attributes, spaces, options of resets."""
 
 from __future__ import annotations
+
+import copy
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces, wrappers
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 import ccdiff_env
-from ccdiff_env.envs.agent_vector import AgentVectorEnv
-from ccdiff_env.envs.sb3 import SB3VecEnv
-from ccdiff_env.errors import ConfigError, ResetNeededError
+from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
+from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
+from ccdiff_env.errors import ConfigError, ResetNeededError, UnknownNameError
+from ccdiff_env.planners.built_in import Seat
+from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.fit import ATTRIBUTE
 
 
 @pytest.fixture(scope="module")
@@ -103,3 +112,243 @@ def test_a_recorder_made_after_a_reset_has_started(scenes):
     recorder = ccdiff_env.Recorder(env)
     env.step(0)
     assert recorder.rollout().num_steps == env.unwrapped.worlds.config.ccdiff.replan_steps + 1
+
+
+RASTER = {"observation": "dict", "bev": {"size_px": 36}}
+
+
+def own(env):
+    """All spaces of an environment and of its worlds, as they are."""
+    names = ("observation_space", "action_space", "single_observation_space", "single_action_space")
+    found = {name: getattr(env, name) for name in names if hasattr(env, name)}
+    return found | {"worlds": env.worlds.action_space}
+
+
+def spoil(space):
+    """Change a space in place, as wrappers do."""
+    if isinstance(space, spaces.Dict):
+        for name in list(space.spaces):
+            space.spaces[name] = spaces.Discrete(2)
+    elif isinstance(space, spaces.Box):
+        space.low[:], space.high[:] = -3.0, 3.0
+    elif isinstance(space, spaces.MultiBinary):
+        space.n, space._shape = 1, (1,)
+
+
+def test_statistics_of_rasters_change_the_wrappers_space_alone(scenes):
+    env = ccdiff_env.make_vec(2, scenes=scenes, **RASTER)
+    before, vec = copy.deepcopy(own(env)), SB3VecEnv(env)
+    norm = VecNormalize(vec, norm_obs_keys=["bev", "ego"])
+    norm.reset()
+    assert norm.observation_space["bev"].dtype == np.float32
+    assert own(env) == before
+    assert env.single_observation_space["bev"].dtype == np.uint8
+    assert getattr(env.single_observation_space, ATTRIBUTE)
+
+
+@pytest.mark.parametrize("form", [{}, RASTER])
+def test_wrappers_of_gymnasium_leave_spaces_alone(scenes, form):
+    for wrap in (
+        lambda env: wrappers.RescaleAction(env, -2.0, 2.0),
+        lambda env: wrappers.FrameStackObservation(env, 2),
+        wrappers.FlattenObservation,
+        wrappers.TimeAwareObservation if not form else wrappers.ClipAction,
+    ):
+        env = EgoEnv(scenes=scenes, **form)
+        before = copy.deepcopy(own(env))
+        wrapped = wrap(gymnasium.wrappers.TimeLimit(env, 5))
+        wrapped.reset(seed=0)
+        wrapped.step(wrapped.action_space.sample())
+        assert own(env) == before
+    env = ccdiff_env.make_vec(2, scenes=scenes, **form)
+    before = copy.deepcopy(own(env))
+    wrapped = vector.RescaleAction(vector.FlattenObservation(env), -2.0, 2.0)
+    wrapped.reset(seed=0)
+    wrapped.step(wrapped.action_space.sample())
+    assert own(env) == before
+
+
+def test_worlds_go_on_whatever_is_done_to_a_space_that_was_handed_out(scenes):
+    rows = AgentVectorEnv(2, scenes=scenes, agents=2)
+    selection = AdversarySelectionVectorEnv(2, scenes=scenes, horizon_steps=10)
+    for env, vec in (
+        (ccdiff_env.make_vec(2, scenes=scenes), SB3VecEnv),
+        (ccdiff_env.make_vec(2, scenes=scenes, **RASTER), SB3VecEnv),
+        (rows, AgentSB3VecEnv),
+        (selection, SelectionSB3VecEnv),
+    ):
+        before = copy.deepcopy(own(env))
+        made = vec(env)
+        actions = np.stack([made.action_space.sample() for _ in range(made.num_envs)])
+        spoil(made.observation_space)
+        spoil(made.action_space)
+        assert own(env) == before
+        for space in own(env).values():
+            spoil(space)
+        made.reset()
+        made.step(actions)
+    env = EgoEnv(scenes=scenes)
+    spoil(env.action_space)
+    env.reset(seed=0)
+    assert env.step(np.zeros(2, np.float32))[0].shape == env.observation_space.shape
+    assert env.expert_action().shape == (2,)
+
+
+def test_a_policy_of_changed_observations_is_refused(scenes):
+    """stable-baselines3 changes the raster's space of an environment of one world in place."""
+    env = DummyVecEnv([lambda: EgoEnv(scenes=scenes, **RASTER)])
+    norm = VecNormalize(env, norm_obs_keys=["bev"], norm_reward=False)
+    model = PPO("MultiInputPolicy", norm, n_steps=4, batch_size=4, n_epochs=1, seed=0)
+    worlds = EgoEnv(scenes=scenes, **RASTER).worlds
+    assert isinstance(worlds, Worlds)
+    worlds.native.reset([0], [0], None, worlds.arrays())
+    seat = Seat(*_as_planner(model))
+    with pytest.raises(ConfigError, match="another space"):
+        seat.begin(worlds)
+    plain = PPO("MultiInputPolicy", SB3VecEnv(ccdiff_env.make_vec(1, scenes=scenes, **RASTER)))
+    Seat(*_as_planner(plain)).begin(worlds)
+
+
+def _as_planner(model):
+    from ccdiff_env.planners.built_in import _Sb3
+
+    return _Sb3(model, "mine"), "mine"
+
+
+def test_stacked_observations_have_a_space_of_their_own(scenes):
+    env = ccdiff_env.make_vec(2, scenes=scenes)
+    before = copy.deepcopy(own(env))
+    stacked = VecFrameStack(SB3VecEnv(env), 3)
+    assert stacked.reset().shape == (2, 3 * env.single_observation_space.shape[0])
+    assert own(env) == before
+
+
+TOLD = ("scene", "ego", "start_step")
+
+
+def driver_of(worlds, world_idx, agent):
+    ids = worlds.scenes[worlds.native.status(world_idx).scene_idx].agent_ids
+    return worlds.native.drivers(world_idx)[list(ids).index(agent)]
+
+
+def drawn(scenes, scene):
+    """An ego that a scene has, besides the logged one."""
+    env = EgoEnv(scenes=scenes, ego="any")
+    for seed in range(9):
+        ego = env.reset(seed=seed, options={"scene": scene})[1]["ego"]
+        if ego != "ego":
+            return ego
+    raise AssertionError(scene)
+
+
+def cases(scenes):
+    one, two = scenes.names[:2]
+    other = drawn(scenes, one)
+    return [
+        ({"scene": one}, {}),
+        ([{"scene": one}, {"scene": two}], {}),
+        ([{}, {"scene": two}], {}),
+        ([{"scene": one, "ego": other, "start": 50}, {"scene": two}], {"ego": "any"}),
+        ({"style": {"comfort": 4.0}}, {"style": {"comfort": (0.0, 4.0)}}),
+        (
+            [{"style": {"comfort": 4.0}}, {"style": {"comfort": 1.0}}],
+            {"style": {"comfort": (0.0, 4.0)}},
+        ),
+        ({"scene": one, "drivers": {other: "replay"}}, {"traffic": "idm"}),
+        ([{"scene": one, "drivers": {other: "replay"}}, {"scene": one}], {"traffic": "idm"}),
+    ]
+
+
+def test_stable_baselines3_tells_worlds_what_it_tells_environments(scenes):
+    for options, made in cases(scenes):
+        native = SB3VecEnv(ccdiff_env.make_vec(2, scenes=scenes, **made))
+        envs = [EgoEnv(scenes=scenes, **made) for _ in range(2)]
+        single = DummyVecEnv([lambda env=env: env for env in envs])
+        found = []
+        for vec in (native, single):
+            vec.seed(3)
+            vec.set_options(options)
+            found.append(vec.reset())
+        assert np.array_equal(*found), options
+        for i, env in enumerate(envs):
+            told = [vec.reset_infos[i] for vec in (native, single)]
+            assert [one.get(name) for one in told for name in TOLD] == [
+                told[0].get(name) for _ in told for name in TOLD
+            ]
+            drivers = [native.env.worlds.native.drivers(i), env.worlds.native.drivers(0)]
+            assert drivers[0] == drivers[1], options
+        actions = np.zeros((2, 2), np.float32)
+        for _ in range(5):
+            rows = [vec.step(actions) for vec in (native, single)]
+            assert all(
+                np.array_equal(a, b) for a, b in zip(*(row[:3] for row in rows), strict=True)
+            )
+        # told once
+        assert [vec._options for vec in (native, single)] == [[{}, {}]] * 2
+
+
+def test_what_no_world_takes_is_refused_by_every_door(scenes):
+    game = ccdiff_env.parallel_env(scenes=scenes, agents=2)
+    rows = AgentVectorEnv(2, scenes=scenes, agents=2)
+    selection = AdversarySelectionVectorEnv(2, scenes=scenes)
+    doors = [EgoEnv(scenes=scenes), ccdiff_env.make_vec(2, scenes=scenes), game, rows, selection]
+    doors += [ccdiff_env.AdversarySelectionEnv(scenes=scenes)]
+    for env in doors:
+        with pytest.raises(ConfigError, match="did you mean 'scene'"):
+            env.reset(seed=0, options={"scen": scenes.names[0]})
+        with pytest.raises(ConfigError, match="expected a dictionary"):
+            env.reset(seed=0, options=["scene"])
+    for vec in (
+        SB3VecEnv(ccdiff_env.make_vec(2, scenes=scenes)),
+        AgentSB3VecEnv(rows),
+        SelectionSB3VecEnv(selection),
+    ):
+        vec.set_options({"scen": scenes.names[0]})
+        with pytest.raises(ConfigError, match="did you mean 'scene'"):
+            vec.reset()
+        vec.set_options({"reset_mask": np.ones(2, np.bool_)})
+        with pytest.raises(ConfigError, match="reset_mask"):
+            vec.reset()
+        vec.set_options([{"scene": 0}] * (vec.num_envs + 1))
+        with pytest.raises(ConfigError, match=f"{vec.num_envs + 1} options"):
+            vec.reset()
+    game.reset(seed=0, options={"options": 1})  # PettingZoo's own tests
+
+
+def test_rows_of_a_world_are_told_the_same(scenes):
+    one, two = scenes.names[:2]
+    env = AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm")
+    vec = AgentSB3VecEnv(env)
+    vec.set_options([{"scene": one}, {}, {"scene": two}, {"scene": two}])
+    vec.reset()
+    assert [info["scene"] for info in vec.reset_infos] == [one, one, two, two]
+    vec.set_options([{"scene": one}, {"scene": two}, {}, {}])
+    with pytest.raises(ConfigError, match="rows of one world"):
+        vec.reset()
+    ids = scenes[0].agent_ids
+    kept = {env.worlds.native.slot_agents(0)[c] for c in range(2)}
+    other = next(i for i in range(len(ids)) if env.worlds.native.drivers(0)[i] == "idm")
+    assert other not in kept
+    env.reset(seed=0, options={"scene": [one, two], "drivers": {ids[other]: "replay"}})
+    assert driver_of(env.worlds, 0, ids[other]) == "replay"
+    env.reset(seed=0, options={"scene": one, "drivers": [{}, {ids[other]: "replay"}]})
+    assert [driver_of(env.worlds, e, ids[other]) for e in range(2)] == ["idm", "replay"]
+
+
+def test_drivers_are_told_to_all_worlds_or_to_each(scenes):
+    one, two = scenes.names[:2]
+    ids = [set(scene.agent_ids) for scene in scenes[:2]]
+    only = next(i for i in scenes[0].agent_ids if i in ids[0] - ids[1])
+    env = ccdiff_env.make_vec(2, scenes=scenes, traffic="idm")
+    env.reset(seed=0, options={"scene": [one, two], "drivers": {only: "replay"}})
+    assert driver_of(env.worlds, 0, only) == "replay"
+    env.reset(seed=0, options={"scene": [one, two], "drivers": [{only: "replay"}, None]})
+    assert driver_of(env.worlds, 0, only) == "replay"
+    with pytest.raises(UnknownNameError, match=f"{two}.*world 1.*{only}"):
+        env.reset(seed=0, options={"scene": [one, two], "drivers": [{}, {only: "replay"}]})
+    with pytest.raises(ConfigError, match="drivers has 3 entries"):
+        env.reset(seed=0, options={"drivers": [{}, {}, {}]})
+    rows = AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm")
+    for door in (env, rows, AdversarySelectionVectorEnv(2, scenes=scenes)):
+        with pytest.raises(UnknownNameError, match="no scene has an agent 'nobody'"):
+            door.reset(seed=0, options={"drivers": {"nobody": "idm"}})

@@ -1,14 +1,21 @@
-"""The command line: words that are wrong, folders that a typo leaves alone, small verbs."""
+"""The command line: wrong words, folders that a typo leaves alone, tables."""
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
+import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from ccdiff_env import cli
+from ccdiff_env.cli import main
+from ccdiff_env.system.table import Column, Table, document
+from ccdiff_env.system.terminal import align
 
 
 @pytest.mark.parametrize(
@@ -151,3 +158,155 @@ def test_training_begins_with_a_policy_and_stays_near_an_anchor():
             update(agent, optimiser, dict(data), kl)
         moved[kl] = float((agent(x)[0] - mean).abs().mean().detach())
     assert moved[1e4] < 0.5 * moved[0.0]
+
+
+def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
+    text = align(
+        "Idm is best.\n\n### Scores\n\n| planner | score |\n|---|---:|\n"
+        "| idm | **0.90** |\n| constant velocity | 10.25 [1, 2] |\n\nMeans."
+    )
+    assert text.splitlines() == [
+        "Idm is best.",
+        "",
+        "Scores",
+        "",
+        "planner                   score",
+        "─────────────────  ────────────",
+        "idm                      0.90 *",
+        "constant velocity  10.25 [1, 2]",
+        "",
+        "Means.",
+    ]
+
+
+def test_tables_without_rows_and_empty_cells_stay():
+    assert align("| a | b |\n|---|---|\n") == "a  b\n─  ─\n"
+    assert align("| a | b |\n|---|---|\n| x | |\n").splitlines()[2] == "x"
+
+
+def test_output_that_nobody_reads_on_ends_without_a_word():
+    command = [sys.executable, "-m", "ccdiff_env.cli", "scenes"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
+
+
+WIDE = (
+    "Idm is best over all, and this sentence is so long that it would leave a window of eighty.\n\n"
+    "| score | Log replay | CCDiff, no guidance | CCDiff, criticality 1 | mean | worst of all |\n"
+    "|---|---:|---:|---:|---:|---:|\n"
+    "| IDM on the log's path | **0.90 [0.85, 0.95]** | 0.8 [0.75, 0.85] | 0.7 [0.6, 0.8] "
+    "| 0.8 [0.7, 0.9] | 0.7 [0.6, 0.8] |\n"
+    "| constant velocity | 0.50 [0.45, 0.55] | 0.4 [0.3, 0.5] | 0.3 [0.2, 0.4] | 0.4 | 0.3 |\n"
+)
+
+
+def test_no_line_is_wider_than_the_window_and_no_figure_is_lost():
+    for width in (80, 60, 40):
+        text = align(WIDE, width=width)
+        assert max(map(len, text.splitlines())) <= width
+        assert [text.count(word) for word in ("0.90 *", "0.8", "0.3")] == [1, 2, 2]
+        assert "[" not in text
+    assert "[0.85, 0.95] *" in align(WIDE)
+
+
+def test_a_terminal_shows_bold_and_keeps_the_columns():
+    plain = align(WIDE, width=80).replace(" *", "  ")
+    bold = align(WIDE, width=80, bold=True)
+    assert "\033[1m0.90\033[0m" in bold
+    bare = bold.replace("\033[1m", "").replace("\033[0m", "")
+    assert [line.split() for line in bare.splitlines()] == [
+        line.split() for line in plain.splitlines()
+    ]
+
+
+SHORT = "--limit 1 --quiet --out"
+#: What verbs that print tables are called with; a run folder of the one before where it says RUN.
+VERBS = {
+    "scenes": "scenes",
+    "doctor": "doctor",
+    "planners": "bench planners --planners idm,constant_velocity --traffic replay,idm,ccdiff,"
+    f"ccdiff-1 --seeds 0 {SHORT}",
+    "verify": "bench verify RUN/planners --episodes 1",
+    "leaderboard": "bench leaderboard RUN/planners --out",
+    "traffic": f"bench traffic --methods constant_velocity,idm --k 1,2,3,4,5,10,Full {SHORT}",
+    "scenarios": f"bench scenarios --generators idm --planners idm,replay --plans 8 {SHORT}",
+    "realism": f"bench realism --methods replay,constant_velocity,idm --samples 2 {SHORT}",
+}
+
+
+@pytest.mark.timeout(300)
+def test_no_verb_prints_lines_wider_than_a_window_of_eighty(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    for name, words in VERBS.items():
+        folder = [str(tmp_path / name)] if words.endswith("--out") else []
+        command = words.replace("RUN", str(tmp_path)).split() + folder
+        assert main(command) == 0, name
+        out, err = capsys.readouterr()
+        lines = out.replace(str(tmp_path), "").splitlines()
+        assert len(lines) > 1, name
+        assert [line for line in lines if len(line) > 80] == []
+        assert "\r" not in err
+        assert " 1 scenes" not in out
+
+
+NAN = math.nan
+
+
+def table():
+    columns = (Column("hit", unit="%", digits=1, factor=100.0), Column("gap", "distance", "m"))
+    return Table(
+        ["name", "count", *columns],
+        [["a", 3, (0.25, 0.125, 0.5), 1.5], ["b", 4, (NAN, NAN, NAN), None]],
+        "Two",
+    )
+
+
+def test_readers_see_units_digits_and_intervals():
+    assert str(table()).splitlines() == [
+        "### Two",
+        "",
+        "| name | count | hit % | distance m |",
+        "|---|---|---|---|",
+        "| a | 3 | 25.0 [12.5, 50.0] | 1.50 |",
+        "| b | 4 | n/a | |",
+    ]
+
+
+def test_latex_has_the_same_cells_with_its_letters_escaped():
+    cells = [["a_b & c", 0.25], ["[d](page.html)", 0.5]]
+    text = Table(["name", Column("hit", unit="%", best=True)], cells, "Two_").latex()
+    assert text.splitlines() == [
+        r"\begin{table}",
+        r"\caption{Two\_}",
+        r"\begin{tabular}{lc}",
+        r"\toprule",
+        r"name & hit \% \\",
+        r"\midrule",
+        r"a\_b \& c & 0.25 \\",
+        r"d & \textbf{0.50} \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+
+
+def test_files_have_the_values_themselves(tmp_path):
+    table().write_csv(tmp_path / "t.csv")
+    rows = list(csv.reader((tmp_path / "t.csv").open()))
+    assert rows[0] == ["name", "count", "hit", "hit_low", "hit_high", "gap"]
+    assert rows[1:] == [["a", "3", "0.25", "0.125", "0.5", "1.5"], ["b", "4", "", "", "", ""]]
+
+
+def test_the_highest_as_shown_are_emphasised():
+    cells = (0.901, "[0.90](#a) [0.80, 0.95]", 0.894, NAN, None)
+    lines = str(Table([Column("score", best=True)], [[cell] for cell in cells])).splitlines()
+    shown = ["**0.90**", "**[0.90](#a) [0.80, 0.95]**", "0.89", "n/a"]
+    assert lines[2:] == [*(f"| {cell} |" for cell in shown), "| |"]
+
+
+def test_a_document_leaves_out_what_has_nothing():
+    assert document("First.", "", Table(["a"], []), "Last.") == "First.\n\nLast.\n"
