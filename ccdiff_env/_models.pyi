@@ -1,5 +1,6 @@
 """The compiled extension of networks: loaded after torch, by ``models.require_networks``."""
 
+# fmt: off
 from pathlib import Path
 from typing import final
 
@@ -8,21 +9,12 @@ from ccdiff_env._native import Scene, TrajectoryModel
 @final
 class Trainer:
     def __new__(
-        cls,
-        scenes: list[Scene],
-        held_out: list[Scene],
-        model: str,
-        training: str,
-        *,
-        device: str,
-        stride: int,
-        estimate: bool,
-        teacher: str | None = None,
-        start: str | None = None,
+        cls, scenes: list[Scene], held_out: list[Scene], model: str, training: str, *, device: str,
+        stride: int, estimate: bool, teacher: str | None = None, start: str | None = None,
     ) -> Trainer: ...
     def run(self, steps: int) -> list[float]: ...
     def validate(
-        self, count: int, *, solver_steps: int | None, num_samples: int, guidance_weight: float
+        self, count: int, *, solver_steps: int | None, num_samples: int, guidance_weight: float,
     ) -> dict[str, float] | None: ...
     def cool_down(self, steps: int) -> None: ...
     @property
@@ -42,11 +34,6 @@ def model_preset(name: str, model: str = "ccdiff") -> tuple[str, str]: ...
 def training_settings(path: str) -> tuple[str, str]: ...
 def config_tables() -> str: ...
 def traffic_policy(
-    name: str,
-    kind: str,
-    options: str,
-    weights: Path,
-    dt_s: float,
-    num_threads: int,
+    name: str, kind: str, options: str, weights: Path, dt_s: float, num_threads: int,
     scenes: list[Scene],
 ) -> object: ...

@@ -1,5 +1,6 @@
 """The compiled extension; arrays are C-contiguous."""
 
+# fmt: off
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, final
@@ -21,64 +22,30 @@ from ccdiff_env.scenes.scene_types import (
 _Places = tuple[Sequence["Scene"], npt.NDArray[np.int64], F32, F32, F32]
 
 def causal_ttc(
-    x: F32,
-    y: F32,
-    heading: F32,
-    speed: F32,
-    length: F32,
-    width: F32,
-    valid: Bool,
-    method: str,
+    x: F32, y: F32, heading: F32, speed: F32, length: F32, width: F32, valid: Bool, method: str,
 ) -> F32: ...
 def causal_distance(x: F32, y: F32, valid: Bool) -> F32: ...
 def causal_graph(
-    ttc_s: F32, distance_m: F32, max_ttc_s: float, max_distance_m: float, symmetric: bool
+    ttc_s: F32, distance_m: F32, max_ttc_s: float, max_distance_m: float, symmetric: bool,
 ) -> tuple[Bool, float]: ...
 def causal_clique_occurrences(
-    measure: F64, threshold: float, min_size: int, top_per_frame: int, node_limit: int
+    measure: F64, threshold: float, min_size: int, top_per_frame: int, node_limit: int,
 ) -> tuple[list[int], list[int], int, bool]: ...
 def causal_greedy_order(weights: F64, order: str) -> list[int]: ...
 
 GRAPH_THRESHOLDS: tuple[float, float]
 
 def causal_rank(
-    ranker: str,
-    top_k: int,
-    valid: Bool,
-    ttc: F32 | None,
-    distance: F32 | None,
-    agents: list[int] | None,
-    scores: F32 | None,
-    seed: int,
-    settings: tuple[float, int, int, int],
+    ranker: str, top_k: int, valid: Bool, ttc: F32 | None, distance: F32 | None,
+    agents: list[int] | None, scores: F32 | None, seed: int, settings: tuple[float, int, int, int],
 ) -> tuple[list[int], int, bool]: ...
 def render_arrays(
-    position_m: F32,
-    heading_rad: F32,
-    size_m: F32,
-    kind: U8,
-    driver: U8,
-    collided: Bool,
-    parked: Bool,
-    arrived: Bool,
-    *,
-    scene: Scene | None,
-    size: tuple[int, int],
-    span_m: float,
-    centre_m: tuple[float, float],
-    up_rad: float,
-    route_m: F32,
-    trails: list[tuple[F32, int]],
-    samples: list[tuple[F32, int]],
-    plans: list[tuple[F32, int]],
-    arrows: list[tuple[int, int, float]],
-    collisions_m: F32,
-    names: list[str],
-    caption: str,
-    scale_bar: bool,
-    legend: list[tuple[tuple[int, int, int], str]],
-    theme: str,
-    svg: bool,
+    position_m: F32, heading_rad: F32, size_m: F32, kind: U8, driver: U8, collided: Bool,
+    parked: Bool, arrived: Bool, *, scene: Scene | None, size: tuple[int, int], span_m: float,
+    centre_m: tuple[float, float], up_rad: float, route_m: F32, trails: list[tuple[F32, int]],
+    samples: list[tuple[F32, int]], plans: list[tuple[F32, int]],
+    arrows: list[tuple[int, int, float]], collisions_m: F32, names: list[str], caption: str,
+    scale_bar: bool, legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool,
 ) -> U8 | str: ...
 def render_look() -> list[tuple[str, float]]: ...
 def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
@@ -86,31 +53,18 @@ def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
 @final
 class Trajectories:
     def __new__(
-        cls,
-        dt_s: float,
-        x: F32,
-        y: F32,
-        heading: F32,
-        valid: Bool,
-        size: F32,
+        cls, dt_s: float, x: F32, y: F32, heading: F32, valid: Bool, size: F32,
         elevation_m: F32 | None = None,
     ) -> Trajectories: ...
     def collisions(
-        self, controlled: Bool, log: Trajectories | None
+        self, controlled: Bool, log: Trajectories | None,
     ) -> tuple[
-        npt.NDArray[np.uint32],
-        list[bool],
-        list[bool],
-        list[str | None],
-        list[list[bool]],
+        npt.NDArray[np.uint32], list[bool], list[bool], list[str | None], list[list[bool]],
         list[float],
     ]: ...
     def off_road(
-        self,
-        drivable: list[tuple[list[list[float]], list[list[list[float]]]]],
-        elevations: list[list[float]],
-        counted: Bool,
-        replan_steps: int,
+        self, drivable: list[tuple[list[list[float]], list[list[list[float]]]]],
+        elevations: list[list[float]], counted: Bool, replan_steps: int,
     ) -> tuple[Bool, Bool, list[float]]: ...
     def displacement(self, log: Trajectories) -> tuple[list[float], list[float]]: ...
     def comfort(self, axes: str, stride: int) -> F64: ...
@@ -118,7 +72,7 @@ class Trajectories:
     def over_speed(self, limit_mps: float, at_least_s: float, counted: Bool) -> list[bool]: ...
 
 def metrics_scores(
-    scr: F64, orr: F64, fde: F64, cfd: F64, bounds: list[tuple[float, float] | None] | None
+    scr: F64, orr: F64, fde: F64, cfd: F64, bounds: list[tuple[float, float] | None] | None,
 ) -> tuple[list[float], list[float]]: ...
 def metrics_generational_distance(cs: F64, rs: F64) -> tuple[list[float], list[float]]: ...
 def metrics_comfort_distance(one: F64, other: F64) -> tuple[list[float], float]: ...
@@ -130,24 +84,11 @@ class Scene:
 
     @staticmethod
     def from_arrays(
-        name: str,
-        *,
-        agent_ids: Sequence[str],
-        agent_types: Sequence[str],
-        sizes: F32,
-        position: F32,
-        heading: F32,
-        velocity: F32,
-        valid: Bool,
-        dt: float = 0.1,
-        agent_categories: Sequence[str] | None = None,
-        token: str = "",
-        location: str = "",
-        source: str = "",
-        origin: tuple[float, float] = ...,
-        map_layers: MapLayers | None = None,
-        elevation_m: F32 | None = None,
-        mend: bool = True,
+        name: str, *, agent_ids: Sequence[str], agent_types: Sequence[str], sizes: F32,
+        position: F32, heading: F32, velocity: F32, valid: Bool, dt: float = 0.1,
+        agent_categories: Sequence[str] | None = None, token: str = "", location: str = "",
+        source: str = "", origin: tuple[float, float] = ..., map_layers: MapLayers | None = None,
+        elevation_m: F32 | None = None, mend: bool = True,
     ) -> Scene:
         """Build a scene from arrays shaped as ``tracks``, ``sizes`` and ``map_layers`` return.
 
@@ -261,17 +202,9 @@ class Scene:
         """
 
     def render(
-        self,
-        step: int = 0,
-        *,
-        size: tuple[int, int] = ...,
-        span_m: float = 100.0,
-        centre: str | tuple[float, float] = ...,
-        heading_up: bool = False,
-        trails: bool = True,
-        route: bool = True,
-        labels: bool = True,
-        theme: str = "light",
+        self, step: int = 0, *, size: tuple[int, int] = ..., span_m: float = 100.0,
+        centre: str | tuple[float, float] = ..., heading_up: bool = False, trails: bool = True,
+        route: bool = True, labels: bool = True, theme: str = "light",
     ) -> U8:
         """Draw one step of the log, seen from above.
 
@@ -323,44 +256,23 @@ LINE_KINDS: list[str]
 ROUTE_SPACING_M: float
 
 def traffic_batch_from_log(
-    scenes: Sequence[Scene],
-    steps: Sequence[int],
-    num_states: int,
-    num_points: int,
-    num_future: int,
-    seed: int,
+    scenes: Sequence[Scene], steps: Sequence[int], num_states: int, num_points: int,
+    num_future: int, seed: int,
 ) -> tuple[dict[str, Any], dict[str, Any]]: ...
 def map_near_pieces(places: _Places, count: int, kinds: bytes) -> tuple[F32, U8, F32, Bool]: ...
 def map_road_distance(places: _Places) -> F32: ...
 def map_lane_ahead(
-    places: _Places, num_points: int, spacing_m: float, reach_m: float
+    places: _Places, num_points: int, spacing_m: float, reach_m: float,
 ) -> tuple[F32, Bool, npt.NDArray[np.int64], F32, F32]: ...
 def load_nuscenes(
-    dataroot: str,
-    version: str,
-    *,
-    names: list[str] | None,
-    exactly: bool,
-    dt: float,
-    timing: str,
-    interpolation: str,
-    ego_reference: str,
-    kinds: list[str] | None,
-    categories: list[str] | None,
-    map_margin: float,
-    min_annotations: int,
-    require_map: bool,
-    cache_directory: str | None,
+    dataroot: str, version: str, *, names: list[str] | None, exactly: bool, dt: float, timing: str,
+    interpolation: str, ego_reference: str, kinds: list[str] | None, categories: list[str] | None,
+    map_margin: float, min_annotations: int, require_map: bool, cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
 def load_gpudrive(paths: list[str], *, cache_directory: str | None) -> tuple[list[Scene], str]: ...
 def complete_map(
-    layers: MapLayers,
-    *,
-    edges: list[F32],
-    surfaces: list[Polygon],
-    seeds: F32,
-    tracks: F32 | None = None,
-    heights: dict[str, list[F32]] | None = None,
+    layers: MapLayers, *, edges: list[F32], surfaces: list[Polygon], seeds: F32,
+    tracks: F32 | None = None, heights: dict[str, list[F32]] | None = None,
 ) -> tuple[MapLayers, str, list[float]]: ...
 def drivers() -> list[tuple[str, str, int]]: ...
 
@@ -391,29 +303,21 @@ class Planner:
 @final
 class VecWorld:
     def __new__(
-        cls,
-        scenes: Sequence[Scene],
-        config: str,
-        num_worlds: int,
-        num_threads: int,
-        trail_steps: int = 0,
-        networks: Mapping[str, object] | None = None,
+        cls, scenes: Sequence[Scene], config: str, num_worlds: int, num_threads: int,
+        trail_steps: int = 0, networks: Mapping[str, object] | None = None,
         models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
     def set_scene_weights(self, weights: Sequence[float] | None) -> None: ...
     def set_autoreset(self, config: str) -> None: ...
     def reset(
-        self,
-        seeds: Sequence[int | None],
-        scenes: Sequence[int | None],
-        mask: Sequence[bool] | None,
-        out: tuple[object, ...],
+        self, seeds: Sequence[int | None], scenes: Sequence[int | None],
+        mask: Sequence[bool] | None, out: tuple[object, ...],
         wanted: Sequence[tuple[int | None, int | None, dict[str, float]]] = ...,
     ) -> None: ...
     def step(self, actions: F32, out: tuple[object, ...], active: Bool | None = None) -> None: ...
     def assign(self, world_idx: int, agents: Sequence[int], driver: str) -> None: ...
     def override_plan(
-        self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None
+        self, world_idx: int, *, guided: Sequence[int] | None, criticality: float | None,
     ) -> None: ...
     def swift_rows(self, world_idx: int, agents: Sequence[int]) -> dict[str, Any]: ...
     def explain(self, world_idx: int, driver: str | None = None) -> dict[str, Any] | None: ...
@@ -452,30 +356,18 @@ class VecWorld:
     def off_road(self, world_idx: int) -> tuple[Bool, Bool]: ...
     def off_road_m(self, world_idx: int) -> list[float]: ...
     def progress_along_log(
-        self, world_idx: int, path: Sequence[Sequence[float]]
+        self, world_idx: int, path: Sequence[Sequence[float]],
     ) -> tuple[float, float] | None: ...
     def score_facts(
-        self,
-        world_idx: int,
-        lane_before: int | None,
-        ignored: Sequence[int],
-        horizon_s: float,
+        self, world_idx: int, lane_before: int | None, ignored: Sequence[int], horizon_s: float,
     ) -> tuple[tuple[int, float] | None, float | None]: ...
     def candidates(self, world_idx: int, num_rows: int) -> tuple[list[int], F32]: ...
     def guidance(self, world_idx: int) -> tuple[int, float, float] | None: ...
     def expert_actions(self, world_idx: int) -> F32: ...
     def render(
-        self,
-        world_idx: int,
-        *,
-        size: tuple[int, int],
-        span_m: float,
-        centre: str | tuple[float, float] | None,
-        heading_up: bool,
-        trails: bool,
-        route: bool,
-        labels: bool,
-        theme: str,
+        self, world_idx: int, *, size: tuple[int, int], span_m: float,
+        centre: str | tuple[float, float] | None, heading_up: bool, trails: bool, route: bool,
+        labels: bool, theme: str,
     ) -> U8: ...
 
 @final
@@ -485,20 +377,10 @@ class TrajectoryModel:
     @property
     def num_parameters(self) -> int: ...
     def plan_scenes(
-        self,
-        scenes: list[Scene],
-        steps: list[int],
-        seeds: list[int],
-        *,
-        solver_steps: int | None,
-        num_samples: int,
-        guidance_weight: float,
-        guidance: str | None,
-        guided: list[list[int]] | None,
-        collision_targets: list[list[int]] | None,
-        attention: bool,
-        gradient_statistics: bool,
-        follow_route: bool,
+        self, scenes: list[Scene], steps: list[int], seeds: list[int], *, solver_steps: int | None,
+        num_samples: int, guidance_weight: float, guidance: str | None,
+        guided: list[list[int]] | None, collision_targets: list[list[int]] | None, attention: bool,
+        gradient_statistics: bool, follow_route: bool,
     ) -> list[dict[str, Any]]: ...
 
 def build_mark() -> int: ...
@@ -515,16 +397,11 @@ def candidate_features_json() -> str: ...
 def needs_torch(path: str) -> bool: ...
 def load_network(path: str) -> TrajectoryModel: ...
 def egos_policy(
-    observation: str, action: str, decision_steps: int, tensors: dict[str, F32]
+    observation: str, action: str, decision_steps: int, tensors: dict[str, F32],
 ) -> object: ...
 def swift_bins(changes: list[tuple[float, float]]) -> list[list[int]]: ...
 def guidance_preset(name: str) -> str: ...
 def traffic_policy(
-    name: str,
-    kind: str,
-    options: str,
-    weights: Path,
-    dt_s: float,
-    num_threads: int,
+    name: str, kind: str, options: str, weights: Path, dt_s: float, num_threads: int,
     scenes: list[Scene],
 ) -> object: ...

@@ -38,8 +38,8 @@ def align(markdown: str, *, width: int = ENDLESS, bold: bool = False) -> str:
     """Return Markdown whose tables are aligned for reading in lines of ``width``; numbers to the
     right.
 
-    Rules under heads become lines. Tables that are too wide lose their intervals, then their heads
-    stand on several lines, then their columns stand in several tables. Emphasised cells
+    Rules under heads become lines. Tables that are too wide lose their intervals, then their
+    columns stand in several tables. Emphasised cells
     (``**0.90**``) and headings are ``bold``; else cells keep a star.
     """
     out: list[str] = []
@@ -70,30 +70,18 @@ def _length(text: str) -> int:
 
 
 def _fitted(rows: list[list[str]], width: int) -> list[str]:
-    """Lines of a table that is no wider than that, unless one column is."""
-    head, body = rows[0], rows[2:]
-    if _width(head, body) > width:
-        body = [[_INTERVAL.sub("", cell) for cell in row] for row in body]
-    if _width(head, body) <= width:
-        return _aligned([head], body)
-    columns = [max((_length(row[i]) for row in body if i < len(row)), default=0)
-               for i in range(len(head))]  # fmt: skip
-    columns = [max(c, *map(len, [*h.split(), ""])) for c, h in zip(columns, head, strict=True)]
-    lines: list[str] = []
-    start = 1
-    while start < len(head):
-        end, total = start, columns[0]
-        while end < len(head) and (end == start or total + len(_GAP) + columns[end] <= width):
-            total += len(_GAP) + columns[end]
-            end += 1
-        kept = [0, *range(start, end)]
-        heads = [textwrap.wrap(head[i], columns[i]) or [""] for i in kept]
-        high = max(map(len, heads))
-        stacked = [[""] * (high - len(h)) + h for h in heads]
-        part = [[row[i] if i < len(row) else "" for i in kept] for row in body]
-        part = [row for row in part if any(row[1:])]
-        lines += [""] * bool(lines) + _aligned([list(r) for r in zip(*stacked, strict=True)], part)
-        start = end
+    """Lines of a table; what is too wide goes on in another table, then below in the line."""
+    count = len(rows[0])
+    table = [(row + [""] * count)[:count] for row in (rows[0], *rows[2:])]
+    columns = [list(column) for column in zip(*table, strict=True)]
+    if _width(columns) > width:
+        columns = [[_INTERVAL.sub("", cell) for cell in column] for column in columns]
+    parts = [columns[:1]]
+    for column in columns[1:]:
+        if len(parts[-1]) > 1 and _width([*parts[-1], column]) > width:
+            parts.append(columns[:1])
+        parts[-1] = [*parts[-1], column]
+    lines = [line for part in parts for line in ("", *_aligned(part))][1:]
     return [wrapped for line in lines for wrapped in _cut(line, width)]
 
 
@@ -104,27 +92,25 @@ def _cut(line: str, width: int) -> list[str]:
     return textwrap.wrap(line, width, subsequent_indent=_GAP, break_on_hyphens=False)
 
 
-def _width(head: Sequence[str], body: Sequence[Sequence[str]]) -> int:
-    widths = [max(_length(row[i]) for row in [head, *body] if i < len(row))
-              for i in range(len(head))]  # fmt: skip
-    return sum(widths) + len(_GAP) * (len(widths) - 1)
+def _widths(columns: Sequence[Sequence[str]]) -> list[int]:
+    return [max(map(_length, column)) for column in columns]
 
 
-def _aligned(heads: list[list[str]], body: list[list[str]]) -> list[str]:
-    rows, count = [*heads, *body], len(heads[0])
-    widths = [max(_length(row[i]) for row in rows if i < len(row)) for i in range(count)]
-    right = [bool(body) and all(_is_number(row[i]) for row in body if i < len(row))
-             for i in range(count)]  # fmt: skip
+def _width(columns: Sequence[Sequence[str]]) -> int:
+    return sum(_widths(columns)) + len(_GAP) * (len(columns) - 1)
 
-    def line(row: list[str]) -> str:
-        cells = []
-        for text, wide, to_right in zip(row, widths, right, strict=False):
-            room = " " * (wide - _length(text))
-            cells.append(room + text if to_right else text + room)
-        return _GAP.join(cells).rstrip()
 
-    rule = _GAP.join("─" * wide for wide in widths)
-    return [*map(line, heads), rule, *map(line, body)]
+def _aligned(columns: list[list[str]]) -> list[str]:
+    widths = _widths(columns)
+    right = [len(column) > 1 and all(map(_is_number, column[1:])) for column in columns]
+    made = []
+    for row in zip(*columns, strict=True):
+        if len(columns) > 1 and not any(row[1:]) and any(any(c[1:]) for c in columns[1:]):
+            continue  # it has nothing in this part of the table
+        rooms = [" " * (wide - _length(text)) for wide, text in zip(widths, row, strict=True)]
+        cells = zip(rooms, row, right, strict=True)
+        made.append(_GAP.join(room + t if r else t + room for room, t, r in cells).rstrip())
+    return [made[0], _GAP.join("─" * wide for wide in widths), *made[1:]]
 
 
 def _is_number(cell: str) -> bool:
