@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import ccdiff_env
 from ccdiff_env import EgoVectorEnv, Scene, _native
 
 STUB = Path(_native.__file__).with_name("_native.pyi")
@@ -133,18 +132,3 @@ def test_every_argument_of_bools_is_tried():
 def test_any_byte_but_zero_is_true(name):
     call, flags = CASES[name]
     np.testing.assert_equal(call(odd(flags)), call(flags))
-
-
-@pytest.mark.parametrize("options", [{}, {"info": "none"}, {"copy": False}], ids=str)
-def test_worlds_of_an_odd_mask_go_on(options):
-    """In the public environment: worlds of the mask move, nothing else is said of them."""
-    found = []
-    for active in (SOME, odd(SOME)):
-        env = EgoVectorEnv(A, traffic="idm", scenes=ccdiff_env.embedded_scenes()[:3], **options)
-        env.reset(seed=0)
-        step = env.step(np.full((A, 2), 0.5, np.float32), active=active)
-        found.append([np.array(part) for part in step[:4]])
-        elapsed = [env.worlds.native.status(i).elapsed_steps for i in range(A)]
-        assert elapsed == [1, 0, 1]
-        assert step[2].view(np.uint8).tolist() == [0, 0, 0]
-    np.testing.assert_equal(found[0], found[1])

@@ -62,10 +62,12 @@ def in_data_set(table: str):
     def load(path: Path) -> object:
         folder = path.parents[len(Path(table).parts) - 1]
         kept = path.parent / "kept"
-        path.rename(kept)
+        if path.exists() or path.is_symlink():
+            path.rename(kept)
         unpack(folder)
         path.unlink()
-        kept.rename(path)
+        if kept.exists() or kept.is_symlink():
+            kept.rename(path)
         return ccdiff_env.load_nuscenes(folder, VERSION, cache=folder / "cache")
 
     return load
@@ -105,6 +107,7 @@ DOORS = {
 }
 #: What may stand where a file is expected: what it is, or its bytes.
 CONTENTS = {
+    "nothing": lambda path: None,
     "pipe": os.mkfifo,
     "device": lambda path: os.symlink("/dev/zero", path),
     "folder": os.mkdir,
@@ -113,9 +116,13 @@ CONTENTS = {
     "nested 100000 deep": lambda path: path.write_bytes(b"[" * 100_000),
     "no UTF-8": lambda path: path.write_bytes(b"\xff\xfe\x00"),
 }
-#: Text is opened before it is read as a configuration; a bank may hold nothing.
-LEFT_OUT = {("configuration", kind) for kind in ("pipe", "device", "folder", "no UTF-8")} | {
-    ("bank", "empty")
+#: Text is opened before it is read as a configuration; a bank may hold nothing, a map be absent; what has
+#: no result or settings yet begins.
+LEFT_OUT = {
+    ("bank", "empty"),
+    *(("configuration", kind) for kind in ("nothing", "pipe", "device", "folder", "no UTF-8")),
+    *((f"settings of a {of}", "nothing") for of in ("run", "bank")),
+    *((name, "nothing") for name in ("result", "bank", "map")),
 }
 
 
@@ -308,8 +315,9 @@ DAMAGES = {
         for name, value in (
             *(("episode_idx", x) for x in (2**63, -5, True)),
             *(("seed", x) for x in (-1, 2**70)),
-            ("actions", 3),
-            *(("actions", {"shape": x, "float32": "AAAA" * 8}) for x in ([6], [2, 3])),
+            *(("seed", "one"), ("format", "other"), ("config", {"colour": 1}), ("extra", 1)),
+            *(("actions", x) for x in (3, None, {"shape": [1, 1], "float32": "!"})),
+            *(("actions", {"shape": x, "float32": "AAAA" * 8}) for x in ([6], [2, 3], [9, 9])),
         )
     },
     "rollout nested": (rollout(lambda _: NESTED), "a.npz"),
@@ -341,6 +349,10 @@ DAMAGES = {
         )
         for step in (-5, 10**6, 2**70, "x", None)
     },
+    "policy of other observations": (policy(schema="00"), "observations 00"),
+    "policy of another format": (policy(format="x"), "format 'x'"),
+    "policy of a dynamics that is none": (policy(options='{"dynamics": "hover"}'), "hover"),
+    "policy not finite": (policy(arrays={"mean": np.full(9, np.nan, F4)}), "finite"),
     "policy of own code": (policy(options='{"traffic": "attack_module:Model"}'), "traffic"),
     "policy of an own driver": (policy(options='{"driver": "attack_module:Model"}'), "driver"),
     "policy of a device": (policy(options='{"ccdiff": {"weights": "/dev/zero"}}'), "ccdiff"),

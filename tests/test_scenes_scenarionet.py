@@ -116,33 +116,6 @@ def test_description_becomes_a_scene(tmp_path, protocol):
     assert any("STOP_SIGN" in note for note in report.scenes[0].notes)
 
 
-class Evil:
-    def __reduce__(self):
-        import os
-
-        return os.system, ("echo harm > /tmp/ccdiff_env_harm",)
-
-
-@pytest.mark.parametrize(
-    "harm",
-    [
-        Evil(),
-        np.array([Evil()], dtype=object),
-        pytest.raises,
-        eval,
-        getattr,
-        np.load,
-        np.random.default_rng,
-    ],
-    ids=["reduce", "object array", "class", "eval", "getattr", "np.load", "generator"],
-)
-def test_pickles_that_ask_for_more_are_refused_by_name(tmp_path, harm):
-    data = scenario()
-    data["metadata"]["extra"] = harm
-    with pytest.raises(errors.DatasetError, match=r"asks for .*sd_1\.pkl"):
-        ccdiff_env.load_scenarionet(save(tmp_path, data))
-
-
 def test_damaged_files_are_refused(tmp_path):
     path = save(tmp_path, scenario())
     whole = path.read_bytes()
