@@ -116,8 +116,8 @@ CONTENTS = {
     "nested 100000 deep": lambda path: path.write_bytes(b"[" * 100_000),
     "no UTF-8": lambda path: path.write_bytes(b"\xff\xfe\x00"),
 }
-#: Text is opened before it is read as a configuration; a bank may hold nothing, a map be absent; what has
-#: no result or settings yet begins.
+#: Text is opened before it is read as a configuration; a bank may hold nothing and a map be absent;
+#: what has no result or settings yet begins.
 LEFT_OUT = {
     ("bank", "empty"),
     *(("configuration", kind) for kind in ("nothing", "pipe", "device", "folder", "no UTF-8")),
