@@ -167,20 +167,3 @@ def test_weights_that_are_not_finite_or_have_other_shapes_are_refused(scenes, tm
         write_tensors(path, {**tensors, **change}, metadata)
         with pytest.raises((ConfigError, DatasetError), match=r"mean|policy\.0"):
             ccdiff_env.make_vec(1, scenes=scenes, traffic="egos", egos={"policy": str(path)})
-
-
-def test_a_policy_imitates_a_rule_and_stays_near_it(tmp_path, capsys):
-    pytest.importorskip("torch")
-    from ccdiff_env import cli
-
-    out = ["--out", str(tmp_path / "uni"), "--dynamics", "unicycle", "--threads", "1"]
-    assert cli.main(["train-ego", "--smoke", "--teacher", "pdm", *out]) == 0
-    assert "imitates pdm" in capsys.readouterr().out
-    for words, said in (
-        (["--teacher", "nobody"], "--teacher is 'nobody'"),
-        (["--teacher", "pdm", "--anchor", "zero"], "neither"),
-        (["--style", "comfort", "0", "much"], "two factors"),
-        (["--style", "comfort", "0", "2", "--anchor", "ego"], "other observations"),
-    ):
-        assert cli.main(["train-ego", *words]) == 2
-        assert said in capsys.readouterr().err

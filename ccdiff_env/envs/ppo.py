@@ -19,9 +19,8 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.backtrack import Backtrack
-from ccdiff_env.envs.clone import imitate
 from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.errors import ConfigError, DatasetNotFoundError
+from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.planners import load
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
@@ -34,7 +33,6 @@ from ccdiff_env.worlds.policy_file import LEARNED
 Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
-TAUGHT = 400_000  # decisions of imitation
 GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
 #: Noise of one decision stays in the next, so that the ego tries to brake, not to tremble; and the
 #: standard deviations fall no faster than the learning rate does.
@@ -282,23 +280,9 @@ def train(args: argparse.Namespace) -> None:
         return np.zeros((len(obs), len(agent.log_std)), np.float32)
 
     anchor = still if args.anchor == "zero" else None if near is None else near.act
-    copied = None
-    if args.teacher:
-        copied = Agent(layout, tuple(args.noise))
-        if saved and "copied" not in saved:
-            raise ConfigError(f"--teacher: the run in {args.out} had none")
-        if saved:
-            copied.load_state_dict(saved["copied"])
-        else:
-            many = 1 if args.smoke else TAUGHT
-            error = imitate(agent, worlds, args.teacher, decisions=many, seed=args.seed)
-            print(f"imitates {args.teacher}: {error:.3f} from its actions", flush=True)
-            copied.load_state_dict(agent.state_dict())
-        anchor = copied.act
 
     def keep() -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
-        state |= {"copied": copied.state_dict()} if copied else {}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
         file, about = args.out / "ego.safetensors", {"done": done}

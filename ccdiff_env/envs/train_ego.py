@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
-from ccdiff_env.planners.rules import RULES
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
 from ccdiff_env.worlds.policy_file import LEARNED
@@ -55,10 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--anchor", help="policy to stay near: as --start without .pt, or zero (default: none)"
     )
-    parser.add_argument(
-        "--teacher",
-        help=f"rule to imitate first, and to stay near, of: {', '.join(RULES)} (default: none)",
-    )
     parser.add_argument("--kl", type=float, default=0.1, help="price of leaving the anchor")
     parser.add_argument(
         "--style",
@@ -100,11 +95,6 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"--forks is {args.forks}, expected a share of episodes, 0 to 1, and --traffic with "
             f"one of {', '.join(LIVE)}"
-        )
-    if args.teacher and (args.teacher not in RULES or args.anchor or args.start):
-        raise ConfigError(
-            f"--teacher is {args.teacher!r}, expected one of {', '.join(RULES)}, and neither "
-            "--anchor nor --start"
         )
     if args.style and (args.start or args.anchor not in (None, "zero")):
         raise ConfigError("--style: a policy of other observations can be no --start or --anchor")
