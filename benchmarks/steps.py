@@ -11,20 +11,16 @@ its processor time; more: per second of the clock. Best of some rounds.
   floats each: the work that other simulators' figures are quoted for. ``--scenes`` names real
   roads: the eight scenes of most vehicles, before the embedded city with 64 of them.
 
-The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone, and
-how much resident memory one more world takes, its share of the arrays included.
+The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -35,23 +31,6 @@ from ccdiff_env.worlds import Worlds, scene_set
 
 VEHICLES = 64
 LOGGED_STEPS = 140
-
-
-def resident_kib() -> float:
-    """Return the resident memory of this process (Linux)."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1024
-
-
-def memory_per_world_kib(kind: str) -> float:
-    """Return what one more world adds to the memory of a fresh process."""
-    few, many = 64, 576
-    command = [sys.executable, __file__, "--resident", kind]
-    few_kib, many_kib = (
-        float(subprocess.run([*command, str(n)], check=True, capture_output=True).stdout)
-        for n in (few, many)
-    )
-    return (many_kib - few_kib) / (many - few)
 
 
 def best_s(step: Callable[[], object], threads: int, rounds: int) -> float:
@@ -148,13 +127,7 @@ def equal_work(scenes: Sequence[Scene], envs: int, threads: int) -> Steps:
             radius_m=200.0,
             masks=False,
             ego_columns=(
-                "speed",
-                "acceleration",
-                "yaw_rate",
-                "length",
-                "width",
-                "off_road",
-                "collided",
+                *("speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"),
             ),
             agent_columns=("x", "y", "cos", "sin", "speed", "length", "width"),
             map_columns=("x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"),
@@ -212,32 +185,15 @@ def table(rounds: int, source: str | None) -> None:
     for envs, n in sizes:
         equal_work([crowded()], envs, n).report("equal work, embedded city", rounds)
     one_of_many(rounds)
-    if Path("/proc/self/statm").exists():
-        for kind in RESIDENT:
-            print(f"{kind}: {memory_per_world_kib(kind):.0f} KiB for one more world and its arrays")
-
-
-#: What memory is measured of.
-RESIDENT: dict[str, Callable[[int], Steps]] = {
-    "make_vec": lambda envs: vector_env(envs, "replay", 1, copy=False, info="end"),
-    "equal work": lambda envs: equal_work([crowded()], envs, 1),
-}
 
 
 def main() -> None:
-    """Parse options; print the table, or the memory that this process needs."""
+    """Parse options; print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5, help="rounds of 0.2 s per figure")
     parser.add_argument("--scenes", help="source of real roads, as ccdiff_env.load takes it")
-    parser.add_argument("--resident", nargs=2, metavar=("KIND", "E"), help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.resident is None:
-        table(options.rounds, options.scenes)
-    else:
-        kind, envs = options.resident
-        steps = RESIDENT[kind](int(envs))
-        steps.step()
-        print(resident_kib())
+    table(options.rounds, options.scenes)
 
 
 if __name__ == "__main__":
