@@ -157,10 +157,8 @@ class Scene:
         The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
         the step as well. Who is on another level is as far as can be.
 
-        Raises
-        ------
-        ConfigError
-            For a step beyond the log or another ranking.
+        Raises:
+            ConfigError: For a step beyond the log or another ranking.
         """
 
     @property
@@ -195,10 +193,8 @@ class Scene:
     def with_ego(self, agent_id: str) -> Scene:
         """Return the scene with another agent as its ego; the former one is ``"former ego"``.
 
-        Raises
-        ------
-        UnknownNameError
-            If there is no such agent.
+        Raises:
+            UnknownNameError: If there is no such agent.
         """
 
     def render(
@@ -208,40 +204,26 @@ class Scene:
     ) -> U8:
         """Draw one step of the log, seen from above.
 
-        Parameters
-        ----------
-        step
-            Step of the log, 0 to ``num_steps`` - 1.
-        size
-            Width and height, pixels.
-        span_m
-            Metres across the width.
-        centre
-            What is in the middle: the id of an agent (where it is logged nearest to the step) or
-            a point of the scene frame, metres.
-        heading_up
-            Turn the image so that the agent in the middle heads to the top; else north is there.
-        trails
-            Draw the last three seconds of every agent.
-        route
-            Draw the rest of the ego's log as a band.
-        labels
-            Write the scene's name, time, the ego's speed, names of agents, a scale bar and what the
-            colours mean.
-        theme
-            ``"light"`` or ``"dark"``.
+        Args:
+            step: Step of the log, 0 to ``num_steps`` - 1.
+            size: Width and height, pixels.
+            span_m: Metres across the width.
+            centre: What is in the middle: the id of an agent (where it is logged nearest to the
+                step) or a point of the scene frame, metres.
+            heading_up: Turn the image so that the agent in the middle heads to the top; else north
+                is there.
+            trails: Draw the last three seconds of every agent.
+            route: Draw the rest of the ego's log as a band.
+            labels: Write the scene's name, time, the ego's speed, names of agents, a scale bar and
+                what the colours mean.
+            theme: ``"light"`` or ``"dark"``.
 
-        Returns
-        -------
-        ndarray
-            Image [H, W, 3], uint8.
+        Returns:
+            ndarray: Image [H, W, 3], uint8.
 
-        Raises
-        ------
-        UnknownNameError
-            If the scene has no agent of that id.
-        ConfigError
-            If a number is out of its range.
+        Raises:
+            UnknownNameError: If the scene has no agent of that id.
+            ConfigError: If a number is out of its range.
         """
 
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...

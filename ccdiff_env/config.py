@@ -78,10 +78,9 @@ Traffic: TypeAlias = str | Mapping[str, float]
 class WorldConfig(WorldOptions):
     """Configuration of worlds.
 
-    Examples
-    --------
-    ``WorldConfig(traffic="idm", reward=RewardConfig(goal=5.0))``, or from plain keywords with
-    near-miss messages: ``WorldConfig().with_options(traffic="idm", reward={"goal": 5.0})``.
+    Examples:
+        ``WorldConfig(traffic="idm", reward=RewardConfig(goal=5.0))``, or from plain keywords with
+        near-miss messages: ``WorldConfig().with_options(traffic="idm", reward={"goal": 5.0})``.
     """
 
     #: Options of the drivers that are networks, ``"ccdiff"`` above all.
@@ -119,20 +118,17 @@ class WorldConfig(WorldOptions):
     def with_options(self, **options: Unpack[WorldKeywords]) -> WorldConfig:
         """Return a copy with some fields replaced.
 
-        Parameters
-        ----------
-        **options
-            Fields by name. Nested configurations may be dataclasses, or dictionaries of the fields
-            to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of ``action``,
-            ``bev`` as the field of ``observation``, kinds of drivers without a field of their own
-            (``simnet={"weights": ...}``) as entries of ``named_drivers``. Drivers may be given as
-            objects (``traffic=PythonTraffic(model)``) and as paths to import (``"module:Class"``,
-            ``"module:Class?option=value"``).
+        Args:
+            **options: Fields by name. Nested configurations may be dataclasses, or dictionaries of
+                the fields to change. ``dynamics``, ``discrete`` and ``grid`` are taken as fields of
+                ``action``, ``bev`` as the field of ``observation``, kinds of drivers without a
+                field of their own (``simnet={"weights": ...}``) as entries of ``named_drivers``.
+                Drivers may be given as objects (``traffic=PythonTraffic(model)``) and as paths to
+                import (``"module:Class"``, ``"module:Class?option=value"``).
 
-        Raises
-        ------
-        ConfigError
-            If a name is unknown (the message names near ones) or a value has the wrong type.
+        Raises:
+            ConfigError: If a name is unknown (the message names near ones) or a value has the wrong
+                type.
         """
         given: dict[str, Any] = {**options}
         if "ego" in given:
@@ -152,10 +148,8 @@ class WorldConfig(WorldOptions):
     def check_networks(self) -> None:
         """Refuse options of networks where nobody drives by one that takes them.
 
-        Raises
-        ------
-        ConfigError
-            In one line that says what the traffic is.
+        Raises:
+            ConfigError: In one line that says what the traffic is.
         """
         if self.ccdiff != CcdiffConfig() and not self.takes_ccdiff():
             raise ConfigError(
@@ -183,10 +177,8 @@ class WorldConfig(WorldOptions):
     def guided_traffic(self, what: str) -> tuple[CcdiffConfig, ...]:
         """Return the options of the networks that drive others than the agents with a slot.
 
-        Raises
-        ------
-        ConfigError
-            If there are none: nobody can be guided; ``what`` was to guide them.
+        Raises:
+            ConfigError: If there are none: nobody can be guided; ``what`` was to guide them.
         """
         names = [*self._shares(), *self.drivers.values()]
         own = {name: driver.options for name, driver in self.named_drivers.items()}
@@ -232,10 +224,8 @@ class WorldConfig(WorldOptions):
     def from_json(cls, text: str) -> WorldConfig:
         """Read what :meth:`to_json`, or Rust, wrote; absent fields take their defaults.
 
-        Raises
-        ------
-        ConfigError
-            If the text is no JSON object, or a field is unknown or of the wrong type.
+        Raises:
+            ConfigError: If the text is no JSON object, or a field is unknown or of the wrong type.
         """
         try:
             fields = parsed_object(text)

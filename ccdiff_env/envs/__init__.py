@@ -59,15 +59,11 @@ else:
     def parallel_env(**options: Any) -> Any:
         """Return an environment of several vehicles, a PettingZoo ``ParallelEnv``.
 
-        Parameters
-        ----------
-        **options
-            As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
+        Args:
+            **options: As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
 
-        Raises
-        ------
-        MissingFeatureError
-            If PettingZoo is not installed.
+        Raises:
+            MissingFeatureError: If PettingZoo is not installed.
         """
         try:
             from ccdiff_env.envs.parallel import MultiAgentEnv
@@ -81,10 +77,8 @@ else:
 def aec_env(**options: Any) -> Any:
     """Return the same environment as a PettingZoo ``AECEnv``, by PettingZoo's own conversion.
 
-    Parameters
-    ----------
-    **options
-        As for :func:`parallel_env`.
+    Args:
+        **options: As for :func:`parallel_env`.
     """
     env = parallel_env(**options)
     from pettingzoo.utils.conversions import parallel_to_aec

@@ -46,16 +46,13 @@ class AgentVectorEnv(FollowsTraining, AsVector):
     (SAME_STEP); the wait itself ends there as an episode whose ``final_info["played"]`` is false.
     Slots for which a scene has no vehicle wait likewise.
 
-    Parameters
-    ----------
-    num_worlds
-        Number of worlds E.
-    scenes, config, agents, ranking, adversaries, adversary_shaping
-        As for :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
-    observation, info, num_threads, render_mode, render_options, criticality
-        As for :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
-    **options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
+    Args:
+        num_worlds: Number of worlds E.
+        scenes, config, agents, ranking, adversaries, adversary_shaping: As for
+            :class:`~ccdiff_env.envs.parallel.MultiAgentEnv`.
+        observation, info, num_threads, render_mode, render_options, criticality: As for
+            :class:`~ccdiff_env.envs.vector.EgoVectorEnv`.
+        **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
     """
 
     reset_option_names = AGENT_OPTIONS
@@ -119,20 +116,16 @@ class AgentVectorEnv(FollowsTraining, AsVector):
     ) -> tuple[Any, Info]:
         """Begin new episodes in all worlds.
 
-        Parameters
-        ----------
-        seed
-            Any integer n (world i gets n + i), or one per world or row (then that of its first).
-        options
-            ``scene``: name or index; ``drivers``: drivers of single vehicles by id, for these
-            episodes. Each is one for all (drivers then of those vehicles that a world's scene
-            has), or a list of one per world or row; rows of one world must agree.
+        Args:
+            seed: Any integer n (world i gets n + i), or one per world or row (then that of its
+                first).
+            options: ``scene``: name or index; ``drivers``: drivers of single vehicles by id, for
+                these episodes. Each is one for all (drivers then of those vehicles that a world's
+                scene has), or a list of one per world or row; rows of one world must agree.
 
-        Returns
-        -------
-        obs, infos
-            Observations [E x C, ...]; ``active``, ``agent_id``, ``role``, ``scene``,
-            ``scene_token``, ``seed``, ``episode_idx``.
+        Returns:
+            obs, infos: Observations [E x C, ...]; ``active``, ``agent_id``, ``role``, ``scene``,
+                ``scene_token``, ``seed``, ``episode_idx``.
         """
         given = reset_options(options, AGENT_OPTIONS)
         named, drivers = (self._per_world(name, given.get(name)) for name in AGENT_OPTIONS)
@@ -152,24 +145,18 @@ class AgentVectorEnv(FollowsTraining, AsVector):
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
         """Advance all worlds by one step.
 
-        Parameters
-        ----------
-        actions
-            Actions [E x C, W], or indices [E x C]; those of rows that wait are ignored.
+        Args:
+            actions: Actions [E x C, W], or indices [E x C]; those of rows that wait are ignored.
 
-        Returns
-        -------
-        obs, rewards, terminations, truncations, infos
-            Arrays [E x C, ...]. ``infos`` holds ``active``; ``final_obs`` and ``final_info`` of
-            rows that ended (with ``played``, info columns and ``metrics``); with ``info="full"``
-            the info columns of every row that played.
+        Returns:
+            obs, rewards, terminations, truncations, infos: Arrays [E x C, ...]. ``infos`` holds
+                ``active``; ``final_obs`` and ``final_info`` of rows that ended (with ``played``,
+                info columns and ``metrics``); with ``info="full"`` the info columns of every row
+                that played.
 
-        Raises
-        ------
-        ShapeError, ActionError
-            If the actions do not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset.
+        Raises:
+            ShapeError, ActionError: If the actions do not fit; nothing has moved then.
+            ResetNeededError: Before the first reset.
         """
         checked = self.worlds.actions(actions, self._action_shape)
         played = self._active

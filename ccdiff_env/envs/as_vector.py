@@ -53,10 +53,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
     def set_attr(self, name: str, values: Any) -> None:
         """Set an attribute: a value, or one per world, all of which are the same.
 
-        Raises
-        ------
-        ConfigError
-            If the values differ: the worlds share their attributes.
+        Raises:
+            ConfigError: If the values differ: the worlds share their attributes.
         """
         listed = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
         if len(listed) != self.num_envs or any(value != listed[0] for value in listed[1:]):
@@ -79,10 +77,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
     def _per_world(self, name: str, value: Any) -> list[Any]:
         """Return what a reset is given, world by world: one for all, or one per world or row.
 
-        Raises
-        ------
-        ConfigError
-            If there are more or fewer, or rows of one world are given different ones.
+        Raises:
+            ConfigError: If there are more or fewer, or rows of one world are given different ones.
         """
         found = []
         for rows in self._rows(name, value):

@@ -37,10 +37,8 @@ RENDER_OPTIONS: dict[str, Any] = {
 def checked_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the options of images with defaults filled in.
 
-    Raises
-    ------
-    ConfigError
-        If a name is unknown.
+    Raises:
+        ConfigError: If a name is unknown.
     """
     for name in given or {}:
         if name not in RENDER_OPTIONS:

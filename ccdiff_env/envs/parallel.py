@@ -42,34 +42,26 @@ Rows = dict[str, Any]
 class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
     """One world in Rust; chosen vehicles are driven by actions, the others by the background.
 
-    Parameters
-    ----------
-    scenes, config, observation, info, render_mode, render_options, criticality
-        As for :class:`~ccdiff_env.EgoEnv`; ``info="end"``: at an agent's end.
-    agents
-        Who is controlled: ``"all"`` vehicles that are there at the start, a number K (the ego and
-        the first K - 1 others of the ranking), or ids.
-    ranking
-        How the others are ranked at the start: ``"nearest"`` or ``"ttc"`` (to the ego),
-        ``"cliques"`` (of the causal graph), ``"first"``, ``"random"``.
-    adversaries
-        Who plays against the others: ``None``, all ``"others"`` than the ego, the first n others,
-        or ids. An adversary's reward is minus the mean reward of the egos.
-    adversary_shaping
-        How much of its own off-road and comfort reward an adversary gets besides.
-    names
-        ``"token"``: agents are named by their instance tokens, and ``possible_agents`` are those
-        of all scenes; ``"slot"``: ``ego_0``, ``vehicle_1``, ``vehicle_2`` ... by rank, the same few
-        names in every scene.
-    max_cycles
-        Steps of an episode at most; ``horizon_steps`` by another name.
-    **options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
+    Args:
+        scenes, config, observation, info, render_mode, render_options, criticality: As for
+            :class:`~ccdiff_env.EgoEnv`; ``info="end"``: at an agent's end.
+        agents: Who is controlled: ``"all"`` vehicles that are there at the start, a number K (the
+            ego and the first K - 1 others of the ranking), or ids.
+        ranking: How the others are ranked at the start: ``"nearest"`` or ``"ttc"`` (to the ego),
+            ``"cliques"`` (of the causal graph), ``"first"``, ``"random"``.
+        adversaries: Who plays against the others: ``None``, all ``"others"`` than the ego, the
+            first n others, or ids. An adversary's reward is minus the mean reward of the egos.
+        adversary_shaping: How much of its own off-road and comfort reward an adversary gets
+            besides.
+        names: ``"token"``: agents are named by their instance tokens, and ``possible_agents`` are
+            those of all scenes; ``"slot"``: ``ego_0``, ``vehicle_1``, ``vehicle_2`` ... by rank,
+            the same few names in every scene.
+        max_cycles: Steps of an episode at most; ``horizon_steps`` by another name.
+        **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 
-    Notes
-    -----
-    Agents end at different times. Who ends by an accident stays in the way of the others; who
-    reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
+    Notes:
+        Agents end at different times. Who ends by an accident stays in the way of the others; who
+        reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
@@ -166,18 +158,14 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
     ) -> tuple[Rows, dict[str, dict[str, Any]]]:
         """Begin a new episode.
 
-        Parameters
-        ----------
-        seed
-            Any integer; ``None`` goes on with the world's generator.
-        options
-            ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles by id,
-            for this episode. ``options`` is ignored: PettingZoo's own tests give it.
+        Args:
+            seed: Any integer; ``None`` goes on with the world's generator.
+            options: ``scene``: name or index of the scene; ``drivers``: drivers of single vehicles
+                by id, for this episode. ``options`` is ignored: PettingZoo's own tests give it.
 
-        Returns
-        -------
-        observations, infos
-            Of all agents of the episode; infos hold scene, token, seed, the agent's id and role.
+        Returns:
+            observations, infos: Of all agents of the episode; infos hold scene, token, seed, the
+                agent's id and role.
         """
         given = reset_options(options, (*AGENT_OPTIONS, "options"))
         scene_idx = self.worlds.scene_index(given.get("scene"))
@@ -223,23 +211,18 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
     ) -> tuple[Rows, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         """Advance by one step.
 
-        Parameters
-        ----------
-        actions
-            An action of each of ``agents``; those of agents that have ended are ignored. After
-            the end of an episode, no actions lead to nothing.
+        Args:
+            actions: An action of each of ``agents``; those of agents that have ended are ignored.
+                After the end of an episode, no actions lead to nothing.
 
-        Returns
-        -------
-        observations, rewards, terminations, truncations, infos
-            Of the agents that were there before the step.
+        Returns:
+            observations, rewards, terminations, truncations, infos: Of the agents that were there
+                before the step.
 
-        Raises
-        ------
-        ActionError, ShapeError
-            If an action is missing or does not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset and when nobody is left.
+        Raises:
+            ActionError, ShapeError: If an action is missing or does not fit; nothing has moved
+                then.
+            ResetNeededError: Before the first reset and when nobody is left.
         """
         if not self.agents:
             if self._slots and not actions:  # wrappers of PettingZoo and SuperSuit do that
@@ -316,10 +299,9 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
         With a ``seed`` traffic goes on as another draw, see :meth:`EgoEnv.restore`.
 
-        Raises
-        ------
-        SnapshotError
-            If the bytes are damaged, or belong to another configuration or other scenes.
+        Raises:
+            SnapshotError: If the bytes are damaged, or belong to another configuration or other
+                scenes.
         """
         Snapshot.from_bytes(snapshot).put(self.worlds, 0, seed)
         self.agents = []

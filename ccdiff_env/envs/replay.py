@@ -21,14 +21,10 @@ __all__ = ["Replay", "replay"]
 class Replay:
     """A certified episode, simulated again.
 
-    Parameters
-    ----------
-    env
-        The environment at the end of the episode.
-    rewards
-        Rewards [T].
-    frames
-        Images [T + 1] of the steps, if asked for.
+    Args:
+        env: The environment at the end of the episode.
+        rewards: Rewards [T].
+        frames: Images [T + 1] of the steps, if asked for.
     """
 
     env: EgoEnv
@@ -45,26 +41,17 @@ def replay(
 ) -> Replay:
     """Simulate a certified episode again and check that it comes out the same, bit for bit.
 
-    Parameters
-    ----------
-    certificate
-        A certificate, or the path of its file.
-    scenes
-        Scenes among which the certified one is; by default the embedded ones.
-    render_mode
-        ``"rgb_array"`` keeps an image of every step.
-    **render_options
-        Options of images, as for :class:`EgoEnv`.
+    Args:
+        certificate: A certificate, or the path of its file.
+        scenes: Scenes among which the certified one is; by default the embedded ones.
+        render_mode: ``"rgb_array"`` keeps an image of every step.
+        **render_options: Options of images, as for :class:`EgoEnv`.
 
-    Returns
-    -------
-    Replay
-        The environment at the end of the episode, the rewards, the images.
+    Returns:
+        Replay: The environment at the end of the episode, the rewards, the images.
 
-    Raises
-    ------
-    SnapshotError
-        If the scene, the schema or the outcome is another one.
+    Raises:
+        SnapshotError: If the scene, the schema or the outcome is another one.
     """
     if not isinstance(certificate, Certificate):
         certificate = Certificate.load(certificate)

@@ -17,10 +17,8 @@ AGENT_OPTIONS = ("scene", "drivers")
 def reset_options(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
     """Return the options of a reset, all of which are known.
 
-    Raises
-    ------
-    ConfigError
-        For another name, and for what is no dictionary.
+    Raises:
+        ConfigError: For another name, and for what is no dictionary.
     """
     if given is None:
         return {}

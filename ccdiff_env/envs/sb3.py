@@ -62,10 +62,8 @@ def save_policy(model: BaseAlgorithm, path: str | Path) -> None:
 
     What it was trained in is in the file anyway, as its observation space says it.
 
-    Raises
-    ------
-    ConfigError
-        If dictionaries of observations were normalised.
+    Raises:
+        ConfigError: If dictionaries of observations were normalised.
     """
     norm = model.get_vec_normalize_env()
     if norm is None or not norm.norm_obs:
@@ -89,18 +87,15 @@ class SB3VecEnv(VecEnv):
     ``VecMonitor`` writes them), ``is_success`` and the info columns of the last step;
     the infos of the others hold ``TimeLimit.truncated`` alone.
 
-    Parameters
-    ----------
-    env : EgoVectorEnv
-        Put into ``SAME_STEP`` autoreset mode, if it is in another one and has not been reset.
-    torch_threads : int or None
-        Threads of torch in this process. Networks of this size are slower with more than one,
-        which then take several times the processor time; ``None`` leaves torch's setting.
+    Args:
+        env: Put into ``SAME_STEP`` autoreset mode, if it is in another one and has not been reset.
+        torch_threads: Threads of torch in this process. Networks of this size are
+            slower with more than one, which then take several times the processor time; ``None``
+            leaves torch's setting.
 
-    Raises
-    ------
-    ConfigError
-        If the environment is in another autoreset mode and has been reset, or is wrapped.
+    Raises:
+        ConfigError: If the environment is in another autoreset mode and has been reset, or is
+            wrapped.
     """
 
     def __init__(
@@ -133,10 +128,9 @@ class SB3VecEnv(VecEnv):
 
         Options are those of the worlds' own ``reset``, one dictionary for all or one per row.
 
-        Raises
-        ------
-        ConfigError
-            For an option that the worlds do not take, or another number of dictionaries.
+        Raises:
+            ConfigError: For an option that the worlds do not take, or another number of
+                dictionaries.
         """
         seeds = [None if s is None else int(s) for s in self._seeds]
         if len(self._options) != self.num_envs:

@@ -89,30 +89,20 @@ class AdversarySelectionVectorEnv(AsVector):
     ego's and with the horizon, which belongs to the task: both are terminations. Worlds that ended
     restart within the step (SAME_STEP); seeds and copies are those of :class:`EgoVectorEnv`.
 
-    Parameters
-    ----------
-    num_envs
-        Number of worlds E.
-    ego
-        The ego's planner, see :func:`ccdiff_env.planners.built_in.ego_driver`.
-    max_candidates
-        Rows R: vehicles that the background plans for, nearest to the ego first.
-    strengths
-        Criticalities S that an action chooses from.
-    num_adversaries
-        Vehicles that an action guides: its candidate and the others of closest approach.
-    counts
-        Which collisions with adversaries count, see :data:`Counts`.
-    shift_cost
-        Reward lost per standard deviation of shift; may be changed as training goes on.
-    **options
-        As for :class:`~ccdiff_env.EgoVectorEnv`. Traffic is ``"ccdiff"`` with
-        :data:`DEFAULT_CCDIFF` unless told otherwise; its plans set the pace.
+    Args:
+        num_envs: Number of worlds E.
+        ego: The ego's planner, see :func:`ccdiff_env.planners.built_in.ego_driver`.
+        max_candidates: Rows R: vehicles that the background plans for, nearest to the ego first.
+        strengths: Criticalities S that an action chooses from.
+        num_adversaries: Vehicles that an action guides: its candidate and the others of closest
+            approach.
+        counts: Which collisions with adversaries count, see :data:`Counts`.
+        shift_cost: Reward lost per standard deviation of shift; may be changed as training goes on.
+        **options: As for :class:`~ccdiff_env.EgoVectorEnv`. Traffic is ``"ccdiff"`` with
+            :data:`DEFAULT_CCDIFF` unless told otherwise; its plans set the pace.
 
-    Raises
-    ------
-    ConfigError
-        For traffic that nothing guides, and options out of range.
+    Raises:
+        ConfigError: For traffic that nothing guides, and options out of range.
     """
 
     reset_option_names = EgoVectorEnv.reset_option_names
@@ -201,24 +191,17 @@ class AdversarySelectionVectorEnv(AsVector):
     def step(self, actions: Any) -> tuple[F32, F32, Bool, Bool, Info]:
         """Choose adversaries in all worlds and advance until the next plans.
 
-        Parameters
-        ----------
-        actions
-            Indices [E]; candidates that are not there are nobody.
+        Args:
+            actions: Indices [E]; candidates that are not there are nobody.
 
-        Returns
-        -------
-        obs, rewards, terminations, truncations, infos
-            Arrays [E, ...]; ``infos`` holds :data:`INFO_COLUMNS` of the decision and ``adversary``
-            (id), and ``final_obs`` and ``final_info`` (with ``metrics`` and ``is_success``) of
-            episodes that ended.
+        Returns:
+            obs, rewards, terminations, truncations, infos: Arrays [E, ...]; ``infos`` holds
+                :data:`INFO_COLUMNS` of the decision and ``adversary`` (id), and ``final_obs`` and
+                ``final_info`` (with ``metrics`` and ``is_success``) of episodes that ended.
 
-        Raises
-        ------
-        ShapeError, ActionError
-            If the actions do not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset.
+        Raises:
+            ShapeError, ActionError: If the actions do not fit; nothing has moved then.
+            ResetNeededError: Before the first reset.
         """
         rewards, figures = self.decide(self.chosen(actions))
         done, infos = self.ended.copy(), _masked(figures, ~self.ended)
@@ -236,10 +219,9 @@ class AdversarySelectionVectorEnv(AsVector):
     def chosen(self, actions: Any) -> list[Choice]:
         """Return the agents that actions [E] choose, and their criticality, world by world.
 
-        Raises
-        ------
-        ShapeError, ActionError
-            For another number of actions, and for what is no index of the space.
+        Raises:
+            ShapeError, ActionError: For another number of actions, and for what is no index of the
+                space.
         """
         given = np.asarray(actions)
         if given.shape != (self.num_envs,):
@@ -258,20 +240,15 @@ class AdversarySelectionVectorEnv(AsVector):
     def decide(self, chosen: Sequence[Choice]) -> tuple[F32, dict[str, npt.NDArray[Any]]]:
         """Advance the worlds that have not ended by one decision, without beginning new episodes.
 
-        Parameters
-        ----------
-        chosen
-            For each world, who is guided and how strongly.
+        Args:
+            chosen: For each world, who is guided and how strongly.
 
-        Returns
-        -------
-        rewards, figures
-            Rewards [E]; :data:`INFO_COLUMNS` by name and ``adversary`` (id or ``None``), [E].
+        Returns:
+            rewards, figures: Rewards [E]; :data:`INFO_COLUMNS` by name and ``adversary`` (id or
+                ``None``), [E].
 
-        Raises
-        ------
-        ResetNeededError
-            Where all worlds have ended, or were never reset.
+        Raises:
+            ResetNeededError: Where all worlds have ended, or were never reset.
         """
         if self.ended.all():
             raise ResetNeededError("all worlds have ended or were never reset")
@@ -356,10 +333,8 @@ class SingleOptions(SelectionOptions, total=False):
 class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
 
-    Parameters
-    ----------
-    **options
-        As there, and ``render_mode="human"`` (needs pygame).
+    Args:
+        **options: As there, and ``render_mode="human"`` (needs pygame).
     """
 
     _title = "ccdiff_env/AdversarySelection"

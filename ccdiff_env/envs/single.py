@@ -65,37 +65,28 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         horizon). Truncated: the horizon (10 s), or the end of the log. ``info["metrics"]`` and
         ``info["is_success"]`` sum up the episode.
 
-    Parameters
-    ----------
-    scenes
-        A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the name
-        of a split of the embedded scenes.
-    config
-        Configuration to start from.
-    observation
-        ``"flat"``, ``"dict"`` or ``"bev"``, as above.
-    info
-        ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
-        ``"none"``: only numbers at resets: index of the scene, seed, episode.
-    render_mode
-        ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
-    render_options
-        Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``, ``trails``,
-        ``route``, ``labels``.
-    criticality
-        How critical CCDiff traffic is in each episode: a number, a range to draw from, or a
-        function of the progress of training, which :meth:`set_progress` sets (see
-        :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
-    **options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
-        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``bev={"size_px": 64}``.
-        ``driver`` names a planner, too: ``"pdm"``, ``"ego"``, ``"module:name"``, a policy's file
-        (docs/planners.md). Whoever drives, the actions that ``step`` is given do nothing.
+    Args:
+        scenes: A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the
+            name of a split of the embedded scenes.
+        config: Configuration to start from.
+        observation: ``"flat"``, ``"dict"`` or ``"bev"``, as above.
+        info: ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
+            ``"none"``: only numbers at resets: index of the scene, seed, episode.
+        render_mode: ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
+        render_options: Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``,
+            ``trails``, ``route``, ``labels``.
+        criticality: How critical CCDiff traffic is in each episode: a number, a range to draw from,
+            or a function of the progress of training, which :meth:`set_progress` sets (see
+            :class:`~ccdiff_env.worlds.curriculum.Curriculum`).
+        **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as
+            ``traffic="idm"``, ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``,
+            ``bev={"size_px": 64}``. ``driver`` names a planner, too: ``"pdm"``, ``"ego"``,
+            ``"module:name"``, a policy's file (docs/planners.md). Whoever drives, the actions that
+            ``step`` is given do nothing.
 
-    Notes
-    -----
-    Environments can be pickled and deep-copied in the middle of an episode. A planner decides again
-    in a copy, in a fork and after :meth:`restore`.
+    Notes:
+        Environments can be pickled and deep-copied in the middle of an episode. A planner decides
+        again in a copy, in a fork and after :meth:`restore`.
     """
 
     _title = "ccdiff_env/Ego"
@@ -136,20 +127,15 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin a new episode.
 
-        Parameters
-        ----------
-        seed
-            Any integer; ``None`` goes on with the world's generator.
-        options
-            ``scene``: name or index of the scene; with ``ego="any"`` besides ``ego``: id, and
-            ``start``: step of the log; ``style``: factors of weights of the reward; ``drivers``:
-            drivers of single vehicles by id, for this episode.
+        Args:
+            seed: Any integer; ``None`` goes on with the world's generator.
+            options: ``scene``: name or index of the scene; with ``ego="any"`` besides ``ego``: id,
+                and ``start``: step of the log; ``style``: factors of weights of the reward;
+                ``drivers``: drivers of single vehicles by id, for this episode.
 
-        Returns
-        -------
-        obs, info
-            First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``, and where they
-            are drawn ``ego``, ``ego_idx``, ``start_step``.
+        Returns:
+            obs, info: First observation; ``scene``, ``scene_token``, ``seed``, ``episode_idx``, and
+                where they are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
         given = reset_options(options, EGO_OPTIONS)
         scene, *rest, drivers = (given.get(name) for name in EGO_OPTIONS)
@@ -174,22 +160,16 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one step.
 
-        Parameters
-        ----------
-        action
-            Numbers [W] in [-1, 1] (beyond, they are clipped), or an index of the grid.
+        Args:
+            action: Numbers [W] in [-1, 1] (beyond, they are clipped), or an index of the grid.
 
-        Returns
-        -------
-        obs, reward, terminated, truncated, info
-            ``info`` holds the info columns of the step and, at the end of an episode, ``metrics``.
+        Returns:
+            obs, reward, terminated, truncated, info: ``info`` holds the info columns of the step
+                and, at the end of an episode, ``metrics``.
 
-        Raises
-        ------
-        ShapeError, ActionError
-            If the action does not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset and after the end of an episode.
+        Raises:
+            ShapeError, ActionError: If the action does not fit; nothing has moved then.
+            ResetNeededError: Before the first reset and after the end of an episode.
         """
         if self._seat is not None and self._begun:
             action = self._seat.decide(self.worlds)[0]
@@ -236,26 +216,19 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def restore(self, snapshot: bytes, *, seed: int | None = None) -> Any:
         """Return to the state of a snapshot, bit for bit.
 
-        Parameters
-        ----------
-        snapshot
-            What :meth:`snapshot` of an environment of the same configuration and scenes gave.
-        seed
-            Any integer: from here on, traffic draws from this seed; its present plan and drivers
-            stay. The next episode is the first of the seed.
+        Args:
+            snapshot: What :meth:`snapshot` of an environment of the same configuration and scenes
+                gave.
+            seed: Any integer: from here on, traffic draws from this seed; its present plan and
+                drivers stay. The next episode is the first of the seed.
 
-        Returns
-        -------
-        obs
-            The observation of that moment; ``None`` if it was before the first reset.
+        Returns:
+            obs: The observation of that moment; ``None`` if it was before the first reset.
 
-        Raises
-        ------
-        SnapshotError
-            If the bytes are damaged, or belong to another configuration or other scenes; nothing
-            has changed then.
-        ResetNeededError
-            With a seed, if the snapshot was taken before the first reset.
+        Raises:
+            SnapshotError: If the bytes are damaged, or belong to another configuration or other
+                scenes; nothing has changed then.
+            ResetNeededError: With a seed, if the snapshot was taken before the first reset.
         """
         saved = Snapshot.from_bytes(snapshot)
         row_bytes = 4 * self.worlds.native.action_width
@@ -275,12 +248,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def explain(self) -> TrafficPlan:
         """Return the plan that CCDiff traffic follows.
 
-        Raises
-        ------
-        ResetNeededError
-            Before the first step after a reset: traffic plans in it.
-        UnknownNameError
-            If CCDiff drives nobody.
+        Raises:
+            ResetNeededError: Before the first step after a reset: traffic plans in it.
+            UnknownNameError: If CCDiff drives nobody.
         """
         plan = self.worlds.explain(0)
         if plan is None:
@@ -297,13 +267,10 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     def certificate(self) -> Certificate:
         """Return the certificate of the episode so far: from it, it can be simulated again.
 
-        Raises
-        ------
-        SnapshotError
-            If the environment was restored with another seed, or from a snapshot that does not
-            hold the actions.
-        ResetNeededError
-            Before the first reset.
+        Raises:
+            SnapshotError: If the environment was restored with another seed, or from a snapshot
+                that does not hold the actions.
+            ResetNeededError: Before the first reset.
         """
         if self._actions is None:
             raise SnapshotError(

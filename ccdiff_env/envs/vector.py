@@ -69,38 +69,31 @@ def _mode(mode: AutoresetMode | str) -> AutoresetMode:
 class EgoVectorEnv(FollowsTraining, AsVector):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
-    Parameters
-    ----------
-    num_envs
-        Number of worlds E.
-    scenes, config, observation, info, render_options, criticality
-        As for :class:`~ccdiff_env.EgoEnv`.
-    autoreset_mode
-        When an ended world restarts: ``"next_step"``, ``"same_step"`` or ``"disabled"``
-        (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's ``AutoresetMode``.
-    copy
-        Whether every call returns arrays of its own. Without, observations, rewards, flags and
-        columns of the step before are overwritten.
-    num_threads
-        Worker threads; by default all processors from 64 worlds on, else the calling thread.
-        Results do not depend on it.
-    render_mode
-        ``None`` or ``"rgb_array"``.
-    **options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as ``traffic="idm"``,
-        ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``, ``reward={"goal": 5.0}``,
-        ``bev={"size_px": 64}``. ``driver`` names a planner, too, as in
-        :class:`~ccdiff_env.EgoEnv`.
+    Args:
+        num_envs: Number of worlds E.
+        scenes, config, observation, info, render_options, criticality: As for
+            :class:`~ccdiff_env.EgoEnv`.
+        autoreset_mode: When an ended world restarts: ``"next_step"``, ``"same_step"`` or
+            ``"disabled"`` (then with ``reset(options={"reset_mask": ...})``), or Gymnasium's
+            ``AutoresetMode``.
+        copy: Whether every call returns arrays of its own. Without, observations, rewards, flags
+            and columns of the step before are overwritten.
+        num_threads: Worker threads; by default all processors from 64 worlds on, else the calling
+            thread. Results do not depend on it.
+        render_mode: ``None`` or ``"rgb_array"``.
+        **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as
+            ``traffic="idm"``, ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``,
+            ``reward={"goal": 5.0}``, ``bev={"size_px": 64}``. ``driver`` names a planner, too, as
+            in :class:`~ccdiff_env.EgoEnv`.
 
-    Notes
-    -----
-    World i of ``reset(seed=n)`` gets the seed n + i. With scenes in random order it then runs
-    exactly as ``EgoEnv.reset(seed=n + i)`` would; torch, which computes some networks
-    (:func:`~ccdiff_env.models.needs_torch`), rounds by the size of the batch. In sequential order
-    its next scene is E further on: together the worlds play each scene once.
-    ``reset(options={"scene": ...})`` chooses scenes by name or index, one for all worlds or a list
-    with one entry per world (``None``: no choice); so do ``ego`` and ``start``, where egos are
-    drawn. Environments can be pickled and deep-copied in the middle of episodes.
+    Notes:
+        World i of ``reset(seed=n)`` gets the seed n + i. With scenes in random order it then runs
+        exactly as ``EgoEnv.reset(seed=n + i)`` would; torch, which computes some networks
+        (:func:`~ccdiff_env.models.needs_torch`), rounds by the size of the batch. In sequential
+        order its next scene is E further on: together the worlds play each scene once.
+        ``reset(options={"scene": ...})`` chooses scenes by name or index, one for all worlds or a
+        list with one entry per world (``None``: no choice); so do ``ego`` and ``start``, where egos
+        are drawn. Environments can be pickled and deep-copied in the middle of episodes.
     """
 
     worlds: Worlds
@@ -170,10 +163,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     def set_autoreset_mode(self, autoreset_mode: AutoresetMode | str) -> None:
         """Choose when ended worlds restart, before the first reset.
 
-        Raises
-        ------
-        ConfigError
-            If a world has begun, or there is no such mode.
+        Raises:
+            ConfigError: If a world has begun, or there is no such mode.
         """
         mode = _mode(autoreset_mode)
         self.worlds.set_autoreset(_AUTORESET[mode])
@@ -188,25 +179,19 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     ) -> tuple[Any, Info]:
         """Begin new episodes.
 
-        Parameters
-        ----------
-        seed
-            Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with their
-            generators).
-        options
-            ``scene``: name or index; with ``ego="any"`` besides ``ego``: id, and ``start``: step
-            of the log; ``style``: factors of weights of the reward; ``drivers``: drivers of single
-            vehicles by id, for these episodes. Each is one for all worlds (drivers then of those
-            vehicles that a world's scene has), or a list of one per world, ``None`` for no choice.
-            ``reset_mask``: worlds [E] to reset.
+        Args:
+            seed: Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with
+                their generators).
+            options: ``scene``: name or index; with ``ego="any"`` besides ``ego``: id, and
+                ``start``: step of the log; ``style``: factors of weights of the reward;
+                ``drivers``: drivers of single vehicles by id, for these episodes. Each is one for
+                all worlds (drivers then of those vehicles that a world's scene has), or a list of
+                one per world, ``None`` for no choice. ``reset_mask``: worlds [E] to reset.
 
-        Returns
-        -------
-        obs
-            Observations [E, ...].
-        infos
-            ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were reset;
-            where they are drawn ``ego``, ``ego_idx``, ``start_step``.
+        Returns:
+            obs: Observations [E, ...].
+            infos: ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were
+                reset; where they are drawn ``ego``, ``ego_idx``, ``start_step``.
         """
         given = reset_options(options, (*EGO_OPTIONS, "reset_mask"))
         named, *rest, drivers = (self._per_world(name, given.get(name)) for name in EGO_OPTIONS)
@@ -236,28 +221,24 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     ) -> tuple[Any, F32, Bool, Bool, Info]:
         """Advance all worlds, or some of them, by one step.
 
-        Parameters
-        ----------
-        actions
-            Actions [E, W] in [-1, 1] (beyond, they are clipped), or indices [E] of the grid.
-        active
-            Worlds [E] that go on; all by default. The others stay as they are, with their present
-            observations, rewards of zero and nothing in the dictionary; ended ones may be among
-            them, so that in DISABLED mode the rest of a batch goes on.
+        Args:
+            actions: Actions [E, W] in [-1, 1] (beyond, they are clipped), or indices [E] of the
+                grid.
+            active: Worlds [E] that go on; all by default. The others stay as they are, with their
+                present observations, rewards of zero and nothing in the dictionary; ended ones may
+                be among them, so that in DISABLED mode the rest of a batch goes on.
 
-        Returns
-        -------
-        obs, rewards, terminations, truncations, infos
-            Arrays [E, ...], and a dictionary of arrays with ``_key`` masks: the info columns of the
-            step; ``metrics`` of episodes that end; scene and seed of those that begin; in SAME_STEP
-            mode ``final_obs`` and ``final_info``.
+        Returns:
+            obs, rewards, terminations, truncations, infos: Arrays [E, ...], and a dictionary of
+                arrays with ``_key`` masks: the info columns of the step; ``metrics`` of episodes
+                that end; scene and seed of those that begin; in SAME_STEP mode ``final_obs`` and
+                ``final_info``.
 
-        Raises
-        ------
-        ShapeError, ActionError
-            If the actions or the worlds do not fit; nothing has moved then.
-        ResetNeededError
-            Before the first reset, and in DISABLED mode for ended worlds that are active.
+        Raises:
+            ShapeError, ActionError: If the actions or the worlds do not fit; nothing has moved
+                then.
+            ResetNeededError: Before the first reset, and in DISABLED mode for ended worlds that are
+                active.
         """
         if self._seat is not None and self._begun.all():
             actions = self._seat.decide(self.worlds)
@@ -364,10 +345,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
     def explain(self, world_idx: int) -> TrafficPlan | None:
         """Return the plan that CCDiff follows in a world; ``None`` before the first one.
 
-        Raises
-        ------
-        UnknownNameError
-            If the world does not exist, or CCDiff drives nobody.
+        Raises:
+            UnknownNameError: If the world does not exist, or CCDiff drives nobody.
         """
         return self.worlds.explain(world_idx)
 
@@ -381,15 +360,12 @@ class EgoVectorEnv(FollowsTraining, AsVector):
 
         With a ``seed`` its traffic goes on as another draw, see :meth:`EgoEnv.restore`.
 
-        Returns
-        -------
-        obs
-            Its observation, as a single environment would return it.
+        Returns:
+            obs: Its observation, as a single environment would return it.
 
-        Raises
-        ------
-        SnapshotError
-            If the bytes are damaged, or belong to another configuration or other scenes.
+        Raises:
+            SnapshotError: If the bytes are damaged, or belong to another configuration or other
+                scenes.
         """
         self.worlds.check_world(world_idx)
         Snapshot.from_bytes(snapshot).put(self.worlds, world_idx, seed)

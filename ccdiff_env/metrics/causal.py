@@ -83,9 +83,8 @@ def _states(
 def apart(elevation_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Return which pairs of agents are on different levels [..., M, M]: over 2.5 m apart in height.
 
-    Parameters
-    ----------
-    elevation_m : [..., M], metres, of the ground below the agents.
+    Args:
+        elevation_m: [..., M], metres, of the ground below the agents.
     """
     heights = np.asarray(elevation_m, dtype=np.float32)
     gaps: npt.NDArray[np.float32] = np.abs(heights[..., :, None] - heights[..., None, :])
@@ -117,41 +116,35 @@ def ttc(
 ) -> npt.NDArray[np.float32]:
     """Compute the times to contact of all pairs of agents.
 
-    Parameters
-    ----------
-    position : [M, 2] or [T, M, 2], metres, T oldest first. Agents whose position is not finite are
-        absent.
-    heading : [M] or [T, M], radians counter-clockwise from +x.
-    speed : [M] or [T, M], metres per second along the heading.
-    size : [M, 2], length and width, metres.
-    valid : bool [M] or [T, M], optional; agents that are not valid meet nobody.
-    elevation_m : [M] or [T, M], metres, in scenes with levels; agents more than 2.5 m higher or
-        lower meet nobody.
-    method : ``"oriented"`` sweeps oriented boxes at constant velocity and is symmetric;
-        ``"released"`` repeats the arithmetic of the authors' release with its quirks. Over a
-        history the released recipe uses the axes of each row's agent at the last step.
-    normalised : give (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later, in place of
-        seconds.
+    Args:
+        position: [M, 2] or [T, M, 2], metres, T oldest first. Agents whose position is not finite
+            are absent.
+        heading: [M] or [T, M], radians counter-clockwise from +x.
+        speed: [M] or [T, M], metres per second along the heading.
+        size: [M, 2], length and width, metres.
+        valid: bool [M] or [T, M], optional; agents that are not valid meet nobody.
+        elevation_m: [M] or [T, M], metres, in scenes with levels; agents more than 2.5 m higher or
+            lower meet nobody.
+        method: ``"oriented"`` sweeps oriented boxes at constant velocity and is symmetric;
+            ``"released"`` repeats the arithmetic of the authors' release with its quirks. Over a
+            history the released recipe uses the axes of each row's agent at the last step.
+        normalised: give (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later, in place of
+            seconds.
 
-    Returns
-    -------
-    float32 [M, M] or [T, M, M]. Pairs with an absent agent hold "no contact" (0, or 20 s).
+    Returns:
+        float32 [M, M] or [T, M, M]. Pairs with an absent agent hold "no contact" (0, or 20 s).
 
-    Raises
-    ------
-    ShapeError
-        Where shapes do not agree.
-    UnknownNameError
-        For another method.
+    Raises:
+        ShapeError: Where shapes do not agree.
+        UnknownNameError: For another method.
 
-    Examples
-    --------
-    Two cars nose to nose, 30 m apart, closing at 15 m/s, 4.5 m long:
+    Examples:
+        Two cars nose to nose, 30 m apart, closing at 15 m/s, 4.5 m long:
 
-    >>> position, size = [[0, 0], [30, 0]], [[4.5, 2], [4.5, 2]]
-    >>> seconds = ttc(position, [0, np.pi], [10, 5], size, normalised=False)
-    >>> round(float(seconds[0, 1]), 3)
-    1.7
+        >>> position, size = [[0, 0], [30, 0]], [[4.5, 2], [4.5, 2]]
+        >>> seconds = ttc(position, [0, np.pi], [10, 5], size, normalised=False)
+        >>> round(float(seconds[0, 1]), 3)
+        1.7
     """
     points, there, single = _states(position, valid)
     headings, _ = _history("heading", heading, np.float32, 2)
@@ -189,17 +182,15 @@ def distance(
 ) -> npt.NDArray[np.float32]:
     """Compute the distances of the centres of all pairs of agents.
 
-    Parameters
-    ----------
-    position : [M, 2] or [T, M, 2], metres.
-    valid : bool [M] or [T, M], optional.
-    elevation_m : [M] or [T, M], metres, in scenes with levels.
-    normalised : give (20 - d) / 20 clipped to [0, 1] in place of metres.
+    Args:
+        position: [M, 2] or [T, M, 2], metres.
+        valid: bool [M] or [T, M], optional.
+        elevation_m: [M] or [T, M], metres, in scenes with levels.
+        normalised: give (20 - d) / 20 clipped to [0, 1] in place of metres.
 
-    Returns
-    -------
-    float32 [M, M] or [T, M, M]. Pairs with an absent agent, or on levels more than
-    2.5 m apart, are infinitely far apart.
+    Returns:
+        float32 [M, M] or [T, M, M]. Pairs with an absent agent, or on levels more than
+        2.5 m apart, are infinitely far apart.
     """
     points, there, single = _states(position, valid)
     metres: npt.NDArray[np.float32] = _native.causal_distance(
@@ -243,12 +234,11 @@ def graph(
     """Build the decision causal graph: pairs near in time to contact and in distance, and every
     agent with itself.
 
-    Parameters
-    ----------
-    ttc_s : [M, M], seconds (not normalised).
-    distance_m : [M, M], metres.
-    max_ttc_s, max_distance_m : joined only up to these.
-    symmetric : join both directions where either is joined.
+    Args:
+        ttc_s: [M, M], seconds (not normalised).
+        distance_m: [M, M], metres.
+        max_ttc_s, max_distance_m: joined only up to these.
+        symmetric: join both directions where either is joined.
     """
     seconds = np.ascontiguousarray(ttc_s, dtype=np.float32)
     metres = np.ascontiguousarray(distance_m, dtype=np.float32)
@@ -295,13 +285,12 @@ def clique_counts(
     threshold; the weight of the pair is the sum of the two. Not all cliques are listed: a
     branch-and-bound search finds the heaviest.
 
-    Parameters
-    ----------
-    measure : [T, M, M] or [M, M], values in [0, 1], NaN for absent agents.
-    threshold : at least 0.
-    min_size : smallest clique that counts.
-    top_per_frame : heaviest cliques taken per step.
-    node_limit : cliques visited per step before the search settles for the heaviest seen.
+    Args:
+        measure: [T, M, M] or [M, M], values in [0, 1], NaN for absent agents.
+        threshold: at least 0.
+        min_size: smallest clique that counts.
+        top_per_frame: heaviest cliques taken per step.
+        node_limit: cliques visited per step before the search settles for the heaviest seen.
     """
     agents, counts, num_cliques, exact = _native.causal_clique_occurrences(
         _matrices("measure", measure), threshold, min_size, top_per_frame, node_limit
@@ -330,26 +319,23 @@ def rank_cliques(
     min_size=3`` are those of the
     released script. The list is not filled up: it is short, or empty, where few agents meet.
 
-    Parameters
-    ----------
-    ttc : [T, M, M], normalised times to contact, 1 for contact now and 0 for 20 s or later, NaN
-        for absent agents.
-    threshold : agents are joined where a value exceeds this in either direction.
-    min_size : smallest clique that counts.
-    top_per_frame : heaviest cliques taken per step.
-    top_k : agents to return at most.
-    node_limit : cliques visited per step before the search settles for the heaviest seen.
+    Args:
+        ttc: [T, M, M], normalised times to contact, 1 for contact now and 0 for 20 s or later, NaN
+            for absent agents.
+        threshold: agents are joined where a value exceeds this in either direction.
+        min_size: smallest clique that counts.
+        top_per_frame: heaviest cliques taken per step.
+        top_k: agents to return at most.
+        node_limit: cliques visited per step before the search settles for the heaviest seen.
 
-    Returns
-    -------
-    Agent indices, most frequent first; ties in the order of first appearance.
+    Returns:
+        Agent indices, most frequent first; ties in the order of first appearance.
 
-    Examples
-    --------
-    >>> near = np.zeros((1, 4, 4))
-    >>> near[0, 1, 3] = 0.9
-    >>> rank_cliques(near)
-    [1, 3]
+    Examples:
+        >>> near = np.zeros((1, 4, 4))
+        >>> near[0, 1, 3] = 0.9
+        >>> rank_cliques(near)
+        [1, 3]
     """
     counts = clique_counts(
         ttc,
@@ -372,12 +358,11 @@ def rank_distance(
 ) -> list[int]:
     """Rank agents as :func:`rank_cliques` does, on relative distances in place of times to contact.
 
-    Parameters
-    ----------
-    position : [M, 2] or [T, M, 2], metres.
-    valid : bool [M] or [T, M], optional.
-    threshold : agents are joined where (20 - d) / 20 exceeds this: 0 joins those within 20 m.
-    min_size, top_per_frame, top_k : as in :func:`rank_cliques`.
+    Args:
+        position: [M, 2] or [T, M, 2], metres.
+        valid: bool [M] or [T, M], optional.
+        threshold: agents are joined where (20 - d) / 20 exceeds this: 0 joins those within 20 m.
+        min_size, top_per_frame, top_k: as in :func:`rank_cliques`.
     """
     near = distance(position, valid, normalised=True)
     return rank_cliques(near, threshold, min_size, top_per_frame, top_k)
@@ -393,14 +378,12 @@ def rank_greedy(
     """Rank agents by cliques grown greedily from each of them on G times attention, the paper's
     algorithm.
 
-    Parameters
-    ----------
-    graph : [M, M], true (or positive) where joined.
-    attention : [M, M], at least 0; 1 everywhere if absent.
-    order : ``"size"`` sorts by the size of the agent's own clique, then its weight;
-        ``"occurrences"`` by the number
-        of grown cliques that hold the agent.
-    top_k : agents to return at most; agents without a neighbour are left out.
+    Args:
+        graph: [M, M], true (or positive) where joined.
+        attention: [M, M], at least 0; 1 everywhere if absent.
+        order: ``"size"`` sorts by the size of the agent's own clique, then its weight;
+            ``"occurrences"`` by the number of grown cliques that hold the agent.
+        top_k: agents to return at most; agents without a neighbour are left out.
     """
     weights = np.asarray(graph, dtype=np.float64)
     if attention is not None:
@@ -444,18 +427,18 @@ def rank(
     """Choose key agents by a named ranker and fill up by ascending time to contact, then distance,
     then index.
 
-    Parameters
-    ----------
-    ranker : ``"cliques"`` and ``"distance_cliques"`` count clique occurrences, ``"first"`` takes
-        agents in their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``,
-        ``"scores"`` sorts by falling ``scores``.
-    top_k : agents to choose; fewer only where fewer are there.
-    valid : bool [M], whether an agent is there.
-    ttc, distance : [T, M, M] or [M, M], normalised; for their rankers and for filling up.
-    agents : a list, as of a person, for ``"listed"``.
-    scores : [M], for ``"scores"``, such as the alignment of the gradients of realism and guidance.
-    seed : for ``"random"``.
-    threshold, min_size, top_per_frame, node_limit : as in :func:`rank_cliques`.
+    Args:
+        ranker: ``"cliques"`` and ``"distance_cliques"`` count clique occurrences, ``"first"`` takes
+            agents in their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``,
+            ``"scores"`` sorts by falling ``scores``.
+        top_k: agents to choose; fewer only where fewer are there.
+        valid: bool [M], whether an agent is there.
+        ttc, distance: [T, M, M] or [M, M], normalised; for their rankers and for filling up.
+        agents: a list, as of a person, for ``"listed"``.
+        scores: [M], for ``"scores"``, such as the alignment of the gradients of realism and
+            guidance.
+        seed: for ``"random"``.
+        threshold, min_size, top_per_frame, node_limit: as in :func:`rank_cliques`.
     """
     there = np.ascontiguousarray(valid, dtype=bool)
 

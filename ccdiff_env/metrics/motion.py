@@ -101,33 +101,28 @@ def _states(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDA
 class Motion:
     """One recorded scene: states of A agents over T steps.
 
-    Parameters
-    ----------
-    position : [A, T, 2], metres. Entries that are not finite are absent.
-    heading : [A, T], radians.
-    size : [A, 2], length and width, metres.
-    valid : bool [A, T], optional.
-    dt_s : time between steps, seconds.
-    elevation_m : [A, T], metres, of the ground below the agents in scenes with levels: who is more
-        than 2.5 m higher or lower is out of reach.
+    Args:
+        position: [A, T, 2], metres. Entries that are not finite are absent.
+        heading: [A, T], radians.
+        size: [A, 2], length and width, metres.
+        valid: bool [A, T], optional.
+        dt_s: time between steps, seconds.
+        elevation_m: [A, T], metres, of the ground below the agents in scenes with levels: who is
+            more than 2.5 m higher or lower is out of reach.
 
-    Raises
-    ------
-    ShapeError
-        Where shapes do not agree.
-    SceneError
-        Where an agent that is there has a size that is negative or not finite.
+    Raises:
+        ShapeError: Where shapes do not agree.
+        SceneError: Where an agent that is there has a size that is negative or not finite.
 
-    Examples
-    --------
-    A car drives into one that stands:
+    Examples:
+        A car drives into one that stands:
 
-    >>> x = np.stack([np.arange(0.0, 10.0), np.full(10, 9.0)])
-    >>> position = np.stack([x, np.zeros_like(x)], axis=-1)
-    >>> motion = Motion(position, np.zeros((2, 10)), [[4.5, 2.0]] * 2)
-    >>> found = motion.collisions(controlled=[True, False])
-    >>> found.any("controlled_new"), found.first_kind
-    (True, ['front', 'rear'])
+        >>> x = np.stack([np.arange(0.0, 10.0), np.full(10, 9.0)])
+        >>> position = np.stack([x, np.zeros_like(x)], axis=-1)
+        >>> motion = Motion(position, np.zeros((2, 10)), [[4.5, 2.0]] * 2)
+        >>> found = motion.collisions(controlled=[True, False])
+        >>> found.any("controlled_new"), found.first_kind
+        (True, ['front', 'rear'])
     """
 
     def __init__(
@@ -181,10 +176,9 @@ class Motion:
     ) -> Collisions:
         """Find the contacts of oriented boxes, touching included.
 
-        Parameters
-        ----------
-        controlled : bool [A], agents driven by the method under test; none if absent.
-        log : the recorded traffic of the same agents and steps, for the variants "new".
+        Args:
+            controlled: bool [A], agents driven by the method under test; none if absent.
+            log: the recorded traffic of the same agents and steps, for the variants "new".
         """
         rows, with_controlled, new, kinds, agents, rates = self._native.collisions(
             self._mask("controlled", controlled, False), None if log is None else log._native
@@ -208,14 +202,13 @@ class Motion:
     ) -> OffRoad:
         """Test every agent at every step against the drivable area.
 
-        Parameters
-        ----------
-        drivable : polygons as (exterior [N, 2], holes); a point is drivable if any of them holds
-            it.
-        counted : bool [A], agents that the rates count; all if absent.
-        replan_steps : steps between plans, for the rate of the reference implementation.
-        elevation_m : [N, 2], metres, least and greatest elevation of each polygon in scenes with
-            levels: agents are on the road of their own level.
+        Args:
+            drivable: polygons as (exterior [N, 2], holes); a point is drivable if any of them holds
+                it.
+            counted: bool [A], agents that the rates count; all if absent.
+            replan_steps: steps between plans, for the rate of the reference implementation.
+            elevation_m: [N, 2], metres, least and greatest elevation of each polygon in scenes with
+                levels: agents are on the road of their own level.
         """
 
         def ring(points: npt.ArrayLike) -> list[list[float]]:
@@ -247,11 +240,11 @@ class Motion:
         Bins are equal over [-2, 2], [-2, 2] m/s2 and [-1, 1] m/s3; a row sums to 1, or to 0 where
         no agent moves.
 
-        Parameters
-        ----------
-        axes : ``"body"`` projects on the agent's axes; ``"reference_impl"`` multiplies the size
-            of the acceleration by cosine and sine of the heading in the world, as the release does.
-        stride : steps between entries; 5 steps of 0.1 s as the release.
+        Args:
+            axes: ``"body"`` projects on the agent's axes; ``"reference_impl"`` multiplies the size
+                of the acceleration by cosine and sine of the heading in the world, as the release
+                does.
+            stride: steps between entries; 5 steps of 0.1 s as the release.
         """
         histograms: npt.NDArray[np.float64] = self._native.comfort(axes, stride)
         return histograms
@@ -271,11 +264,10 @@ class Motion:
 
         The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
 
-        Parameters
-        ----------
-        limit_mps : the limit; :func:`speed_limit` takes one from traffic.
-        at_least_s : for how long.
-        counted : bool [A], agents asked for; all if absent.
+        Args:
+            limit_mps: the limit; :func:`speed_limit` takes one from traffic.
+            at_least_s: for how long.
+            counted: bool [A], agents asked for; all if absent.
         """
         mask = self._mask("counted", counted, True)
         return np.asarray(self._native.over_speed(limit_mps, at_least_s, mask), dtype=bool)

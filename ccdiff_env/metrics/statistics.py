@@ -23,9 +23,8 @@ PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
 def speed_limit(speed: npt.ArrayLike) -> float:
     """Return the 0.75 quantile of the speeds above 1 m/s, NaN where nobody moves.
 
-    Parameters
-    ----------
-    speed : any shape, metres per second; NaN is passed over.
+    Args:
+        speed: any shape, metres per second; NaN is passed over.
     """
     values = np.ascontiguousarray(speed, dtype=np.float32).ravel()
     limit = _native.metrics_speed_limit(values)
@@ -77,22 +76,18 @@ def scores(
 
     CS is SCR scaled to [0, 1] by its bounds, RS one minus the mean of the scaled ORR, FDE and CFD.
 
-    Parameters
-    ----------
-    scr, orr, fde, cfd : one shape, usually [methods, columns].
-    bounds : (least, largest) per metric name; of the whole arrays for those not given. A score
-        depends on its bounds: compare only what shares them. :data:`PAPER_BOUNDS` are the paper's.
+    Args:
+        scr, orr, fde, cfd: one shape, usually [methods, columns].
+        bounds: (least, largest) per metric name; of the whole arrays for those not given. A score
+            depends on its bounds: compare only what shares them. :data:`PAPER_BOUNDS` are the
+            paper's.
 
-    Returns
-    -------
-    cs, rs : in the shape of the tables. Not clipped where bounds are given.
+    Returns:
+        cs, rs: in the shape of the tables. Not clipped where bounds are given.
 
-    Raises
-    ------
-    ShapeError
-        Where shapes differ.
-    ConfigError
-        For bounds of an unknown name, or that are not finite and in order.
+    Raises:
+        ShapeError: Where shapes differ.
+        ConfigError: For bounds of an unknown name, or that are not finite and in order.
     """
     tables = {"scr": scr, "orr": orr, "fde": fde, "cfd": cfd}
     arrays = {name: np.asarray(table, dtype=np.float64) for name, table in tables.items()}
@@ -125,14 +120,12 @@ def generational_distance(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Compute the generational distance and its inverse to the Pareto front of all methods.
 
-    Parameters
-    ----------
-    cs, rs : [methods, columns], larger is better.
+    Args:
+        cs, rs: [methods, columns], larger is better.
 
-    Returns
-    -------
-    gd, igd : [methods]. GD is the root mean square distance of a method's points to the front of
-        the union, IGD that of the front to the method's points; smaller is better.
+    Returns:
+        gd, igd: [methods]. GD is the root mean square distance of a method's points to the front of
+            the union, IGD that of the front to the method's points; smaller is better.
     """
     control = np.ascontiguousarray(cs, dtype=np.float64)
     realism = np.ascontiguousarray(rs, dtype=np.float64)

@@ -48,55 +48,37 @@ def train(
     A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
     is constant and falls to zero over the last fifth of the steps or minutes.
 
-    Parameters
-    ----------
-    scenes
-        Scenes to train on. Keep every validation scene out.
-    out
-        Folder of the run: ``weights.safetensors`` (moving average, for use), ``state.safetensors``
-        (for resuming), ``loss.csv``, ``validation.csv``, ``tensorboard/``.
-    held_out
-        Scenes for the validation curve.
-    model
-        Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
-    preset
-        ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
-    steps, minutes
-        When to stop; exactly one of them. Minutes count this call alone.
-    device
-        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
-    settings
-        Training settings that differ from the preset's, such as ``{"batch_scenes": 8, "seed": 1}``.
-    network
-        Parts of the network that differ from the preset's, such as ``{"width": 128}`` or
-        ``{"map": {"encoder": "polylines"}}``; the names are those of the weight file's header.
-    teacher
-        Weights of a denoising network. The run begins with them and learns to make its plans in one
-        denoising step instead of ``settings["teacher_steps"]`` (5): for ``denoising_steps=1``.
-        Preset and network are the teacher's. A resumed run needs it again.
-    start
-        Weights that the run begins with; preset and network are theirs. Parts that ``network`` adds
-        to them begin fresh.
-    notes
-        Kept in the weight file's header.
-    checkpoint_minutes
-        Time between checkpoints and validations.
-    validation_samples
-        Held-out (scene, step) pairs per validation.
-    progress
-        Whether to show a progress bar (needs tqdm).
+    Args:
+        scenes: Scenes to train on. Keep every validation scene out.
+        out: Folder of the run: ``weights.safetensors`` (moving average, for use),
+            ``state.safetensors`` (for resuming), ``loss.csv``, ``validation.csv``,
+            ``tensorboard/``.
+        held_out: Scenes for the validation curve.
+        model: Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
+        preset: ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
+        steps, minutes: When to stop; exactly one of them. Minutes count this call alone.
+        device: ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
+        settings: Training settings that differ from the preset's, such as ``{"batch_scenes": 8,
+            "seed": 1}``.
+        network: Parts of the network that differ from the preset's, such as ``{"width": 128}`` or
+            ``{"map": {"encoder": "polylines"}}``; the names are those of the weight file's header.
+        teacher: Weights of a denoising network. The run begins with them and learns to make its
+            plans in one denoising step instead of ``settings["teacher_steps"]`` (5): for
+            ``denoising_steps=1``. Preset and network are the teacher's. A resumed run needs it
+            again.
+        start: Weights that the run begins with; preset and network are theirs. Parts that
+            ``network`` adds to them begin fresh.
+        notes: Kept in the weight file's header.
+        checkpoint_minutes: Time between checkpoints and validations.
+        validation_samples: Held-out (scene, step) pairs per validation.
+        progress: Whether to show a progress bar (needs tqdm).
 
-    Returns
-    -------
-    Path
-        The weight file.
+    Returns:
+        Path: The weight file.
 
-    Raises
-    ------
-    ConfigError
-        A setting is out of range, or no scene gives a sample.
-    CheckpointError
-        The run in ``out`` is damaged.
+    Raises:
+        ConfigError: A setting is out of range, or no scene gives a sample.
+        CheckpointError: The run in ``out`` is damaged.
     """
     if (steps is None) == (minutes is None):
         raise ConfigError("give steps or minutes, exactly one of them")

@@ -41,22 +41,15 @@ def own_generator(seed: int) -> Iterator[None]:
 class TrajectoryModel:
     """A planning network loaded from a weight file.
 
-    Parameters
-    ----------
-    path
-        A ``.safetensors`` file written by :func:`train`. Every tensor name and shape is checked;
-        nothing is unpickled.
-    device
-        ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
+    Args:
+        path: A ``.safetensors`` file written by :func:`train`. Every tensor name and shape is
+            checked; nothing is unpickled.
+        device: ``"cpu"``, ``"cuda"`` or ``"cuda:N"``.
 
-    Raises
-    ------
-    MissingFeatureError
-        The network needs torch (:func:`needs_torch`), which is not there.
-    DatasetNotFoundError
-        There is no such file.
-    CheckpointError
-        The file is damaged or does not fit; the message names the tensor or field.
+    Raises:
+        MissingFeatureError: The network needs torch (:func:`needs_torch`), which is not there.
+        DatasetNotFoundError: There is no such file.
+        CheckpointError: The file is damaged or does not fit; the message names the tensor or field.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, device: str = "cpu") -> None:
@@ -99,40 +92,29 @@ class TrajectoryModel:
     ) -> list[ScenePlan]:
         """Plan for all vehicles of some scenes from their logged histories, in one batch.
 
-        Parameters
-        ----------
-        scenes
-            Scenes; one may appear several times.
-        steps
-            The current step in each.
-        seeds
-            Noise seed of each; 0, 1, ... by default. A scene's noise depends on its own seed alone.
-        solver_steps
-            Network evaluations of the DDIM sampler; ``None`` runs DDPM with all steps.
-        num_samples
-            Samples N per plan.
-        guidance_weight
-            w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the unconditional pass.
-        guidance
-            Name of a preset or settings, see :func:`guidance_preset`; settings that are absent are
-            those of ``"released"``. Needs two solver steps or more.
-        guided
-            Agents of each scene whose plans are guided; needs ``guidance``.
-        collision_targets
-            If given, only contacts with these agents of each scene count in collision objectives.
-        attention
-            Whether plans come with the attention between vehicles.
-        gradient_statistics
-            Whether guided plans come with the statistics of gradients.
-        follow_route
-            Whether the network knows where the vehicles go, as ``CcdiffConfig.follow_route``.
+        Args:
+            scenes: Scenes; one may appear several times.
+            steps: The current step in each.
+            seeds: Noise seed of each; 0, 1, ... by default. A scene's noise depends on its own seed
+                alone.
+            solver_steps: Network evaluations of the DDIM sampler; ``None`` runs DDPM with all
+                steps.
+            num_samples: Samples N per plan.
+            guidance_weight: w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the
+                unconditional pass.
+            guidance: Name of a preset or settings, see :func:`guidance_preset`; settings that are
+                absent are those of ``"released"``. Needs two solver steps or more.
+            guided: Agents of each scene whose plans are guided; needs ``guidance``.
+            collision_targets: If given, only contacts with these agents of each scene count in
+                collision objectives.
+            attention: Whether plans come with the attention between vehicles.
+            gradient_statistics: Whether guided plans come with the statistics of gradients.
+            follow_route: Whether the network knows where the vehicles go, as
+                ``CcdiffConfig.follow_route``.
 
-        Raises
-        ------
-        ConfigError
-            A setting is unknown or out of range; the message names it.
-        ShapeError
-            There is not one entry per scene.
+        Raises:
+            ConfigError: A setting is unknown or out of range; the message names it.
+            ShapeError: There is not one entry per scene.
         """
         if (guidance is None) != (guided is None):
             raise ConfigError("give guidance and guided together, or neither")

@@ -24,11 +24,9 @@ _RIVALS = "ccdiff_env_rivals"
 def require_networks() -> None:
     """Load torch and the extension module of networks, both of which nothing else needs.
 
-    Raises
-    ------
-    MissingFeatureError
-        If torch is not there or is another release, or the package was built without networks; the
-        message names the cure.
+    Raises:
+        MissingFeatureError: If torch is not there or is another release, or the package was built
+            without networks; the message names the cure.
     """
     try:
         # torch comes first: it loads libtorch into the process, and the libraries that the
@@ -58,14 +56,10 @@ def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
     Shipped networks on the processor need no torch, and have the same bits on every machine, in
     every batch and on any number of threads.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        There is no such file.
-    MissingFeatureError
-        The file is one of CCDiff's rivals, whose package is not there.
-    CheckpointError
-        The file is damaged or does not fit; the message names the tensor or field.
+    Raises:
+        DatasetNotFoundError: There is no such file.
+        MissingFeatureError: The file is one of CCDiff's rivals, whose package is not there.
+        CheckpointError: The file is damaged or does not fit; the message names the tensor or field.
     """
     _require_rivals(Path(weights))
     with reading("weights", weights, CheckpointError):
@@ -122,12 +116,9 @@ def weights_path(
 
     Some have ``fast`` networks of their own for one denoising step, for routes, and for both.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        There is no such file.
-    MissingFeatureError
-        The network is a rival of CCDiff whose package is not there.
+    Raises:
+        DatasetNotFoundError: There is no such file.
+        MissingFeatureError: The network is a rival of CCDiff whose package is not there.
     """
     if weights != "fast":
         _require_rivals(Path(weights))

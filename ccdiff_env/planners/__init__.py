@@ -18,14 +18,13 @@ def load(name: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) ->
 
     ``style`` sets its dial, see :func:`~ccdiff_env.planners.ego.load_ego`.
 
-    Examples
-    --------
-    >>> import ccdiff_env.planners
-    >>> ego = ccdiff_env.planners.load("ego")
-    >>> env = ccdiff_env.make_vec(2, scenes="val", traffic="idm", **ego.env_options)
-    >>> obs, _ = env.reset(seed=0)
-    >>> ego.act(obs).shape
-    (2, 2)
+    Examples:
+        >>> import ccdiff_env.planners
+        >>> ego = ccdiff_env.planners.load("ego")
+        >>> env = ccdiff_env.make_vec(2, scenes="val", traffic="idm", **ego.env_options)
+        >>> obs, _ = env.reset(seed=0)
+        >>> ego.act(obs).shape
+        (2, 2)
     """
     if isinstance(name, str) and name in SHIPPED:
         return load_ego(SHIPPED[name], style)

@@ -29,10 +29,8 @@ class Arbiter:
     The forks hold the traffic as it is, so that their futures are those that will come: no vehicle
     can know them.
 
-    Parameters
-    ----------
-    worlds
-        Worlds with one slot, driven from outside.
+    Args:
+        worlds: Worlds with one slot, driven from outside.
     """
 
     privileged = True

@@ -122,15 +122,11 @@ _ALGORITHMS = {
 class Seat:
     """A planner in the egos' seats: checked, named in errors, its actions held as it was trained.
 
-    Parameters
-    ----------
-    planner
-        See :class:`Planner`; a class is made with the worlds where it takes an argument.
-    name
-        What errors call it.
-    env_options
-        Fields of :class:`~ccdiff_env.WorldConfig` for worlds that fit, or ``config``; by default
-        the planner's.
+    Args:
+        planner: See :class:`Planner`; a class is made with the worlds where it takes an argument.
+        name: What errors call it.
+        env_options: Fields of :class:`~ccdiff_env.WorldConfig` for worlds that fit, or ``config``;
+            by default the planner's.
     """
 
     def __init__(
@@ -169,10 +165,8 @@ class Seat:
         The planner reads the worlds alone, see :mod:`ccdiff_env.worlds.worlds_view`, unless it is
         privileged.
 
-        Raises
-        ------
-        ConfigError
-            If the worlds are not what the planner needs.
+        Raises:
+            ConfigError: If the worlds are not what the planner needs.
         """
         given_worlds = worlds if self.privileged else worlds_view(worlds, self.name)
         if isinstance(self._planner, type):
@@ -216,21 +210,14 @@ class Seat:
     def __call__(self, obs: F32, active: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[Any]:
         """Return actions for rows [E, D].
 
-        Parameters
-        ----------
-        obs
-            Observations.
-        active
-            Worlds [E] that go on; all by default. The actions of the others mean nothing.
+        Args:
+            obs: Observations.
+            active: Worlds [E] that go on; all by default. The actions of the others mean nothing.
 
-        Raises
-        ------
-        ShapeError
-            If the planner returns another shape, or numbers that are not finite.
-        ActionError
-            If a trajectory does not begin where its vehicle is.
-        PolicyError
-            If the planner raises; names it, the scenes and their steps.
+        Raises:
+            ShapeError: If the planner returns another shape, or numbers that are not finite.
+            ActionError: If a trajectory does not begin where its vehicle is.
+            PolicyError: If the planner raises; names it, the scenes and their steps.
         """
         if self._worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
@@ -352,16 +339,12 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
     Files of stable-baselines3 hold pickles, which run code: load files that you trust only. What
     a policy was trained in is in the file; its ``env_options`` make worlds that fit.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no such file.
-    DatasetError
-        If it is no file of stable-baselines3.
-    ConfigError
-        If the file does not say what the policy was trained in, or its statistics are missing.
-    MissingFeatureError
-        If stable-baselines3 is not installed.
+    Raises:
+        DatasetNotFoundError: If there is no such file.
+        DatasetError: If it is no file of stable-baselines3.
+        ConfigError: If the file does not say what the policy was trained in, or its statistics are
+            missing.
+        MissingFeatureError: If stable-baselines3 is not installed.
     """
     name = Path(path).name
     with reading("policy of stable-baselines3", path):
@@ -399,23 +382,16 @@ def seated(
 ) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
     """Take a planner out of an environment's option ``driver``.
 
-    Parameters
-    ----------
-    options, config
-        Options of the environment, and the configuration that they change.
-    dt_s
-        Seconds of a step of the scenes.
+    Args:
+        options, config: Options of the environment, and the configuration that they change.
+        dt_s: Seconds of a step of the scenes.
 
-    Returns
-    -------
-    seat, config, options
-        Who makes the ego's actions; ``None`` and the same as before for a driver of the world. A
-        planner's own configuration stands in for none.
+    Returns:
+        seat, config, options: Who makes the ego's actions; ``None`` and the same as before for a
+            driver of the world. A planner's own configuration stands in for none.
 
-    Raises
-    ------
-    ConfigError
-        For a name of neither.
+    Raises:
+        ConfigError: For a name of neither.
     """
     name, own = (
         options.get("driver"),
@@ -443,21 +419,17 @@ def is_of_package(planner: str) -> bool:
 def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     """Return the driver of the ego's slot, and who makes its actions if nobody of the world does.
 
-    Parameters
-    ----------
-    ego
-        ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a name of
-        :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.planners` by name, or its file
-        (``.safetensors``); a :class:`Planner`, a class of one, a function from observations
-        [N, D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
-        options); ``nuplan:package.module.Class`` of a planner of nuPlan, see
-        :func:`~ccdiff_env.interop.nuplan.nuplan_planner`; an object with ``predict`` as those of
-        stable-baselines3; or the path of a policy that stable-baselines3 saved.
+    Args:
+        ego: ``"replay"``, ``"idm"``, ``"constant_velocity"`` or ``"ccdiff"``; a name of
+            :data:`BUILT_IN`; a policy of :mod:`ccdiff_env.planners` by name, or its file
+            (``.safetensors``); a :class:`Planner`, a class of one, a function from observations [N,
+            D] to actions [N, ...], or ``module:name`` of these (``module:name?option=value`` with
+            options); ``nuplan:package.module.Class`` of a planner of nuPlan, see
+            :func:`~ccdiff_env.interop.nuplan.nuplan_planner`; an object with ``predict`` as those
+            of stable-baselines3; or the path of a policy that stable-baselines3 saved.
 
-    Raises
-    ------
-    ConfigError
-        For another name.
+    Raises:
+        ConfigError: For another name.
     """
     if isinstance(ego, str) and ego in _WORLD_DRIVERS:
         return ego, None

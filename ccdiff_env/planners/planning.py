@@ -44,10 +44,8 @@ def road_distance(worlds: Any, world_idx: int, points: npt.ArrayLike) -> F32:
 
     The road, as the lanes of :func:`lane_ahead`, is that of the driven vehicle's level.
 
-    Raises
-    ------
-    SceneError
-        If the map has no road.
+    Raises:
+        SceneError: If the map has no road.
     """
     at = np.asarray(points, np.float32)
     scene, elevation_m = _level(worlds, world_idx, len(at))
@@ -69,15 +67,11 @@ def lane_ahead(
 def overlap(boxes: npt.ArrayLike, others: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     """Return whether boxes [..., 5] and others [..., 5] share a point (separating axes).
 
-    Parameters
-    ----------
-    boxes, others
-        x, y, heading, length, width; the leading axes are broadcast.
+    Args:
+        boxes, others: x, y, heading, length, width; the leading axes are broadcast.
 
-    Raises
-    ------
-    ShapeError
-        If the last axis is another.
+    Raises:
+        ShapeError: If the last axis is another.
     """
     for name, array in (("boxes", boxes), ("others", others)):
         shape = np.shape(array)
@@ -100,19 +94,14 @@ def curve_speed(
 ) -> F64:
     """Return the greatest speeds [P] that curves at and ahead of a route's points allow, m/s.
 
-    Parameters
-    ----------
-    route
-        Points [P, 2] about a metre apart, P of at least 2, such as ``worlds.native.route`` gives.
-    lateral_mps2
-        Acceleration sideways at which curves are taken.
-    braking_mps2
-        Braking ahead of them.
+    Args:
+        route: Points [P, 2] about a metre apart, P of at least 2, such as ``worlds.native.route``
+            gives.
+        lateral_mps2: Acceleration sideways at which curves are taken.
+        braking_mps2: Braking ahead of them.
 
-    Raises
-    ------
-    ShapeError
-        For another shape.
+    Raises:
+        ShapeError: For another shape.
     """
     points = np.asarray(route, np.float64)
     expect_shape("route", points, (max(len(points), 2) if points.ndim else 2, 2))
@@ -134,19 +123,14 @@ def curve_speed(
 class Tracker:
     """Turns trajectories into actions of the unicycle: constant acceleration, pure pursuit.
 
-    Parameters
-    ----------
-    worlds
-        Worlds of a planner, with continuous actions of the unicycle.
-    reach_s
-        How far ahead the trajectory is aimed at.
-    frame
-        Frame of the poses: ``"scene"``, or ``"ego"``, that of who is driven, x ahead and y left.
+    Args:
+        worlds: Worlds of a planner, with continuous actions of the unicycle.
+        reach_s: How far ahead the trajectory is aimed at.
+        frame: Frame of the poses: ``"scene"``, or ``"ego"``, that of who is driven, x ahead and y
+            left.
 
-    Raises
-    ------
-    ConfigError
-        For another frame or other dynamics, and for indices of a grid.
+    Raises:
+        ConfigError: For another frame or other dynamics, and for indices of a grid.
     """
 
     def __init__(
@@ -172,10 +156,8 @@ class Tracker:
         Pose t is where the first slot shall be after t + 1 steps. Worlds whose slot is
         empty get zeros.
 
-        Raises
-        ------
-        ShapeError
-            For another shape.
+        Raises:
+            ShapeError: For another shape.
         """
         native, wanted = self._native, np.asarray(trajectories, np.float64)
         steps = max(wanted.shape[1], 1) if wanted.ndim == 3 else 1
@@ -208,11 +190,9 @@ class Tracker:
         The first pose may be :data:`NEAR_M` from the vehicle, and twice what it drives until then
         at its speed or 10 m/s.
 
-        Raises
-        ------
-        ActionError
-            Names the world, where the trajectory begins, where the vehicle is and what may lie
-            between.
+        Raises:
+            ActionError: Names the world, where the trajectory begins, where the vehicle is and what
+                may lie between.
         """
         native, first = self._native, np.asarray(trajectories, np.float64)[:, 0, :2]
         for i in np.flatnonzero(which):

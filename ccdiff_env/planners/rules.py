@@ -25,10 +25,8 @@ __all__ = ["RULES", "NoOp", "RulePlanner"]
 class RulePlanner:
     """Drives the first slot of every world.
 
-    Parameters
-    ----------
-    worlds
-        Worlds with one slot, driven from outside; any dynamics but the assisted ones.
+    Args:
+        worlds: Worlds with one slot, driven from outside; any dynamics but the assisted ones.
     """
 
     kind: str
@@ -48,10 +46,8 @@ class RulePlanner:
     def __call__(self, obs: object) -> npt.NDArray[np.float32]:
         """Return the actions [E, W], or indices [E], of all worlds; zeros where nobody drives.
 
-        Raises
-        ------
-        ConfigError
-            For assisted dynamics.
+        Raises:
+            ConfigError: For assisted dynamics.
         """
         native = self._native
         alive = [bool(native.slot_alive(i)[0]) for i in range(native.num_worlds)]

@@ -52,19 +52,15 @@ def with_tracks(
 ) -> Scene:
     """Return a scene with other tracks of its agents.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    tracks
-        ``position`` [A, T, 2] m, ``heading`` [A, T] rad, ``velocity`` [A, T, 2] m/s and ``valid``
-        [A, T], as :meth:`Scene.tracks` gives them; ``elevation_m`` [A, T] m in scenes with levels.
-    agents
-        Numbers [N] of the agents that stay, the ego (0) among them; all of them for ``None``.
-    name, source
-        What the scene is called and where it comes from; as before for ``None``.
-    sizes
-        Lengths, widths and heights [A, 3] of all agents, metres; as before for ``None``.
+    Args:
+        scene: The scene.
+        tracks: ``position`` [A, T, 2] m, ``heading`` [A, T] rad, ``velocity`` [A, T, 2] m/s and
+            ``valid`` [A, T], as :meth:`Scene.tracks` gives them; ``elevation_m`` [A, T] m in scenes
+            with levels.
+        agents: Numbers [N] of the agents that stay, the ego (0) among them; all of them for
+            ``None``.
+        name, source: What the scene is called and where it comes from; as before for ``None``.
+        sizes: Lengths, widths and heights [A, 3] of all agents, metres; as before for ``None``.
     """
     kept = np.arange(scene.num_agents) if agents is None else agents
     return Scene.from_arrays(
@@ -87,20 +83,15 @@ def with_tracks(
 class SceneSet(Sequence[Scene]):
     """An immutable sequence of scenes with the report of their load.
 
-    Parameters
-    ----------
-    scenes
-        The scenes, with names that are unique in the set.
-    report
-        What the load has to say, or a function that makes the report when it is first looked at;
-        empty where the scenes were not loaded from files.
-    names
-        Names of scenes that are read when they are looked at; ``scenes`` is a sequence then.
+    Args:
+        scenes: The scenes, with names that are unique in the set.
+        report: What the load has to say, or a function that makes the report when it is first
+            looked at; empty where the scenes were not loaded from files.
+        names: Names of scenes that are read when they are looked at; ``scenes`` is a sequence then.
 
-    Examples
-    --------
-    ``scenes[0]``, ``scenes[:4]`` (a :class:`SceneSet`), ``scenes["scene-0061"]``,
-    ``"scene-0061" in scenes``.
+    Examples:
+        ``scenes[0]``, ``scenes[:4]`` (a :class:`SceneSet`), ``scenes["scene-0061"]``,
+        ``"scene-0061" in scenes``.
     """
 
     __slots__ = ("_by_name", "_names", "_report", "_scenes")
@@ -266,64 +257,46 @@ def load_nuscenes(
 ) -> SceneSet:
     """Load scenes of nuScenes, or of any data set written in its schema.
 
-    Parameters
-    ----------
-    dataroot
-        Folder that holds ``<version>/*.json`` and ``maps/expansion/*.json`` (map expansion 1.3).
-    version
-        Folder of the tables.
-    split
-        Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split that
-        the data set does not have are listed in the report, and a warning counts them.
-    scenes
-        Names or tokens of the scenes to load, in this order, instead of a split; a missing one
-        is an error.
-    dt
-        Seconds between steps; must divide 0.5 s, the key-frame interval.
-    timing
-        When key frames were: ``"recorded"``, at their timestamps (0.4 to 0.6 s apart), or
-        ``"nominal"``, every 0.5 s, as the paper's released code has it.
-    interpolation
-        Between key frames: ``"smooth"``, cubic smoothing splines (C. H. Reinsch, 1967) whose slope
-        is the velocity, through the poses of the ego and within the noise of the annotations of
-        others; or ``"linear"``, straight lines in position, heading and velocity, the velocity at
-        key frames that of the devkit's ``box_velocity``.
-    ego_reference
-        Which point of the recording car its poses are of: ``"rear_axle"``, its middle, as
-        nuScenes has them (nuscenes-devkit#108), so that the centre of the box is 1.385 m ahead; or
-        ``"centre"``. Differs from the paper: its released code takes poses as centres.
-    kinds
-        Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
-        ``static``; all by default.
-        The ego is always kept.
-    categories
-        Categories to keep, by name or dotted prefix (``"vehicle.bus"``); all by default.
-    map_margin
-        How far the map reaches beyond the tracks, metres.
-    min_annotations
-        Tracks with fewer annotations are dropped and reported.
-    require_map
-        Whether a missing map file is an error; otherwise such scenes have an empty map and the
-        report says so.
-    cache
-        ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path names
-        the folder.
+    Args:
+        dataroot: Folder that holds ``<version>/*.json`` and ``maps/expansion/*.json`` (map
+            expansion 1.3).
+        version: Folder of the tables.
+        split: Name of a split or several (see :func:`splits`), or ``"all"``. Scenes of the split
+            that the data set does not have are listed in the report, and a warning counts them.
+        scenes: Names or tokens of the scenes to load, in this order, instead of a split; a missing
+            one is an error.
+        dt: Seconds between steps; must divide 0.5 s, the key-frame interval.
+        timing: When key frames were: ``"recorded"``, at their timestamps (0.4 to 0.6 s apart), or
+            ``"nominal"``, every 0.5 s, as the paper's released code has it.
+        interpolation: Between key frames: ``"smooth"``, cubic smoothing splines (C. H. Reinsch,
+            1967) whose slope is the velocity, through the poses of the ego and within the noise of
+            the annotations of others; or ``"linear"``, straight lines in position, heading and
+            velocity, the velocity at key frames that of the devkit's ``box_velocity``.
+        ego_reference: Which point of the recording car its poses are of: ``"rear_axle"``, its
+            middle, as nuScenes has them (nuscenes-devkit#108), so that the centre of the box is
+            1.385 m ahead; or ``"centre"``. Differs from the paper: its released code takes poses as
+            centres.
+        kinds: Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
+            ``static``; all by default. The ego is always kept.
+        categories: Categories to keep, by name or dotted prefix (``"vehicle.bus"``); all by
+            default.
+        map_margin: How far the map reaches beyond the tracks, metres.
+        min_annotations: Tracks with fewer annotations are dropped and reported.
+        require_map: Whether a missing map file is an error; otherwise such scenes have an empty map
+            and the report says so.
+        cache: ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path
+            names the folder.
 
-    Returns
-    -------
-    SceneSet
-        The scenes, in the order of the scene table (or of ``scenes``), and ``.report``.
+    Returns:
+        SceneSet: The scenes, in the order of the scene table (or of ``scenes``), and ``.report``.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        The data set, a table or a required map is missing (also a :class:`FileNotFoundError`).
-    DatasetError
-        A file is damaged or contradicts itself; the message names file, record, field and value.
-    UnknownNameError
-        No such split, scene or kind.
-    ConfigError
-        An option is out of range.
+    Raises:
+        DatasetNotFoundError: The data set, a table or a required map is missing (also a
+            :class:`FileNotFoundError`).
+        DatasetError: A file is damaged or contradicts itself; the message names file, record, field
+            and value.
+        UnknownNameError: No such split, scene or kind.
+        ConfigError: An option is out of range.
     """
     if split is not None and scenes is not None:
         raise ConfigError("give split or scenes, not both")
@@ -383,30 +356,22 @@ def load_scenarionet(
     road on their left, and from lanes: their polygons, else 3.5 m. Lanes without links follow
     where one ends and another begins.
 
-    Parameters
-    ----------
-    path
-        One ``.pkl`` file, or a folder that is searched for them.
-    ego_reference
-        Which point of the car the ego's poses are of in files made from nuScenes, as in
-        :func:`load_nuscenes`; those of others are centres. Such files have the ego's length and
-        width swapped, which is mended and noted.
+    Args:
+        path: One ``.pkl`` file, or a folder that is searched for them.
+        ego_reference: Which point of the car the ego's poses are of in files made from nuScenes, as
+            in :func:`load_nuscenes`; those of others are centres. Such files have the ego's length
+            and width swapped, which is mended and noted.
 
-    Returns
-    -------
-    SceneSet
-        The scenes in the order of the file names, and ``.report``; the track of ``sdc_id`` is
-        ``"ego"`` and comes first. A warning counts the scenes without a drivable area.
+    Returns:
+        SceneSet: The scenes in the order of the file names, and ``.report``; the track of
+            ``sdc_id`` is ``"ego"`` and comes first. A warning counts the scenes without a drivable
+            area.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        No such file or folder.
-    DatasetError
-        A file is damaged, asks for another global than the allowed ones, or breaks a rule; the
-        message names file, field and value.
-    ConfigError
-        No such ``ego_reference``.
+    Raises:
+        DatasetNotFoundError: No such file or folder.
+        DatasetError: A file is damaged, asks for another global than the allowed ones, or breaks a
+            rule; the message names file, field and value.
+        ConfigError: No such ``ego_reference``.
     """
     if ego_reference not in get_args(EgoReference):
         known = " or ".join(map(repr, get_args(EgoReference)))

@@ -27,12 +27,9 @@ _KEPT = 64
 def scene_files(path: str | os.PathLike[str]) -> list[str]:
     """Return the files of a file, a folder (searched for ``.json``) or a pattern, in order.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        There is none.
-    ConfigError
-        Two of them have one name, which is the scene's.
+    Raises:
+        DatasetNotFoundError: There is none.
+        ConfigError: Two of them have one name, which is the scene's.
     """
     text, folder = os.fspath(path), Path(path)
     if folder.is_file():
@@ -54,12 +51,9 @@ def scene_files(path: str | os.PathLike[str]) -> list[str]:
 class SceneFiles(Sequence[Scene]):
     """Scenes of files, read when they are looked at; the last 64 are kept.
 
-    Parameters
-    ----------
-    files
-        One file a scene, whose stem is the scene's name.
-    cache_directory
-        Folder of built scenes; ``None`` for none.
+    Args:
+        files: One file a scene, whose stem is the scene's name.
+        cache_directory: Folder of built scenes; ``None`` for none.
     """
 
     def __init__(self, files: Sequence[str], cache_directory: str | None) -> None:
@@ -133,29 +127,20 @@ def load_gpudrive(
     The area where vehicles may drive is made from road edges, which have the road on their left.
     Lanes follow where one ends and another begins.
 
-    Parameters
-    ----------
-    path
-        A ``.json`` file, a folder that is searched for them, or a pattern (``"data/*_1?.json"``).
-        A file's stem is its scene's name, the scenario's id the token.
-    cache
-        As in :func:`ccdiff_env.load_nuscenes`.
+    Args:
+        path: A ``.json`` file, a folder that is searched for them, or a pattern
+            (``"data/*_1?.json"``). A file's stem is its scene's name, the scenario's id the token.
+        cache: As in :func:`ccdiff_env.load_nuscenes`.
 
-    Returns
-    -------
-    SceneSet
-        The scenes in the order of the files; the track of ``sdc_track_index`` is ``"ego"`` and
-        comes first. ``.report`` reads them all.
+    Returns:
+        SceneSet: The scenes in the order of the files; the track of ``sdc_track_index`` is
+            ``"ego"`` and comes first. ``.report`` reads them all.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        No such file.
-    DatasetError
-        A file is damaged or breaks a rule, found when its scene is read; the message names file,
-        place, field and value.
-    ConfigError
-        Two files have one name.
+    Raises:
+        DatasetNotFoundError: No such file.
+        DatasetError: A file is damaged or breaks a rule, found when its scene is read; the message
+            names file, place, field and value.
+        ConfigError: Two files have one name.
     """
     files = SceneFiles(scene_files(path), cache_folder(cache))
     return SceneSet(files, files.report, names=files.names)

@@ -6,19 +6,18 @@ frame. Where roads pass over each other, ``elevation_m`` [M] says on which level
 without it all levels are one map. What is derived from a map is made at the first call and kept
 with the scene.
 
-Examples
---------
->>> import ccdiff_env
->>> from ccdiff_env.scenes import map_queries
->>> scene = ccdiff_env.embedded_scenes("val")[0]
->>> log = scene.tracks()
->>> there = log["valid"][:, 30]
->>> position, heading = log["position"][there, 30], log["heading"][there, 30]
->>> lines = map_queries.nearest_lines(scene, position, heading, count=8)
->>> lines.start_m.shape == (there.sum(), 8, 2)
-True
->>> bool(map_queries.road_distance(scene, position)[0] > 0)
-True
+Examples:
+    >>> import ccdiff_env
+    >>> from ccdiff_env.scenes import map_queries
+    >>> scene = ccdiff_env.embedded_scenes("val")[0]
+    >>> log = scene.tracks()
+    >>> there = log["valid"][:, 30]
+    >>> position, heading = log["position"][there, 30], log["heading"][there, 30]
+    >>> lines = map_queries.nearest_lines(scene, position, heading, count=8)
+    >>> lines.start_m.shape == (there.sum(), 8, 2)
+    True
+    >>> bool(map_queries.road_distance(scene, position)[0] > 0)
+    True
 """
 
 from __future__ import annotations
@@ -157,29 +156,18 @@ def nearest_lines(
     Lines are cut into straight pieces of at most 5 m, which follow them to half a metre. Edges on
     which the map was cut out are left out: nothing ends there.
 
-    Parameters
-    ----------
-    scenes
-        One scene, or several.
-    position_m, heading_rad
-        Poses of the agents, scene frame, [M, 2] m and [M] rad.
-    count
-        Pieces of each agent K, 1 to 10000.
-    kinds
-        Kinds of lines that count, of :data:`LINE_KINDS`.
-    elevation_m
-        Elevations of the agents [M], m: lines of their levels alone.
-    world
-        Scene of each agent, index of ``scenes``, [M]; left out for one scene.
+    Args:
+        scenes: One scene, or several.
+        position_m, heading_rad: Poses of the agents, scene frame, [M, 2] m and [M] rad.
+        count: Pieces of each agent K, 1 to 10000.
+        kinds: Kinds of lines that count, of :data:`LINE_KINDS`.
+        elevation_m: Elevations of the agents [M], m: lines of their levels alone.
+        world: Scene of each agent, index of ``scenes``, [M]; left out for one scene.
 
-    Raises
-    ------
-    ShapeError
-        If an array has another shape.
-    ConfigError
-        If a number is not finite, or ``count`` out of its range.
-    UnknownNameError
-        If there is no kind or scene of that name or number.
+    Raises:
+        ShapeError: If an array has another shape.
+        ConfigError: If a number is not finite, or ``count`` out of its range.
+        UnknownNameError: If there is no kind or scene of that name or number.
     """
     places = _placed(scenes, position_m, heading_rad, elevation_m, world)
     unknown = [kind for kind in kinds if kind not in LINE_KINDS]
@@ -205,30 +193,19 @@ def road_distance(
     The road is what ``off_road`` goes by: the union of the drivable areas, else of the lanes'
     surfaces. It ends where the map was cut out.
 
-    Parameters
-    ----------
-    scenes
-        One scene, or several.
-    position_m
-        Places, scene frame, m, [..., 2].
-    elevation_m
-        Elevations of the places [...], m: the road of their levels alone.
-    world
-        Scene of each place along the first axis, [M]; left out for one scene.
+    Args:
+        scenes: One scene, or several.
+        position_m: Places, scene frame, m, [..., 2].
+        elevation_m: Elevations of the places [...], m: the road of their levels alone.
+        world: Scene of each place along the first axis, [M]; left out for one scene.
 
-    Returns
-    -------
-    ndarray
-        Distances of the shape of the places, [...].
+    Returns:
+        ndarray: Distances of the shape of the places, [...].
 
-    Raises
-    ------
-    ShapeError
-        If an array has another shape.
-    ConfigError
-        If a number is not finite.
-    SceneError
-        If a scene has no road.
+    Raises:
+        ShapeError: If an array has another shape.
+        ConfigError: If a number is not finite.
+        SceneError: If a scene has no road.
     """
     shape = np.shape(position_m)
     if not shape or shape[-1] != 2:
@@ -261,31 +238,19 @@ def lane_ahead(
     An agent's lane is the nearest one that leads where the agent heads, to 90 degrees. The way
     follows it, then the first of its successors, and so on.
 
-    Parameters
-    ----------
-    scenes
-        One scene, or several.
-    position_m, heading_rad
-        Poses of the agents, scene frame, [M, 2] m and [M] rad.
-    points
-        Places on the way P, 1 to 10000.
-    spacing_m
-        Distance from one place to the next, m.
-    reach_m
-        Lanes farther than this are not looked at, m, at most 10.
-    elevation_m
-        Elevations of the agents [M], m: lanes of their levels alone.
-    world
-        Scene of each agent, index of ``scenes``, [M]; left out for one scene.
+    Args:
+        scenes: One scene, or several.
+        position_m, heading_rad: Poses of the agents, scene frame, [M, 2] m and [M] rad.
+        points: Places on the way P, 1 to 10000.
+        spacing_m: Distance from one place to the next, m.
+        reach_m: Lanes farther than this are not looked at, m, at most 10.
+        elevation_m: Elevations of the agents [M], m: lanes of their levels alone.
+        world: Scene of each agent, index of ``scenes``, [M]; left out for one scene.
 
-    Raises
-    ------
-    ShapeError
-        If an array has another shape.
-    ConfigError
-        If a number is not finite, or out of its range.
-    UnknownNameError
-        If there is no scene of that number.
+    Raises:
+        ShapeError: If an array has another shape.
+        ConfigError: If a number is not finite, or out of its range.
+        UnknownNameError: If there is no scene of that number.
     """
     places = _placed(scenes, position_m, heading_rad, elevation_m, world)
     for name, value, most in (("spacing_m", spacing_m, 1000.0), ("reach_m", reach_m, 10.0)):
@@ -302,17 +267,12 @@ def lane_ahead(
 def in_frame(points_m: Any, position_m: Any, heading_rad: Any) -> F32:
     """Return points of the scene's frame in the frames of agents: x ahead, y to the left.
 
-    Parameters
-    ----------
-    points_m
-        Points of each agent, scene frame, m, [M, ..., 2].
-    position_m, heading_rad
-        Poses of the agents, scene frame, [M, 2] m and [M] rad.
+    Args:
+        points_m: Points of each agent, scene frame, m, [M, ..., 2].
+        position_m, heading_rad: Poses of the agents, scene frame, [M, 2] m and [M] rad.
 
-    Raises
-    ------
-    ShapeError
-        If an array has another shape.
+    Raises:
+        ShapeError: If an array has another shape.
     """
     position = _floats("position_m", position_m, (None, 2))
     heading = _floats("heading_rad", heading_rad, (len(position),))

@@ -14,19 +14,15 @@ __all__ = ["Place", "Source"]
 class Place:
     """Scenes of a source. ``str`` gives the text: ``nuscenes:/data@v1.0-mini/mini_val?limit=2``.
 
-    Parameters
-    ----------
-    source
-        Name of the source.
-    path, version, split
-        Where its files are, and which of them; several splits are joined, ``"train+train_val"``.
-    limit
-        Only so many scenes, the first ones.
-    ego_reference
-        Which point of a recording car its poses are of, where the source asks for it.
-    names, kinds
-        Only scenes of these names, and only agents of these types. They are not in the text.
-        A source may use them to read less: what it leaves is left out afterwards.
+    Args:
+        source: Name of the source.
+        path, version, split: Where its files are, and which of them; several splits are joined,
+            ``"train+train_val"``.
+        limit: Only so many scenes, the first ones.
+        ego_reference: Which point of a recording car its poses are of, where the source asks for
+            it.
+        names, kinds: Only scenes of these names, and only agents of these types. They are not in
+            the text. A source may use them to read less: what it leaves is left out afterwards.
     """
 
     source: str
@@ -50,27 +46,17 @@ class Place:
 class Source:
     """A data source.
 
-    Parameters
-    ----------
-    name
-        What texts call it.
-    title
-        What pages call it.
-    load
-        Loads the scenes of a place, all parts of which are settled.
-    path
-        What its path means, in capitals; ``None`` where it has no path.
-    splits
-        Returns the scene names of every split; ``None`` where it has no splits.
-    usual
-        The splits to ``"train"`` and to ``"test"`` on by default, by version (``""`` where the
-        source has no versions). The first version that is there is the default.
-    ego_references
-        What ``ego_reference`` may be; nothing where poses are centres anyway.
-    kept_out
-        Splits whose scenes no network is trained on.
-    lacks
-        What its scenes do not have, in words.
+    Args:
+        name: What texts call it.
+        title: What pages call it.
+        load: Loads the scenes of a place, all parts of which are settled.
+        path: What its path means, in capitals; ``None`` where it has no path.
+        splits: Returns the scene names of every split; ``None`` where it has no splits.
+        usual: The splits to ``"train"`` and to ``"test"`` on by default, by version (``""`` where
+            the source has no versions). The first version that is there is the default.
+        ego_references: What ``ego_reference`` may be; nothing where poses are centres anyway.
+        kept_out: Splits whose scenes no network is trained on.
+        lacks: What its scenes do not have, in words.
     """
 
     name: str

@@ -114,10 +114,9 @@ def parse(text: str) -> Place:
     The last part of a path is the split where it names one. A folder that is called as a split
     needs its version or split named as well.
 
-    Raises
-    ------
-    ConfigError
-        If it names no source, no split of it, or a part that the source does not have or needs.
+    Raises:
+        ConfigError: If it names no source, no split of it, or a part that the source does not have
+            or needs.
     """
     option = r"(?:limit|ego_reference)=\w+"
     found = re.fullmatch(rf"(\w*)(.*?)(?:\?({option}(?:&{option})*))?", text, re.DOTALL)
@@ -216,13 +215,10 @@ def _wrong(text: str, what: str, name: str = "", known: Iterable[str] = ()) -> C
 def settled(place: Place, use: str | None = None) -> Place:
     """Return a place whose version and split are named.
 
-    Parameters
-    ----------
-    place
-        The place.
-    use
-        ``"train"`` or ``"test"``: which split of the source is meant where none is named; all
-        scenes for ``None``.
+    Args:
+        place: The place.
+        use: ``"train"`` or ``"test"``: which split of the source is meant where none is named; all
+            scenes for ``None``.
     """
     source, version, split = SOURCES[place.source], place.version, place.split
     if version is None and source.versions:
@@ -242,38 +238,27 @@ def load(
 ) -> SceneSet:
     """Load scenes of any source.
 
-    Parameters
-    ----------
-    scenes
-        ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
-        ``"scenarionet:/data/files"``. Without a version the first that is there is taken, without
-        a split all scenes. ``?limit=N`` and ``?ego_reference=centre`` may follow, joined by ``&``.
-    limit
-        Only so many scenes, the first ones.
-    names
-        Only scenes of these names, in this order.
-    kinds
-        Only agents of these types (``vehicle``, ``pedestrian``, ...), and the ego.
+    Args:
+        scenes: ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
+            ``"scenarionet:/data/files"``. Without a version the first that is there is taken,
+            without a split all scenes. ``?limit=N`` and ``?ego_reference=centre`` may follow,
+            joined by ``&``.
+        limit: Only so many scenes, the first ones.
+        names: Only scenes of these names, in this order.
+        kinds: Only agents of these types (``vehicle``, ``pedestrian``, ...), and the ego.
 
-    Returns
-    -------
-    SceneSet
-        The scenes and the report of their load. A split with missing scenes warns.
+    Returns:
+        SceneSet: The scenes and the report of their load. A split with missing scenes warns.
 
-    Raises
-    ------
-    ConfigError
-        If the text names no source, or a part that the source does not have.
-    UnknownNameError
-        If there is no scene of a name.
-    DatasetError
-        If files are missing or damaged.
+    Raises:
+        ConfigError: If the text names no source, or a part that the source does not have.
+        UnknownNameError: If there is no scene of a name.
+        DatasetError: If files are missing or damaged.
 
-    Examples
-    --------
-    >>> import ccdiff_env
-    >>> len(ccdiff_env.load("embedded/val", limit=3))
-    3
+    Examples:
+        >>> import ccdiff_env
+        >>> len(ccdiff_env.load("embedded/val", limit=3))
+        3
     """
     place = parse(scenes) if isinstance(scenes, str) else scenes
     if limit is not None:

@@ -177,12 +177,11 @@ def file_name(name: str, suffix: str = "") -> str:
     Letters, digits and ``-_.`` stay; a name that has others, begins with a dot or is longer than
     100 letters is changed and gets the beginning of its SHA-256, so that two names stay two files.
 
-    Examples
-    --------
-    >>> file_name("scene-0061", ".html")
-    'scene-0061.html'
-    >>> file_name("../scene", ".html")
-    'scene-0b42f5e4.html'
+    Examples:
+        >>> file_name("scene-0061", ".html")
+        'scene-0061.html'
+        >>> file_name("../scene", ".html")
+        'scene-0b42f5e4.html'
     """
     plain = re.sub(r"[^A-Za-z0-9_.-]+", "-", name).strip(".-")[:100]
     if plain != name or not name:

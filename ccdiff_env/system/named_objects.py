@@ -48,10 +48,8 @@ def named_object(text: str, what: str) -> Any:
 def named_instance(text: str, what: str) -> Any:
     """Import what a text names; of a class make an object, without other arguments.
 
-    Raises
-    ------
-    ConfigError
-        As :func:`named_object`, and if the class needs options that are not given.
+    Raises:
+        ConfigError: As :func:`named_object`, and if the class needs options that are not given.
     """
     found = named_object(text, what)
     if not isinstance(found, type):

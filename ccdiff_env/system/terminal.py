@@ -125,10 +125,8 @@ def _is_number(cell: str) -> bool:
 def say_page(path: Path, *, open_it: bool = False) -> None:
     """Print the path of a page, how to open it where this is a terminal, and open it if wanted.
 
-    Raises
-    ------
-    ConfigError
-        If it is to be opened and there is no browser.
+    Raises:
+        ConfigError: If it is to be opened and there is no browser.
     """
     print(path)
     address = path.resolve().as_uri()

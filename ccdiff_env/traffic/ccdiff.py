@@ -28,10 +28,8 @@ class TrafficPlan(PlanFields):
 
     Row i of the matrices looks at column j.
 
-    Raises
-    ------
-    ShapeError
-        If an array does not have the shape of its field.
+    Raises:
+        ShapeError: If an array does not have the shape of its field.
     """
 
     def __post_init__(self) -> None:

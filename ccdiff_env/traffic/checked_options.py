@@ -43,9 +43,7 @@ def _written(value: Any) -> Any:
 def check(table: str, path: str, options: Mapping[str, Any]) -> None:
     """Check names, types and ranges of options that stand at a path against a table of Rust.
 
-    Raises
-    ------
-    ConfigError
-        The first option that is wrong, with its path, its value and what is expected.
+    Raises:
+        ConfigError: The first option that is wrong, with its path, its value and what is expected.
     """
     _native.check_options(table, path, json.dumps(_written(options)))

@@ -71,12 +71,9 @@ NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.w
 class NamedDriver:
     """A driver under a custom name.
 
-    Parameters
-    ----------
-    kind
-        One of :data:`KINDS` that takes options.
-    options
-        Its options.
+    Args:
+        kind: One of :data:`KINDS` that takes options.
+        options: Its options.
     """
 
     kind: str

@@ -107,27 +107,18 @@ class TrafficBatch:
         scene ``i`` at step ``i``; the agents are those logged at that step; ``drives`` says which
         of them are vehicles. Another ``seed`` gives other numbers in :attr:`seed`.
 
-        Parameters
-        ----------
-        scenes
-            The scene of each world, W of them with one step ``dt``; a scene may stand there twice.
-        steps
-            Steps of their logs, 0 to ``num_steps - 1``, [W].
-        future_steps
-            States after the step F that :class:`LoggedFuture` tells, up to 10000.
-        history_states, route_points
-            As of :class:`PythonTraffic`: H and P.
-        seed
-            Any integer.
+        Args:
+            scenes: The scene of each world, W of them with one step ``dt``; a scene may stand there
+                twice.
+            steps: Steps of their logs, 0 to ``num_steps - 1``, [W].
+            future_steps: States after the step F that :class:`LoggedFuture` tells, up to 10000.
+            history_states, route_points: As of :class:`PythonTraffic`: H and P.
+            seed: Any integer.
 
-        Raises
-        ------
-        ShapeError
-            If there is not one step for each scene.
-        ConfigError
-            If there is no scene, or a number is out of its range.
-        SceneError
-            If scenes have different ``dt``.
+        Raises:
+            ShapeError: If there is not one step for each scene.
+            ConfigError: If there is no scene, or a number is out of its range.
+            SceneError: If scenes have different ``dt``.
         """
         options = {"history_states": history_states, "route_points": route_points}
         check("PythonOptions", "python", options)
@@ -175,28 +166,22 @@ class PythonTraffic(PythonOptions):
     in between. It must be a function of what it sees (randomness from ``seed`` alone): then the
     same seed gives the same traffic, and snapshots, which hold the plans, need nothing of it.
 
-    Parameters
-    ----------
-    model
-        From a :class:`TrafficBatch` to poses [M, T, 3] or accelerations and yaw rates [M, T, 2], an
-        array or a tensor of torch. The latter are driven by a unicycle that does not reverse.
-    replan_steps
-        Steps from one plan to the next, 1 to T.
-    history_states
-        Past states H of each agent, the present one included.
-    least_history_states
-        Fewest of them that the log must have at the start of an episode; the states before it are
-        told as not valid.
-    route_points
-        Places P on each vehicle's route.
+    Args:
+        model: From a :class:`TrafficBatch` to poses [M, T, 3] or accelerations and yaw rates [M, T,
+            2], an array or a tensor of torch. The latter are driven by a unicycle that does not
+            reverse.
+        replan_steps: Steps from one plan to the next, 1 to T.
+        history_states: Past states H of each agent, the present one included.
+        least_history_states: Fewest of them that the log must have at the start of an episode; the
+            states before it are told as not valid.
+        route_points: Places P on each vehicle's route.
 
-    Examples
-    --------
-    >>> import ccdiff_env, numpy as np
-    >>> from ccdiff_env.traffic import PythonTraffic
-    >>> def coast(batch):
-    ...     return np.zeros((len(batch.kind), 10, 2), np.float32)
-    >>> env = ccdiff_env.make_vec(4, traffic=PythonTraffic(coast))
+    Examples:
+        >>> import ccdiff_env, numpy as np
+        >>> from ccdiff_env.traffic import PythonTraffic
+        >>> def coast(batch):
+        ...     return np.zeros((len(batch.kind), 10, 2), np.float32)
+        >>> env = ccdiff_env.make_vec(4, traffic=PythonTraffic(coast))
     """
 
     model: TrafficModel | str
@@ -211,15 +196,12 @@ class PythonTraffic(PythonOptions):
     def load(cls, path: str) -> PythonTraffic:
         """Import a model by its path, ``"module:name"`` or ``"module:Class?option=value"``.
 
-        Parameters
-        ----------
-        path
-            A function, an object, a class (made with the options), or a :class:`PythonTraffic`.
+        Args:
+            path: A function, an object, a class (made with the options), or a
+                :class:`PythonTraffic`.
 
-        Raises
-        ------
-        ConfigError
-            If there is no such thing or option, or the class wants arguments.
+        Raises:
+            ConfigError: If there is no such thing or option, or the class wants arguments.
         """
         made = named_instance(path, "traffic model")
         return made if isinstance(made, PythonTraffic) else cls(made)

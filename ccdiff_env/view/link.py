@@ -98,10 +98,8 @@ def is_drive(text: str) -> bool:
 def read_drive(link: str) -> Drive:
     """Read a link that *Share this drive* has made.
 
-    Raises
-    ------
-    ConfigError
-        If a part of the link is missing, unknown or out of range.
+    Raises:
+        ConfigError: If a part of the link is missing, unknown or out of range.
     """
     found = {name: values[-1] for name, values in parse_qs(urlsplit(link).fragment).items()}
     if missing := {"scene", "traffic", "drive"} - set(found):
@@ -130,19 +128,13 @@ def read_drive(link: str) -> Drive:
 def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     """Play a link again: the states have the bits that they had on the page.
 
-    Parameters
-    ----------
-    link
-        What *Share this drive* has made.
-    place
-        Where its scene is; the embedded ones by default.
+    Args:
+        link: What *Share this drive* has made.
+        place: Where its scene is; the embedded ones by default.
 
-    Raises
-    ------
-    ConfigError
-        If the link is not one.
-    UnknownNameError
-        If there is no such scene.
+    Raises:
+        ConfigError: If the link is not one.
+        UnknownNameError: If there is no such scene.
     """
     from ccdiff_env.envs import EgoEnv
     from ccdiff_env.record.recorder import Recorder

@@ -56,12 +56,9 @@ _LINES = ("road_dividers", "lane_dividers")
 def pack(rollout: Rollout, title: str) -> str:
     """Return the text of a rollout's data element: base64 of the compressed bytes.
 
-    Parameters
-    ----------
-    rollout
-        What to show.
-    title
-        Short name of the run on the page.
+    Args:
+        rollout: What to show.
+        title: Short name of the run on the page.
     """
     arrays = _Arrays()
     layers = _add_map(arrays, rollout)

@@ -52,25 +52,16 @@ def page_html(
 ) -> str:
     """Return the page of a rollout as HTML that needs nothing else.
 
-    Parameters
-    ----------
-    rollout
-        What to show.
-    compare
-        Runs beside it, in step with it: of the same scene, or of another one.
-    titles
-        Name of each run; by default the scene's where there is one run, else A, B, C, ...
-    shared
-        What is so of all runs, to stand beside the scene's name.
-    home
-        Address and title of a page above this one, to be linked.
-    slider
-        Show one run at a time, which a slider chooses.
+    Args:
+        rollout: What to show.
+        compare: Runs beside it, in step with it: of the same scene, or of another one.
+        titles: Name of each run; by default the scene's where there is one run, else A, B, C, ...
+        shared: What is so of all runs, to stand beside the scene's name.
+        home: Address and title of a page above this one, to be linked.
+        slider: Show one run at a time, which a slider chooses.
 
-    Raises
-    ------
-    ConfigError
-        If there are not as many titles as runs.
+    Raises:
+        ConfigError: If there are not as many titles as runs.
     """
     others = [compare] if isinstance(compare, Rollout) else list(compare or ())
     runs = [rollout, *others]

@@ -82,10 +82,8 @@ def run(args: argparse.Namespace) -> int:
 def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
     """Write the page of some scenes, :data:`SCENES` by default.
 
-    Raises
-    ------
-    MissingFeatureError
-        If the module was not compiled.
+    Raises:
+        MissingFeatureError: If the module was not compiled.
     """
     if not MODULE.exists():
         raise MissingFeatureError(
@@ -98,12 +96,9 @@ def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
 def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str:
     """Return the page as HTML that needs nothing else.
 
-    Parameters
-    ----------
-    module
-        WebAssembly, as ``tools.playground`` compiles it.
-    scenes
-        What can be played; :data:`SCENES` by default.
+    Args:
+        module: WebAssembly, as ``tools.playground`` compiles it.
+        scenes: What can be played; :data:`SCENES` by default.
     """
     ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
     settings = {

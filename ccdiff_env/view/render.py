@@ -35,10 +35,8 @@ LOOK = dict(_native.render_look())
 def legend(theme: str = "light") -> dict[str, tuple[int, int, int]]:
     """Return names and colours (red, green, blue) of everything in an image, drivers first.
 
-    Raises
-    ------
-    ConfigError
-        If the theme is not one of :data:`THEMES`.
+    Raises:
+        ConfigError: If the theme is not one of :data:`THEMES`.
     """
     return dict(_native.render_legend(theme))
 
@@ -73,66 +71,39 @@ def draw(
 ) -> Any:
     """Draw agents and lines on the map of a scene, or on bare ground.
 
-    Parameters
-    ----------
-    position_m
-        Centres [A, 2], metres.
-    scene
-        Scene whose map lies below; all coordinates are of its frame. Its agents are not drawn:
-        :meth:`Scene.render` draws its log.
-    heading_rad
-        Headings [A], radians counter-clockwise from +x.
-    size_m
-        Lengths and widths [A, 2], metres, > 0.
-    driver, kind
-        One of :data:`DRIVERS` and :data:`KINDS` for all agents, or one per agent.
-    collided
-        Agents [A] to outline in red.
-    parked, arrived
-        Agents [A] that are hollow, and to outline in green.
-    size
-        Width and height of the image, pixels.
-    span_m
-        Metres across the width.
-    centre_m
-        Point in the middle; the first agent by default.
-    up_rad
-        Direction that points to the top; π/2 (the default) puts +y there.
-    route_m
-        Points [N, 2] of a broad band.
-    trails, samples, plans
-        Lines ([N, 2] points, driver): where agents were (oldest first), where they may go (thin),
-        and where they mean to go (thick). All fade.
-    arrows
-        Edges (i, j, weight in 0..1) between agents: i influences j.
-    collisions_m
-        Points [N, 2] to mark.
-    names
-        What stands above each agent [A], in letters, figures and ``. , : - + = / _ ( )``; none by
-        default. Images with less than 3.5 pixels a metre have none, people need 14.
-    caption
-        Text in the upper left corner, likewise.
-    scale_bar
-        Whether to draw a bar of a round number of metres.
-    legend
-        Rows (driver or name in :func:`legend`, what it is called), in the lower right corner.
-        Images that are too small for it have none.
-    theme
-        One of :data:`THEMES`.
-    svg
-        Return the text of an SVG instead.
+    Args:
+        position_m: Centres [A, 2], metres.
+        scene: Scene whose map lies below; all coordinates are of its frame. Its agents are not
+            drawn: :meth:`Scene.render` draws its log.
+        heading_rad: Headings [A], radians counter-clockwise from +x.
+        size_m: Lengths and widths [A, 2], metres, > 0.
+        driver, kind: One of :data:`DRIVERS` and :data:`KINDS` for all agents, or one per agent.
+        collided: Agents [A] to outline in red.
+        parked, arrived: Agents [A] that are hollow, and to outline in green.
+        size: Width and height of the image, pixels.
+        span_m: Metres across the width.
+        centre_m: Point in the middle; the first agent by default.
+        up_rad: Direction that points to the top; π/2 (the default) puts +y there.
+        route_m: Points [N, 2] of a broad band.
+        trails, samples, plans: Lines ([N, 2] points, driver): where agents were (oldest first),
+            where they may go (thin), and where they mean to go (thick). All fade.
+        arrows: Edges (i, j, weight in 0..1) between agents: i influences j.
+        collisions_m: Points [N, 2] to mark.
+        names: What stands above each agent [A], in letters, figures and ``. , : - + = / _ ( )``;
+            none by default. Images with less than 3.5 pixels a metre have none, people need 14.
+        caption: Text in the upper left corner, likewise.
+        scale_bar: Whether to draw a bar of a round number of metres.
+        legend: Rows (driver or name in :func:`legend`, what it is called), in the lower right
+            corner. Images that are too small for it have none.
+        theme: One of :data:`THEMES`.
+        svg: Return the text of an SVG instead.
 
-    Returns
-    -------
-    ndarray
-        Image [H, W, 3], uint8; or the SVG.
+    Returns:
+        ndarray: Image [H, W, 3], uint8; or the SVG.
 
-    Raises
-    ------
-    ShapeError
-        If arrays do not fit together.
-    ConfigError
-        If a name is unknown, a number is not finite or out of range.
+    Raises:
+        ShapeError: If arrays do not fit together.
+        ConfigError: If a name is unknown, a number is not finite or out of range.
     """
     position = _points("position_m", position_m)
     num_agents = len(position)
@@ -170,23 +141,16 @@ def draw(
 def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: float = 10.0) -> None:
     """Write an image or a video; the suffix of the file says which.
 
-    Parameters
-    ----------
-    frames
-        One image [H, W, 3] or images [T, H, W, 3] (array or iterable) of one size, uint8.
-    path
-        ``.png`` (one image), ``.gif`` or ``.mp4``. The folder must exist.
-    fps
-        Images per second. GIF counts time in hundredths of a second.
+    Args:
+        frames: One image [H, W, 3] or images [T, H, W, 3] (array or iterable) of one size, uint8.
+        path: ``.png`` (one image), ``.gif`` or ``.mp4``. The folder must exist.
+        fps: Images per second. GIF counts time in hundredths of a second.
 
-    Raises
-    ------
-    ShapeError
-        If there is no image, or not all of them are uint8 [H, W, 3] of one size.
-    ConfigError
-        If the suffix is another one, a PNG gets several images, or ``fps`` is not positive.
-    MissingFeatureError
-        If the package that writes the format is not installed.
+    Raises:
+        ShapeError: If there is no image, or not all of them are uint8 [H, W, 3] of one size.
+        ConfigError: If the suffix is another one, a PNG gets several images, or ``fps`` is not
+            positive.
+        MissingFeatureError: If the package that writes the format is not installed.
     """
     path = Path(path)
     stack = _stack(frames)
@@ -244,10 +208,8 @@ def _save_mp4(stack: Image, path: Path, fps: float) -> None:
 def pillow() -> ModuleType:
     """Return Pillow's module of images.
 
-    Raises
-    ------
-    MissingFeatureError
-        If Pillow is not installed.
+    Raises:
+        MissingFeatureError: If Pillow is not installed.
     """
     try:
         from PIL import Image as library

@@ -26,12 +26,9 @@ LOG = "log"
 def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:
     """Return the log of a scene as a rollout.
 
-    Parameters
-    ----------
-    scene
-        The scene; all agents follow the log.
-    like
-        Only the time of this rollout, where the log reaches so far; the whole log by default.
+    Args:
+        scene: The scene; all agents follow the log.
+        like: Only the time of this rollout, where the log reaches so far; the whole log by default.
     """
     tracks = scene.tracks()
     start = like.start_step if like is not None else 0
@@ -63,28 +60,21 @@ def play_scene(
 ) -> Rollout:
     """Simulate a scene once and return what happened.
 
-    Parameters
-    ----------
-    scene
-        The scene.
-    traffic, driver
-        Who drives the other vehicles, and the ego: ``"ccdiff"``, ``"idm"``, ``"replay"`` or
-        ``"constant_velocity"``; the ego also a policy of :mod:`ccdiff_env.planners`, by name or
-        the path of its file (``.safetensors``).
-    seed
-        Seed of the episode.
-    ccdiff
-        Settings of CCDiff and of other networks (:class:`~ccdiff_env.traffic.CcdiffConfig`);
-        :data:`SAMPLES` per plan unless they say otherwise.
-    options
-        Further ones of :class:`~ccdiff_env.EgoEnv`.
+    Args:
+        scene: The scene.
+        traffic, driver: Who drives the other vehicles, and the ego: ``"ccdiff"``, ``"idm"``,
+            ``"replay"`` or ``"constant_velocity"``; the ego also a policy of
+            :mod:`ccdiff_env.planners`, by name or the path of its file (``.safetensors``).
+        seed: Seed of the episode.
+        ccdiff: Settings of CCDiff and of other networks
+            (:class:`~ccdiff_env.traffic.CcdiffConfig`); :data:`SAMPLES` per plan unless they say
+            otherwise.
+        options: Further ones of :class:`~ccdiff_env.EgoEnv`.
 
-    Raises
-    ------
-    ConfigError
-        If an option is unknown or out of range, or if the ego would be driven from outside.
-    SceneError
-        If the scene cannot be played: it has no ego, or is too short.
+    Raises:
+        ConfigError: If an option is unknown or out of range, or if the ego would be driven from
+            outside.
+        SceneError: If the scene cannot be played: it has no ego, or is too short.
     """
     # imported here: most pages are of recorded episodes
     from ccdiff_env.envs import EgoEnv
@@ -114,21 +104,15 @@ def find_rollout(
 ) -> Rollout:
     """Return the rollout that a word of the command line names.
 
-    Parameters
-    ----------
-    name
-        File of a rollout, link to a drive, else name of a scene. ``"log"`` is the log of ``like``.
-    place
-        Where scenes are looked for, as :func:`ccdiff_env.load` takes it.
-    like
-        The run that this one is compared with.
+    Args:
+        name: File of a rollout, link to a drive, else name of a scene. ``"log"`` is the log of
+            ``like``.
+        place: Where scenes are looked for, as :func:`ccdiff_env.load` takes it.
+        like: The run that this one is compared with.
 
-    Raises
-    ------
-    UnknownNameError
-        If there is neither such a file nor such a scene.
-    DatasetError
-        If the file is damaged.
+    Raises:
+        UnknownNameError: If there is neither such a file nor such a scene.
+        DatasetError: If the file is damaged.
     """
     if is_drive(name):
         return play_drive(name, place)
@@ -145,10 +129,8 @@ def find_rollout(
 def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
     """Return a scene of a place by name.
 
-    Raises
-    ------
-    UnknownNameError
-        If there is no such scene.
+    Raises:
+        UnknownNameError: If there is no such scene.
     """
     try:
         return load(place, names=[name])[0]

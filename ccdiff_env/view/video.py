@@ -91,10 +91,8 @@ class Video:
     def frame(self, at: float) -> render.Image:
         """Draw a step, or a moment between two, as an image [H, W, 3].
 
-        Raises
-        ------
-        ConfigError
-            If the rollout has no such step.
+        Raises:
+            ConfigError: If the rollout has no such step.
         """
         image: render.Image = self._drawn(at)
         return image

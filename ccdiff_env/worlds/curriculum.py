@@ -22,25 +22,21 @@ Criticality: TypeAlias = Strength | Callable[[float], Strength]
 class Curriculum:
     """Draws the criticality of each episode.
 
-    Parameters
-    ----------
-    criticality
-        A number; a range ``(low, high)`` from which every episode draws by its seed; shares of the
-        episodes by number or range, ``{0.0: 0.7, (0.5, 2.0): 0.3}``; or a function from the
-        progress of training to one of these.
+    Args:
+        criticality: A number; a range ``(low, high)`` from which every episode draws by its seed;
+            shares of the episodes by number or range, ``{0.0: 0.7, (0.5, 2.0): 0.3}``; or a
+            function from the progress of training to one of these.
 
-    Raises
-    ------
-    ConfigError
-        If a strength is out of the range of ``CcdiffConfig.criticality``, or a share is negative.
+    Raises:
+        ConfigError: If a strength is out of the range of ``CcdiffConfig.criticality``, or a share
+            is negative.
 
-    Examples
-    --------
-    Realistic traffic at first, then more and more episodes of critical traffic:
+    Examples:
+        Realistic traffic at first, then more and more episodes of critical traffic:
 
-    >>> curriculum = Curriculum(lambda progress: (0.0, min(2.0 * progress, 1.0)))
-    >>> curriculum.draw(seed=3, episode=0)
-    0.0
+        >>> curriculum = Curriculum(lambda progress: (0.0, min(2.0 * progress, 1.0)))
+        >>> curriculum.draw(seed=3, episode=0)
+        0.0
     """
 
     def __init__(self, criticality: Criticality) -> None:
@@ -111,29 +107,22 @@ class SceneWeights:
     prioritised level replay (Jiang, Grefenstette, Rocktaeschel, ICML 2021), with failures in place
     of errors of the value.
 
-    Parameters
-    ----------
-    num_scenes
-        Scenes S.
-    rate
-        Part of the newest episode in a scene's share of failures, above 0, at most 1.
-    least
-        Least weight, above 0: no scene is forgotten.
+    Args:
+        num_scenes: Scenes S.
+        rate: Part of the newest episode in a scene's share of failures, above 0, at most 1.
+        least: Least weight, above 0: no scene is forgotten.
 
-    Raises
-    ------
-    ConfigError
-        If one of them is out of its range.
+    Raises:
+        ConfigError: If one of them is out of its range.
 
-    Examples
-    --------
-    >>> failures = SceneWeights(3, rate=0.5, least=0.1)
-    >>> failures.update([0, 1, 1], [False, False, False])
-    >>> failures.weights.tolist()
-    [0.5, 0.25, 1.0]
+    Examples:
+        >>> failures = SceneWeights(3, rate=0.5, least=0.1)
+        >>> failures.update([0, 1, 1], [False, False, False])
+        >>> failures.weights.tolist()
+        [0.5, 0.25, 1.0]
 
-    ``env.set_scene_weights(failures.weights)`` then draws the third scene four times as often as
-    the second. Which scene a world plays is ``infos["scene_idx"]`` where it was reset.
+        ``env.set_scene_weights(failures.weights)`` then draws the third scene four times as often
+        as the second. Which scene a world plays is ``infos["scene_idx"]`` where it was reset.
     """
 
     def __init__(self, num_scenes: int, *, rate: float = 0.2, least: float = 0.1) -> None:
@@ -153,17 +142,12 @@ class SceneWeights:
     def update(self, scenes: npt.ArrayLike, failed: npt.ArrayLike) -> None:
         """Take in episodes that ended, in their order.
 
-        Parameters
-        ----------
-        scenes
-            Indices [N] of their scenes.
-        failed
-            Whether [N] they failed.
+        Args:
+            scenes: Indices [N] of their scenes.
+            failed: Whether [N] they failed.
 
-        Raises
-        ------
-        ShapeError
-            If the two differ in length, or a scene is none of them.
+        Raises:
+            ShapeError: If the two differ in length, or a scene is none of them.
         """
         indices, bad = np.asarray(scenes, np.int64), np.asarray(failed, np.bool_)
         inside = (indices >= 0) & (indices < len(self._failed))
@@ -197,28 +181,22 @@ class FollowsTraining:
     def set_progress(self, progress: float) -> None:
         """Say how far training has come, 0 to 1: episodes that begin later follow.
 
-        Raises
-        ------
-        ConfigError
-            If there is no curriculum, or the number is out of range.
+        Raises:
+            ConfigError: If there is no curriculum, or the number is out of range.
         """
         self.worlds.set_progress(progress)
 
     def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
         """Draw the scenes of episodes that begin later by weights, all alike for ``None``.
 
-        Parameters
-        ----------
-        weights
-            One for each scene [S], none negative; see
-            :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes went.
+        Args:
+            weights: One for each scene [S], none negative; see
+                :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes
+                went.
 
-        Raises
-        ------
-        ConfigError
-            If weights are no numbers, negative, not finite or all zero, or scenes are played in
-            their order.
-        ShapeError
-            If their number is another one than that of the scenes.
+        Raises:
+            ConfigError: If weights are no numbers, negative, not finite or all zero, or scenes are
+                played in their order.
+            ShapeError: If their number is another one than that of the scenes.
         """
         self.worlds.set_scene_weights(weights)

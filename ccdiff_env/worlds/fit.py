@@ -66,10 +66,8 @@ class Fit:
     def read(cls, text: object, who: str) -> Fit:
         """Read what :meth:`mark` wrote.
 
-        Raises
-        ------
-        ConfigError
-            If there is nothing to read, or it is damaged.
+        Raises:
+            ConfigError: If there is nothing to read, or it is damaged.
         """
         if text is None:
             raise ConfigError(
@@ -89,10 +87,8 @@ class Fit:
     def check(self, config: WorldConfig, layout_json: str, who: str) -> None:
         """Refuse worlds that give something else.
 
-        Raises
-        ------
-        ConfigError
-            In one line that says what differs.
+        Raises:
+            ConfigError: In one line that says what differs.
         """
         there = fitting_fields(config)
         for name, wanted in self.options.items():

@@ -49,10 +49,8 @@ LEARNED = "learned"
 def adversary_policy_path(name: str) -> Path:
     """Return the file of a choice of adversaries: :data:`LEARNED`, or a path.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no such file.
+    Raises:
+        DatasetNotFoundError: If there is no such file.
     """
     path = _DATA / "adversary_policy.safetensors" if name == LEARNED else Path(name)
     if not path.is_file():

@@ -59,10 +59,8 @@ class Snapshot:
     def from_bytes(cls, data: bytes) -> Snapshot:
         """Read what :meth:`to_bytes` wrote.
 
-        Raises
-        ------
-        SnapshotError
-            If the bytes are damaged or of another version.
+        Raises:
+            SnapshotError: If the bytes are damaged or of another version.
         """
         if not isinstance(data, (bytes, bytearray, memoryview)):
             raise SnapshotError(f"snapshot: {type(data).__name__}, expected bytes")

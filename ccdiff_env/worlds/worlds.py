@@ -55,22 +55,15 @@ def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
 class Worlds:
     """E native worlds over scenes.
 
-    Parameters
-    ----------
-    scenes
-        The scenes.
-    config
-        Their configuration.
-    num_worlds
-        E.
-    num_threads
-        Worker threads; ``None``: all processors for many worlds, else the calling thread. Results
-        do not depend on it.
-    trails
-        Whether past positions are kept for images.
-    criticality
-        Criticality of planned traffic by episode, see
-        :class:`~ccdiff_env.worlds.curriculum.Curriculum`; ``None``: as configured.
+    Args:
+        scenes: The scenes.
+        config: Their configuration.
+        num_worlds: E.
+        num_threads: Worker threads; ``None``: all processors for many worlds, else the calling
+            thread. Results do not depend on it.
+        trails: Whether past positions are kept for images.
+        criticality: Criticality of planned traffic by episode, see
+            :class:`~ccdiff_env.worlds.curriculum.Curriculum`; ``None``: as configured.
     """
 
     def __init__(
@@ -162,12 +155,9 @@ class Worlds:
     def actions(self, actions: Any, shape: tuple[int, ...]) -> F32:
         """Check actions of a shape and return them as float32 [E, C, W].
 
-        Raises
-        ------
-        ShapeError
-            If the shape is another one.
-        ActionError
-            If they are no numbers, or no integers where actions are indices.
+        Raises:
+            ShapeError: If the shape is another one.
+            ActionError: If they are no numbers, or no integers where actions are indices.
         """
         if type(actions) is not np.ndarray or actions.dtype != np.float32 or self.discrete:
             try:
@@ -186,10 +176,8 @@ class Worlds:
     def scene_index(self, choice: SceneChoice) -> int | None:
         """Return the index of a scene given by name or index.
 
-        Raises
-        ------
-        UnknownNameError
-            If there is no such scene.
+        Raises:
+            UnknownNameError: If there is no such scene.
         """
         if choice is None:
             return None
@@ -210,12 +198,9 @@ class Worlds:
     ) -> tuple[int | None, int | None, dict[str, float]]:
         """Return the ego (index), the step of the start and the style that a reset asks for.
 
-        Raises
-        ------
-        ConfigError
-            If no scene is named with ego or start, or a value is of another kind.
-        UnknownNameError
-            If the scene has no such agent.
+        Raises:
+            ConfigError: If no scene is named with ego or start, or a value is of another kind.
+            UnknownNameError: If the scene has no such agent.
         """
         if style is not None:
             check("EgosConfig", "options", {"style": style})
@@ -245,12 +230,10 @@ class Worlds:
     def agent_drivers(self, choice: Any) -> dict[str, str]:
         """Return drivers by the ids of vehicles, as a reset may be given them, checked.
 
-        Raises
-        ------
-        ConfigError
-            If it is something else.
-        UnknownNameError
-            If the batch has no such driver, or none of its scenes has such a vehicle.
+        Raises:
+            ConfigError: If it is something else.
+            UnknownNameError: If the batch has no such driver, or none of its scenes has such a
+                vehicle.
         """
         if choice is None:
             return {}
@@ -274,19 +257,13 @@ class Worlds:
     ) -> None:
         """Put drivers into vehicles of a world by id, until its episode ends.
 
-        Parameters
-        ----------
-        world_idx, drivers
-            The world, and names of drivers by id.
-        passing_over
-            Whether vehicles that the scene does not have are passed over.
+        Args:
+            world_idx, drivers: The world, and names of drivers by id.
+            passing_over: Whether vehicles that the scene does not have are passed over.
 
-        Raises
-        ------
-        UnknownNameError
-            If the scene has no such vehicle.
-        ConfigError
-            If the vehicle is towed: it follows who tows it.
+        Raises:
+            UnknownNameError: If the scene has no such vehicle.
+            ConfigError: If the vehicle is towed: it follows who tows it.
         """
         scene = self.scenes[self.native.status(world_idx).scene_idx]
         places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
@@ -310,10 +287,8 @@ class Worlds:
     def set_progress(self, progress: float) -> None:
         """Tell the curriculum how far training has come, 0 to 1.
 
-        Raises
-        ------
-        ConfigError
-            If there is none, or the number is out of range.
+        Raises:
+            ConfigError: If there is none, or the number is out of range.
         """
         if self.curriculum is None:
             raise ConfigError("progress: the environment was made without criticality")
@@ -322,13 +297,10 @@ class Worlds:
     def set_scene_weights(self, weights: Any) -> None:
         """Draw the scenes of episodes that begin later by weights.
 
-        Raises
-        ------
-        ConfigError
-            If weights are no numbers, negative, not finite or all zero, or scenes are played in
-            their order.
-        ShapeError
-            If their number is another one than that of the scenes.
+        Raises:
+            ConfigError: If weights are no numbers, negative, not finite or all zero, or scenes are
+                played in their order.
+            ShapeError: If their number is another one than that of the scenes.
         """
         if weights is not None:
             try:
@@ -376,10 +348,8 @@ class Worlds:
         """Return the plan that a world follows, of the driver or of the first that plans; ``None``
         before the first one.
 
-        Raises
-        ------
-        UnknownNameError
-            If the world does not exist, or no such driver plans.
+        Raises:
+            UnknownNameError: If the world does not exist, or no such driver plans.
         """
         self.check_world(world_idx)
         if not self.native.planners:

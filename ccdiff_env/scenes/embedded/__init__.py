@@ -38,20 +38,14 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
 
     They are loaded like any other nuScenes data set, once a process for each split.
 
-    Parameters
-    ----------
-    split
-        ``"train"``, ``"val"``, ``"city"``, or ``"all"`` of train and val (``None``).
+    Args:
+        split: ``"train"``, ``"val"``, ``"city"``, or ``"all"`` of train and val (``None``).
 
-    Returns
-    -------
-    SceneSet
-        The scenes, named by kind (``left-turn-00``), and ``.report``.
+    Returns:
+        SceneSet: The scenes, named by kind (``left-turn-00``), and ``.report``.
 
-    Raises
-    ------
-    UnknownNameError
-        If there is no such split.
+    Raises:
+        UnknownNameError: If there is no such split.
     """
     if split == "all":
         return embedded_scenes()
@@ -70,10 +64,8 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
 def shipped(file: str = SHIPPED, member: str | None = None) -> dict[str, bytes]:
     """Return the members of a shipped data set by path, or one of them.
 
-    Raises
-    ------
-    DatasetError
-        If the package lacks the file or it is damaged.
+    Raises:
+        DatasetError: If the package lacks the file or it is damaged.
     """
     try:
         with as_file(files("ccdiff_env") / file) as path, zipfile.ZipFile(path) as archive:
