@@ -70,8 +70,7 @@ __all__ = [
     "WorldConfig",
 ]
 
-#: A driver by name, or shares of drivers by name.
-Traffic: TypeAlias = str | Mapping[str, float]
+Traffic: TypeAlias = str | Mapping[str, float]  #: A driver by name, or shares of drivers by name.
 
 
 @dataclass(frozen=True, kw_only=True)

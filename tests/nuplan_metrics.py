@@ -17,8 +17,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.scenes import SceneSet
 
-#: What two figures of a part may differ by.
-SAME = 0.01
+SAME = 0.01  #: What two figures of a part may differ by.
 #: nuScenes has no limits of speed.
 COMPARED = {ours: theirs for ours, theirs in PARTS.items() if ours != "speed_limit"}
 

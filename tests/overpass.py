@@ -11,8 +11,7 @@ import numpy as np
 
 STEPS = 91
 DT_S = 0.1
-#: Height of the bridge over the road below, metres.
-BRIDGE_M = 8.0
+BRIDGE_M = 8.0  #: Height of the bridge over the road below, metres.
 
 Place = Callable[[float], tuple[float, float, float]]
 

@@ -177,8 +177,7 @@ def test_no_crate_knows_its_siblings():
 # Python
 
 
-#: Compiled modules of the package.
-EXTENSIONS = ("_native", "_models")
+EXTENSIONS = ("_native", "_models")  #: Compiled modules of the package.
 
 
 @functools.cache

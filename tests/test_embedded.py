@@ -18,8 +18,7 @@ import ccdiff_env
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
 
 LOCATION = "ccdiff-town"
-#: Width and length of the ego (m).
-EGO_SIZE = (1.73, 4.084)
+EGO_SIZE = (1.73, 4.084)  #: Width and length of the ego (m).
 KINDS = {"left-turn", "tee-crossing", "cut-in", "hard-brake", "queue", "double-left", "merge-in",
          "free-curve", "pedestrians"}  # fmt: skip
 

@@ -18,8 +18,7 @@ from ccdiff_env.errors import ConfigError
 
 ID = "ccdiff_env/Ego-v0"
 SMALL = {"size_px": 48, "metres_per_px": 0.75}
-#: Channel of the raster.
-DRIVABLE = 0
+DRIVABLE = 0  #: Channel of the raster.
 
 
 @pytest.mark.parametrize("form", ["bev", "dict"])

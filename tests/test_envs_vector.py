@@ -21,8 +21,7 @@ from ccdiff_env.errors import (
 ID = "ccdiff_env/Ego-v0"
 MODES = list(AutoresetMode)
 NUM_ENVS = 5
-#: Episodes end by themselves and by time.
-RULES = {"traffic": "idm", "horizon_steps": 25}
+RULES = {"traffic": "idm", "horizon_steps": 25}  #: Episodes end by themselves and by time.
 
 
 def assert_same(one, other, path="") -> None:

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-#: What is fetched with torch.
-TORCH_GB = 2.7
+TORCH_GB = 2.7  #: What is fetched with torch.
 MODULE = ROOT / "ccdiff_env" / "_models.abi3.so"
 
 

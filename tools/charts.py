@@ -40,8 +40,7 @@ COLOURS = {
 
 Figure = tuple[float, float, float]
 """A value and the ends of its interval; nan where there is none."""
-#: Colour and marker.
-Look = tuple[str, str]
+Look = tuple[str, str]  #: Colour and marker.
 
 
 class Series(NamedTuple):

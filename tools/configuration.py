@@ -51,21 +51,16 @@ PLAN_HEAD = f'''"""Fields of a plan's record, written by `{COMMAND}`: do not edi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-#: Arrays of a plan: type, axes, whether it may be missing. M planned and R ranked agents, N
-#: samples, T steps, J objectives.
-PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {{
-<arrays>
-}}
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlanFields:
-    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`."""
+    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`: M planned and R ranked agents, N samples,
+    T steps, J objectives.
+    """
 
 <fields>
 '''
@@ -213,6 +208,12 @@ def _wrapped(text: str, first: str, then: str) -> str:
     return textwrap.fill(text, 100, initial_indent=first, subsequent_indent=then)
 
 
+def _with_comment(line: str, text: str) -> list[str]:
+    """Return a line of code with its comment behind it, or above where there is no room."""
+    both = f"{line}  #: {text}"
+    return [both] if len(both) <= 100 else [_wrapped(text, "    #: ", "    #: "), line]
+
+
 def _class(table: Table) -> str:
     first, *more = (_python(part) for part in _text(table["doc"]))
     summary, _, rest = first.partition(". ")
@@ -229,11 +230,10 @@ def _class(table: Table) -> str:
         if OWN_FORM.get(table["name"]) == entry["name"]:
             continue
         doc = re.sub(r"`([^`]+)`", r"``\1``", _described(entry))
-        lines.append(_wrapped(doc, "    #: ", "    #: "))
         line = f"    {entry['name']}: {_annotation(entry['form'])}"
         if table["defaults"] is not None:
             line += f" = {_default(entry, table['defaults'][entry['name']])}"
-        lines.append(line)
+        lines += _with_comment(line, doc)
     return "\n".join(lines) + "\n"
 
 
@@ -318,18 +318,16 @@ def plan_fields() -> str:
     """Return the module of the fields of a plan's record."""
     plain = {"usize": "int", "Vec<String>": "tuple[str, ...]"}
     kinds = {"Vec<usize>": "int64", "Vec<bool>": "bool_", "Vec<Real>": "float32"}
-    arrays, lines = [], []
+    lines = []
     for entry in json.loads(_native.plan_fields_json()):
         name, doc, optional = entry["name"], _python(entry["doc"]).rstrip("."), entry["optional"]
         annotation = plain.get(entry["kind"], "")
         if not annotation:
             kind, axes = kinds[entry["kind"]], entry["axes"]
             annotation = f"npt.NDArray[np.{kind}]{' | None' if optional else ''}"
-            arrays.append(f'"{name}": (np.{kind}, "{"".join(axes)}", {optional}),')
             doc += f", [{', '.join(axes)}]" if ". " not in doc else f". [{', '.join(axes)}]"
-        lines += [_wrapped(doc + ".", "    #: ", "    #: "), f"    {name}: {annotation}"]
-    fields = "\n".join(lines)
-    return _formatted(PLAN_HEAD.replace("<arrays>", "\n".join(arrays)).replace("<fields>", fields))
+        lines += _with_comment(f"    {name}: {annotation}", doc + ".")
+    return _formatted(PLAN_HEAD.replace("<fields>", "\n".join(lines)))
 
 
 def _tables_in(form: Any) -> Iterator[str]:

@@ -22,12 +22,9 @@ from ccdiff_env.view.sources import play_scene
 
 NUM_PAGES = 30
 TITLES = ("criticality 1", "realistic")
-#: Page above the index: the site's.
-HOME = ("../index.html", "documentation")
-#: An ego that is slower when it is hit stood.
-MOVES_MPS = 0.5
-#: Whether the ego was at fault, what is shown first.
-RANKS = (False, True)
+HOME = ("../index.html", "documentation")  #: Page above the index: the site's.
+MOVES_MPS = 0.5  #: An ego that is slower when it is hit stood.
+RANKS = (False, True)  #: Whether the ego was at fault, what is shown first.
 
 
 def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:

@@ -218,8 +218,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     (DATA / f"{name}.json").write_text(text, encoding="utf-8")
 
 
-#: Means over the traffic, which stand beside that of each.
-_ENDS = ("mean", "worst")
+_ENDS = ("mean", "worst")  #: Means over the traffic, which stand beside that of each.
 
 
 def _kept(table: Made, rows: list[dict[str, str]]) -> list[dict[str, Any]]:

@@ -14,8 +14,7 @@ __all__ = ["problems", "sentences"]
 
 ROOT = Path(__file__).resolve().parents[1]
 MAX_WORDS = 25
-#: In a sentence; a bullet may not have more, either.
-MAX_NUMBERS = 3
+MAX_NUMBERS = 3  #: In a sentence; a bullet may not have more, either.
 #: Pages written by ``tools.configuration`` and by the simulator.
 GENERATED = {"configuration.md", "observation.md"}
 

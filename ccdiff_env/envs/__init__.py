@@ -26,8 +26,7 @@ __all__ = [
     "register",
 ]
 
-#: Id of the ego environment in Gymnasium's registry.
-EGO_ID = "ccdiff_env/Ego-v0"
+EGO_ID = "ccdiff_env/Ego-v0"  #: Id of the ego environment in Gymnasium's registry.
 #: Id of the selection of adversaries in Gymnasium's registry.
 SELECTION_ID = "ccdiff_env/AdversarySelection-v0"
 
@@ -48,8 +47,7 @@ def register() -> None:
         )
 
 
-#: The vector environment, by the name of Gymnasium's function.
-make_vec = EgoVectorEnv
+make_vec = EgoVectorEnv  #: The vector environment, by the name of Gymnasium's function.
 
 
 if TYPE_CHECKING:

@@ -21,8 +21,7 @@ Bool = npt.NDArray[np.bool_]
 
 #: Ways to rank vehicles, see :meth:`Scene.ranked_vehicles`.
 RANKINGS: tuple[VehicleRanking, ...] = get_args(VehicleRanking)
-#: Most slots of a world.
-MAX_SLOTS = 512
+MAX_SLOTS = 512  #: Most slots of a world.
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ __all__ = ["Backtrack"]
 Bool = npt.NDArray[np.bool_]
 #: Seconds before a failure at which episodes begin, and between snapshots.
 BEFORE_S, EVERY_S = (3.0, 6.0), 1.5
-#: Failures that are kept; new ones push out the oldest.
-KEPT = 512
+KEPT = 512  #: Failures that are kept; new ones push out the oldest.
 
 
 class Backtrack:

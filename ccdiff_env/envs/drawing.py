@@ -17,8 +17,7 @@ from ccdiff_env.worlds import Worlds
 
 Image = npt.NDArray[np.uint8]
 
-#: Images per second of simulated time.
-FPS = 10
+FPS = 10  #: Images per second of simulated time.
 
 #: Options of an image: width and height in pixels, metres across, agent id or (x, y) in the middle
 #: (the ego by default), whether its heading points up, what is drawn, and on which ground.
@@ -100,8 +99,7 @@ class DrawnWorld:
     render_mode: str | None
     _render_options: dict[str, Any]
     _window: Window | None = None
-    #: Title of the window.
-    _title = "ccdiff_env"
+    _title = "ccdiff_env"  #: Title of the window.
 
     @property
     def config(self) -> WorldConfig:

@@ -28,8 +28,7 @@ class Shared(NamedTuple):
     render_mode: str | None
     render_options: Mapping[str, Any] | None
     criticality: Criticality | None
-    #: Render modes that there are.
-    modes: tuple[str, ...] = ("human", "rgb_array")
+    modes: tuple[str, ...] = ("human", "rgb_array")  #: Render modes that there are.
     num_worlds: int = 1
     num_threads: int | None = 1
     autoreset: Autoreset = "disabled"

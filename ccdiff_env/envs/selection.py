@@ -45,8 +45,7 @@ _BOUND, _TABLE = json.loads(_native.candidate_features_json())
 FEATURES: tuple[str, ...] = tuple(name for name, *_ in _TABLE)
 SCALES: tuple[float, ...] = tuple(scale for _, _, scale, _ in _TABLE)
 _APPROACH = FEATURES.index("approach")
-#: Criticalities that a decision chooses from.
-STRENGTHS = (1.0, 2.0, 4.0)
+STRENGTHS = (1.0, 2.0, 4.0)  #: Criticalities that a decision chooses from.
 #: Traffic by default: plans of one denoising step, a decision for each, every 2 s.
 DEFAULT_CCDIFF = {"criticality": 1.0, "denoising_steps": 1, "replan_steps": 20}
 #: The least that can be observed: rows are a tenth of the time.

@@ -20,8 +20,7 @@ __all__ = ["CandidatePolicy", "save_policy"]
 
 #: Hidden units of every layer, the same in ``rust/nets/src/traffic/adversary_policy.rs``.
 WIDTH = 64
-#: From this column on, rows say the same: what the ego does.
-EGO = FEATURES.index("ego_speed")
+EGO = FEATURES.index("ego_speed")  #: From this column on, rows say the same: what the ego does.
 
 
 class Scores(BaseFeaturesExtractor):

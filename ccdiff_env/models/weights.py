@@ -15,8 +15,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.system.files import reading
 from ccdiff_env.traffic import KINDS
 
-#: The release of torch whose libtorch the networks are built with.
-TORCH = "2.11.0"
+TORCH = "2.11.0"  #: The release of torch whose libtorch the networks are built with.
 _DATA = Path(__file__).parents[1] / "data"
 _RIVALS = "ccdiff_env_rivals"
 

@@ -15,12 +15,10 @@ __all__ = ["Arbiter"]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 
-#: Seconds between choices, and how far the forks are driven.
-EVERY_S, AHEAD_S = 1.0, 2.0
+EVERY_S, AHEAD_S = 1.0, 2.0  #: Seconds between choices, and how far the forks are driven.
 #: Least time to contact that counts as safe, as in the score of ``bench planners``.
 LEAST_TTC_S = 0.95
-#: Metrics of an episode that must stay 0.
-FAULTS = ("at_fault", "off_road", "wrong_way")
+FAULTS = ("at_fault", "off_road", "wrong_way")  #: Metrics of an episode that must stay 0.
 
 
 class Arbiter:

@@ -106,8 +106,7 @@ class _Predicts(Protocol):
 Ego: TypeAlias = str | os.PathLike[str] | Act | _Predicts
 
 _WORLD_DRIVERS = driver_names()
-#: Bytes of the description in a file of stable-baselines3.
-_MOST_DATA_BYTES = 64 << 20
+_MOST_DATA_BYTES = 64 << 20  #: Bytes of the description in a file of stable-baselines3.
 #: Part of a policy class's module; package and algorithm that loads it.
 _ALGORITHMS = {
     "recurrent": ("sb3_contrib", "RecurrentPPO"),

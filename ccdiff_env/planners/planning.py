@@ -20,8 +20,7 @@ __all__ = ["Tracker", "curve_speed", "lane_ahead", "overlap", "road_distance"]
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
-#: Frames of trajectories.
-FRAMES = ("scene", "ego")
+FRAMES = ("scene", "ego")  #: Frames of trajectories.
 #: A trajectory begins within this distance of the vehicle, and what it drives until the first pose.
 NEAR_M = 5.0
 

@@ -20,7 +20,7 @@ from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import TrafficPlan, driver_names
-from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS
+from ccdiff_env.traffic.ccdiff import PLAN_ARRAYS
 
 __all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "as_scene"]
 

@@ -37,8 +37,7 @@ __all__ = [
 
 _TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
 
-#: Which point of a recording car its poses are of.
-EgoReference = Literal["rear_axle", "centre"]
+EgoReference = Literal["rear_axle", "centre"]  #: Which point of a recording car its poses are of.
 
 
 def with_tracks(

@@ -20,8 +20,7 @@ __all__ = [
 
 #: The sources that the short forms stand for, without ``--dataroot`` and with it.
 PLAIN, ROOTED = SOURCES[DEFAULT], SOURCES["nuscenes"]
-#: Short forms of parts of ``--scenes``.
-SHORT = ("dataroot", "version", "split")
+SHORT = ("dataroot", "version", "split")  #: Short forms of parts of ``--scenes``.
 
 
 def add_scene_arguments(

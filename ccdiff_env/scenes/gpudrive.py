@@ -19,8 +19,7 @@ from ccdiff_env.system.progress import shown
 
 __all__ = ["SOURCE", "SceneFiles", "load_gpudrive", "scene_files"]
 
-#: Scenes that are read at once, and scenes that are kept.
-_AT_ONCE = 16
+_AT_ONCE = 16  #: Scenes that are read at once, and scenes that are kept.
 _KEPT = 64
 
 

@@ -58,30 +58,22 @@ class NearLines:
 
     #: Starts of the pieces by the direction of their lines, x ahead, y to the left, m, [M, K, 2].
     start_m: F32
-    #: Ends of the pieces, m, [M, K, 2].
-    end_m: F32
-    #: Kinds of their lines, indices of :data:`LINE_KINDS`, [M, K].
-    kind: npt.NDArray[np.uint8]
-    #: Distances from the agents' positions, m, [M, K].
-    distance_m: F32
-    #: Whether there are so many pieces, [M, K].
-    valid: Bool
+    end_m: F32  #: Ends of the pieces, m, [M, K, 2].
+    kind: npt.NDArray[np.uint8]  #: Kinds of their lines, indices of :data:`LINE_KINDS`, [M, K].
+    distance_m: F32  #: Distances from the agents' positions, m, [M, K].
+    valid: Bool  #: Whether there are so many pieces, [M, K].
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LaneAhead:
     """The lanes of M agents, and the way along them in the agents' frames; zero where not valid."""
 
-    #: Places on the way, from the nearest point of the lane on, m, [M, P, 2].
-    position_m: F32
-    #: Whether the lanes go so far, [M, P].
-    valid: Bool
+    position_m: F32  #: Places on the way, from the nearest point of the lane on, m, [M, P, 2].
+    valid: Bool  #: Whether the lanes go so far, [M, P].
     #: Index of the lane in ``scene.map_layers()["lanes"]``, -1 without one in reach, [M].
     lane: I64
-    #: Offset of the agent from the lane's centre line, left positive, m, [M].
-    lateral_m: F32
-    #: Heading of the agent minus that of the lane, rad, [M].
-    heading_error_rad: F32
+    lateral_m: F32  #: Offset of the agent from the lane's centre line, left positive, m, [M].
+    heading_error_rad: F32  #: Heading of the agent minus that of the lane, rad, [M].
 
 
 def _floats(name: str, values: Any, shape: tuple[int | None, ...]) -> F32:

@@ -13,10 +13,8 @@ __all__ = ["Heights", "ground"]
 
 F32 = npt.NDArray[np.float32]
 
-#: Nothing lies higher above sea level or deeper below, see ``Scene``.
-_HIGHEST_M = 9e3
-#: Data sets whose lines hold headings in the third column.
-_HEADINGS = ("nuscenes", "nuplan")
+_HIGHEST_M = 9e3  #: Nothing lies higher above sea level or deeper below, see ``Scene``.
+_HEADINGS = ("nuscenes", "nuplan")  #: Data sets whose lines hold headings in the third column.
 
 
 def ground(centre: F64, height_m: float, valid: npt.NDArray[np.bool_]) -> F64 | None:
@@ -33,8 +31,7 @@ class Heights:
     """Heights of the points of a map's features, by layer."""
 
     def __init__(self, dataset: object) -> None:
-        #: Whether every point so far has a height.
-        self.known = dataset not in _HEADINGS
+        self.known = dataset not in _HEADINGS  #: Whether every point so far has a height.
         self._of: defaultdict[str, list[F32]] = defaultdict(list)
 
     def read(self, points: F64) -> F64:

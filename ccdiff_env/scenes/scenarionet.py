@@ -43,8 +43,7 @@ _LINKS = ("exit_lanes", "entry_lanes")
 _ROAD_EDGES = ("ROAD_EDGE_BOUNDARY", "ROAD_EDGE_MEDIAN", "ROAD_EDGE_UNKNOWN", "ROAD_EDGE")
 _CENTRELINE_SPACING_M = 1.0
 
-#: Map points lie as near to the origin as tracks must, see ``Scene``.
-_FARTHEST_M = 1e6
+_FARTHEST_M = 1e6  #: Map points lie as near to the origin as tracks must, see ``Scene``.
 
 
 @dataclass

@@ -24,8 +24,7 @@ __all__ = ["scenario_dict", "write_scenario"]
 
 F64 = npt.NDArray[np.float64]
 
-#: Version of the description's layout that is written.
-VERSION = "0.1"
+VERSION = "0.1"  #: Version of the description's layout that is written.
 _TYPES = {
     "vehicle": "VEHICLE",
     "pedestrian": "PEDESTRIAN",

@@ -104,8 +104,7 @@ SOURCES: dict[str, Source] = {
 }
 
 
-#: The source that is meant where none is named.
-DEFAULT = "embedded"
+DEFAULT = "embedded"  #: The source that is meant where none is named.
 
 
 def parse(text: str) -> Place:

@@ -36,10 +36,8 @@ __all__ = [
     "writing",
 ]
 
-#: Bytes that a file may have, and what is unpacked of files.
-MOST_BYTES = 1 << 30
-#: Bytes of a text: settings, tables, manifests.
-MOST_TEXT_BYTES = 64 << 20
+MOST_BYTES = 1 << 30  #: Bytes that a file may have, and what is unpacked of files.
+MOST_TEXT_BYTES = 64 << 20  #: Bytes of a text: settings, tables, manifests.
 
 #: Values of a text of JSON, each of which takes some hundred bytes of memory at most.
 MOST_VALUES = 1 << 22

@@ -130,8 +130,7 @@ def _latex(text: str) -> str:
     return re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", plain)
 
 
-#: A part of a document.
-Block = Table | str
+Block = Table | str  #: A part of a document.
 
 
 def document(*blocks: Block) -> str:

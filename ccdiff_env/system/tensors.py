@@ -17,8 +17,7 @@ from ccdiff_env.system.files import parsed_object, read_bytes, reading, write_as
 
 F32 = npt.NDArray[np.float32]
 
-#: Files of policies are far smaller.
-MAX_BYTES = 64 << 20
+MAX_BYTES = 64 << 20  #: Files of policies are far smaller.
 
 
 def write_tensors(

@@ -14,10 +14,8 @@ from ccdiff_env.errors import ConfigError
 
 __all__ = ["align", "counted", "say", "say_page"]
 
-#: What a terminal shows bold, and what ends it.
-BOLD, PLAIN = "\033[1m", "\033[0m"
-#: Width where nothing says how wide the terminal is: a pipe.
-ENDLESS = 1_000_000
+BOLD, PLAIN = "\033[1m", "\033[0m"  #: What a terminal shows bold, and what ends it.
+ENDLESS = 1_000_000  #: Width where nothing says how wide the terminal is: a pipe.
 _GAP = "  "
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _INTERVAL = re.compile(r" \[[^\]]*\]")

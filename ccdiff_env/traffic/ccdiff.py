@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ccdiff_env.errors import (
-    DatasetError,
-    ShapeError,
-    expect_shape,
-)
-from ccdiff_env.system.files import parsed_object, read_text, reading
-from ccdiff_env.traffic.plan_fields import PLAN_ARRAYS, PlanFields
+import numpy as np
 
-__all__ = [
-    "PAPER_PROTOCOL",
-    "TrafficPlan",
-    "read_ranking",
-]
+from ccdiff_env import _native
+from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
+from ccdiff_env.system.files import parsed_object, read_text, reading
+from ccdiff_env.traffic.plan_fields import PlanFields
+
+__all__ = ["PAPER_PROTOCOL", "PLAN_ARRAYS", "TrafficPlan", "read_ranking"]
+
+_KINDS = {"Vec<usize>": np.int64, "Vec<bool>": np.bool_, "Vec<Real>": np.float32}
+#: Arrays of a plan: type, axes (as in :class:`PlanFields`), whether it may be missing.
+PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {
+    entry["name"]: (_KINDS[entry["kind"]], "".join(entry["axes"]), entry["optional"])
+    for entry in json.loads(_native.plan_fields_json())
+    if entry["kind"] in _KINDS
+}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

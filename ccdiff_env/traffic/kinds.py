@@ -23,30 +23,21 @@ __all__ = [
     "driver_titles",
 ]
 
-#: Options of a driver.
-Options: TypeAlias = IdmConfig | CcdiffConfig | EgosConfig | PythonTraffic
+Options: TypeAlias = IdmConfig | CcdiffConfig | EgosConfig | PythonTraffic  #: Options of a driver.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
     """What is known of a kind of driver."""
 
-    #: Name in configurations.
-    name: str
-    #: Name in legends and tables.
-    title: str
-    #: Class of its options; ``None``: it takes none.
-    options: type[Options] | None
-    #: Whether every environment has one under this name.
-    always: bool
-    #: Shipped weights of a network: ``"fast"`` and variants.
-    weights: tuple[str, ...] = ()
-    #: Whether a network denoises its plans.
-    denoises: bool = False
-    #: Whether plans of a network attend to each other.
-    attends: bool = False
-    #: Whether a network has one plan, whatever the noise.
-    one_plan: bool = False
+    name: str  #: Name in configurations.
+    title: str  #: Name in legends and tables.
+    options: type[Options] | None  #: Class of its options; ``None``: it takes none.
+    always: bool  #: Whether every environment has one under this name.
+    weights: tuple[str, ...] = ()  #: Shipped weights of a network: ``"fast"`` and variants.
+    denoises: bool = False  #: Whether a network denoises its plans.
+    attends: bool = False  #: Whether plans of a network attend to each other.
+    one_plan: bool = False  #: Whether a network has one plan, whatever the noise.
     #: Whether it was taught by the traffic of another network, not by logs.
     distilled: bool = False
 

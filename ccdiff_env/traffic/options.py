@@ -64,10 +64,8 @@ class UnicycleLimits(Options):
     acceleration_mps2: tuple[float, float] = (-10.0, 8.0)
     #: Lowest and highest speed (m/s, in [-100, 100]). Vehicles brake to a stop and do not reverse.
     speed_mps: tuple[float, float] = (0.0, 30.0)
-    #: Yaw rate that is allowed at any speed (rad/s, in (0, 10]).
-    min_yaw_rate_radps: float = 0.1
-    #: Highest yaw rate per speed, a curvature (1/m, in (0, 10]).
-    max_curvature_1pm: float = 0.5
+    min_yaw_rate_radps: float = 0.1  #: Yaw rate that is allowed at any speed (rad/s, in (0, 10]).
+    max_curvature_1pm: float = 0.5  #: Highest yaw rate per speed, a curvature (1/m, in (0, 10]).
     #: Highest yaw rate times speed (m/s², in (0, 100]).
     max_lateral_acceleration_mps2: float = 6.2831855
 
@@ -121,8 +119,7 @@ class AssistedLimits(Options):
     from its base's way; the action zero is the base.
     """
 
-    #: What is changed.
-    base: AssistedBase = "idm"
+    base: AssistedBase = "idm"  #: What is changed.
     #: Change of the acceleration at -1 and +1, about zero (m/s², in [-100, 100]).
     delta_mps2: tuple[float, float] = (-6.0, 2.0)
     #: Distance from the way at -1 and +1, left positive, about zero (m, in [-100, 100]).
@@ -135,8 +132,7 @@ class AssistedLimits(Options):
     #: The base's own acceleration changes no faster than this, except where it brakes harder than
     #: nuPlan's comfort allows, 4.05 m/s² (m/s³, in (0, 1000]).
     base_jerk_mps3: float = 1000.0
-    #: Lowest and highest speed (m/s, in [-100, 100]).
-    speed_mps: tuple[float, float] = (0.0, 30.0)
+    speed_mps: tuple[float, float] = (0.0, 30.0)  #: Lowest and highest speed (m/s, in [-100, 100]).
 
 
 #: Model of motion with its limits.
@@ -159,8 +155,7 @@ class ActionGrid(Options):
     (dψ) for delta pose, whose dy is 0, else 1.
     """
 
-    #: Accelerations, m/s² (delta pose: dx, m) (in [-100, 100]).
-    first: tuple[float, ...]
+    first: tuple[float, ...]  #: Accelerations, m/s² (delta pose: dx, m) (in [-100, 100]).
     #: Yaw rates, rad/s (bicycle: steering angles, rad (in [-100, 100]); delta pose: turns, rad;
     #: assisted: distances, m).
     second: tuple[float, ...]
@@ -176,32 +171,23 @@ class ActionConfig(Options):
 
     #: Model of motion with its limits; also by name or as ``{name: limits}``.
     dynamics: Dynamics = field(default_factory=UnicycleLimits)
-    #: Whether actions are indices of ``grid``, not numbers.
-    discrete: bool = False
+    discrete: bool = False  #: Whether actions are indices of ``grid``, not numbers.
     #: Physical actions to choose from; ``None``: the dynamics' default 7 x 9 grid.
     grid: ActionGrid | None = None
-    #: Acceleration at +1 (m/s², in (0, 100]).
-    max_acceleration_mps2: float = 4.0
-    #: Deceleration at -1 (m/s², in (0, 100]).
-    max_deceleration_mps2: float = 8.0
-    #: Unicycle: yaw rate at +1 (rad/s, in (0, 10]).
-    max_yaw_rate_radps: float = 1.0
-    #: Bicycle: front wheel angle at +1 (rad, in (0, 1.5)).
-    max_steering_rad: float = 0.5
-    #: Delta pose: displacement at +1, per step (m, in (0, 100]).
-    max_displacement_m: float = 3.0
-    #: Delta pose: turn at +1, per step (rad, in (0, 3.1]).
-    max_turn_rad: float = 0.1
+    max_acceleration_mps2: float = 4.0  #: Acceleration at +1 (m/s², in (0, 100]).
+    max_deceleration_mps2: float = 8.0  #: Deceleration at -1 (m/s², in (0, 100]).
+    max_yaw_rate_radps: float = 1.0  #: Unicycle: yaw rate at +1 (rad/s, in (0, 10]).
+    max_steering_rad: float = 0.5  #: Bicycle: front wheel angle at +1 (rad, in (0, 1.5)).
+    max_displacement_m: float = 3.0  #: Delta pose: displacement at +1, per step (m, in (0, 100]).
+    max_turn_rad: float = 0.1  #: Delta pose: turn at +1, per step (rad, in (0, 3.1]).
 
 
 @dataclass(frozen=True, kw_only=True)
 class BevConfig(Options):
     """Choice of the bird's-eye raster, uint8 [channels, S, S]."""
 
-    #: Rows and columns S (in [8, 1024]).
-    size_px: int = 84
-    #: Side of a pixel (m, in [0.05, 10]).
-    metres_per_px: float = 0.6
+    size_px: int = 84  #: Rows and columns S (in [8, 1024]).
+    metres_per_px: float = 0.6  #: Side of a pixel (m, in [0.05, 10]).
     #: Share of the rows that lies behind the observing agent's centre (in [0, 1]).
     behind_share: float = 0.25
 
@@ -210,26 +196,20 @@ class BevConfig(Options):
 class ObservationConfig(Options):
     """Choice of rows and columns of the observation."""
 
-    #: Nearest agents that are seen, K rows (in [0, 512]).
-    num_neighbors: int = 12
-    #: Points of the route ahead, P rows (in [0, 256]).
-    num_route_points: int = 10
-    #: Distance from one route point to the next (m, in (0, 1000]).
-    route_spacing_m: float = 4.0
+    num_neighbors: int = 12  #: Nearest agents that are seen, K rows (in [0, 512]).
+    num_route_points: int = 10  #: Points of the route ahead, P rows (in [0, 256]).
+    route_spacing_m: float = 4.0  #: Distance from one route point to the next (m, in (0, 1000]).
     #: Nearest segments of map lines, N rows (in [0, 256]); egos learn faster without.
     num_map_segments: int = 0
-    #: Agents farther than this are not seen (m, in (0, 1000]).
-    radius_m: float = 60.0
-    #: Whether masks are part of the row.
-    masks: bool = True
+    radius_m: float = 60.0  #: Agents farther than this are not seen (m, in (0, 1000]).
+    masks: bool = True  #: Whether masks are part of the row.
     #: Columns of ``ego``; ``None``: all but those on request.
     ego_columns: tuple[str, ...] | None = None
     #: Columns of ``agents``; ``None``: all but those on request.
     agent_columns: tuple[str, ...] | None = None
     #: Columns of ``map``; ``None``: all but those on request.
     map_columns: tuple[str, ...] | None = None
-    #: Bird's-eye raster beside the row; ``None``: none.
-    bev: BevConfig | None = None
+    bev: BevConfig | None = None  #: Bird's-eye raster beside the row; ``None``: none.
 
 
 #: How the reward is made.
@@ -248,23 +228,17 @@ class RewardConfig(Options):
     Also by the name of a form: ``reward="product"``.
     """
 
-    #: How the reward is made.
-    form: RewardForm = "sum"
-    #: Per metre of new progress along the route (in [-1000000, 1000000]).
-    progress: float = 0.02
-    #: At the step of a collision (in [-1000000, 1000000]).
-    collision: float = -2.5
-    #: At each step with a corner off the road (in [-1000000, 1000000]).
-    off_road: float = -3.0
+    form: RewardForm = "sum"  #: How the reward is made.
+    progress: float = 0.02  #: Per metre of new progress along the route (in [-1000000, 1000000]).
+    collision: float = -2.5  #: At the step of a collision (in [-1000000, 1000000]).
+    off_road: float = -3.0  #: At each step with a corner off the road (in [-1000000, 1000000]).
     #: Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3,
     #: per step (in [-1000000, 1000000]).
     comfort: float = -0.004
-    #: Per m/s above the speed limit, per step (in [-1000000, 1000000]).
-    speed_limit: float = -0.01
+    speed_limit: float = -0.01  #: Per m/s above the speed limit, per step (in [-1000000, 1000000]).
     #: Per metre of distance from the route, at most 3, per step (in [-1000000, 1000000]).
     lane_keeping: float = -0.004
-    #: When the goal is reached (in [-1000000, 1000000]).
-    goal: float = 1.0
+    goal: float = 1.0  #: When the goal is reached (in [-1000000, 1000000]).
     #: Per m/s³ of jerk either way, at most 10, per step (in [-1000000, 1000000]).
     jerk: float = 0.0
 
@@ -275,12 +249,10 @@ class Randomization(Options):
 
     #: Accelerations of actions are times 1 ± up to this (in [0, 0.9]).
     acceleration_gain: float = 0.0
-    #: The same of yaw rates or wheel angles (in [0, 0.9]).
-    yaw_gain: float = 0.0
+    yaw_gain: float = 0.0  #: The same of yaw rates or wheel angles (in [0, 0.9]).
     #: Actions take effect up to so many steps late, zeros before (in [0, 100]).
     delay_steps: int = 0
-    #: Length and width are times 1 ± up to this (in [0, 0.9]).
-    size: float = 0.0
+    size: float = 0.0  #: Length and width are times 1 ± up to this (in [0, 0.9]).
     #: Standard deviation of noise on numbers with a unit in observations, by their scales (in [0,
     #: 10]).
     noise: float = 0.0
@@ -290,18 +262,12 @@ class Randomization(Options):
 class IdmConfig(Options):
     """Parameters of the intelligent driver model (Treiber, Hennecke, Helbing 2000)."""
 
-    #: Time headway T (s, in (0, 60]).
-    headway_s: float = 1.2
-    #: Gap at standstill s₀ (m, in [0, 100]).
-    min_gap_m: float = 2.0
-    #: Greatest acceleration a (m/s², in (0, 100]).
-    acceleration_mps2: float = 1.5
-    #: Comfortable deceleration b (m/s², in (0, 100]).
-    deceleration_mps2: float = 2.5
-    #: Hardest braking (m/s², in (0, 100]).
-    max_braking_mps2: float = 8.0
-    #: Acceleration exponent δ (in (0, 100]).
-    exponent: float = 4.0
+    headway_s: float = 1.2  #: Time headway T (s, in (0, 60]).
+    min_gap_m: float = 2.0  #: Gap at standstill s₀ (m, in [0, 100]).
+    acceleration_mps2: float = 1.5  #: Greatest acceleration a (m/s², in (0, 100]).
+    deceleration_mps2: float = 2.5  #: Comfortable deceleration b (m/s², in (0, 100]).
+    max_braking_mps2: float = 8.0  #: Hardest braking (m/s², in (0, 100]).
+    exponent: float = 4.0  #: Acceleration exponent δ (in (0, 100]).
     #: Others are also looked for where they will be, at constant velocity, after this time (s, in
     #: [0, 60]).
     anticipation_s: float = 1.0
@@ -327,24 +293,21 @@ SceneOrder: TypeAlias = Literal["random", "sequential"]
 class WorldOptions(Options):
     """Configuration of worlds."""
 
-    #: Step (s, in (0, 1]); must equal the scenes' own.
-    dt_s: float = 0.1
+    dt_s: float = 0.1  #: Step (s, in (0, 1]); must equal the scenes' own.
     #: Logged steps before the first free one (in [0, 10000]); episodes start at this step of the
     #: log. Drivers that look back farther are told that the states before were not there.
     history_steps: int = 30
     #: Episodes start up to this many steps later, sampled for each episode (in [0, 10000]). Egos
     #: that are drawn start anywhere by default.
     start_spread_steps: int = 0
-    #: Steps of an episode at most (in [1, 100000]).
-    horizon_steps: int = 100
+    horizon_steps: int = 100  #: Steps of an episode at most (in [1, 100000]).
     #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (in [1,
     #: 1000]). Rewards are summed up; a learner's discount per call is that of a step to this power.
     decision_steps: int = 1
     #: Agents with a slot, which are observed and rewarded; ids as a list, or as lists by the name
     #: of the scene.
     controlled: Controlled = "ego"
-    #: Slots per world (in [1, 512]).
-    num_slots: int = 1
+    num_slots: int = 1  #: Slots per world (in [1, 512]).
     #: Which vehicles get the slots of ``controlled="vehicles"``, behind the ego.
     ranking: VehicleRanking = "first"
     #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
@@ -353,18 +316,15 @@ class WorldOptions(Options):
     #: each vehicle and episode from the world's seed. Cyclists, motorcycles and obstacles follow
     #: the log. A ``PythonTraffic`` stands for itself.
     traffic: str | Mapping[str, float] = "replay"
-    #: Who moves pedestrians.
-    pedestrians: Pedestrians = "replay"
+    pedestrians: Pedestrians = "replay"  #: Who moves pedestrians.
     #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
     drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
     #: Whether agents that the log brings later enter. Their bodies never appear in driven agents.
     late_arrivals: bool = True
     #: Whether background agents leave at the end of their log; else they drive on.
     vanish_with_log: bool = False
-    #: Whether the episode is truncated where the log ends.
-    truncate_at_log_end: bool = True
-    #: Consequence of a collision for a controlled agent.
-    on_collision: Consequence = "terminate"
+    truncate_at_log_end: bool = True  #: Whether the episode is truncated where the log ends.
+    on_collision: Consequence = "terminate"  #: Consequence of a collision for a controlled agent.
     #: What follows when agents without a slot touch and one of them, a vehicle, does not follow its
     #: log.
     on_traffic_collision: TrafficCollision = "stop"
@@ -384,23 +344,16 @@ class WorldOptions(Options):
     adversary_shaping: float = 0.0
     #: Share of the way to the goal that makes an episode without accident a success (in [0, 1]).
     success_completion: float = 0.95
-    #: Speed limit where the map has none (m/s, in (0, 100]).
-    speed_limit_mps: float = 15.0
-    #: Actions.
-    action: ActionConfig = field(default_factory=ActionConfig)
-    #: Observations.
-    observation: ObservationConfig = field(default_factory=ObservationConfig)
-    #: Rewards.
-    reward: RewardConfig = field(default_factory=RewardConfig)
+    speed_limit_mps: float = 15.0  #: Speed limit where the map has none (m/s, in (0, 100]).
+    action: ActionConfig = field(default_factory=ActionConfig)  #: Actions.
+    observation: ObservationConfig = field(default_factory=ObservationConfig)  #: Observations.
+    reward: RewardConfig = field(default_factory=RewardConfig)  #: Rewards.
     #: Lowest and highest factors of weights of the reward by name, drawn for each episode or set by
     #: a reset, and observed as ``style`` (in [0, 1000000]).
     style: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
-    #: Hidden differences.
-    randomization: Randomization = field(default_factory=Randomization)
-    #: Options of the driver ``"idm"``.
-    idm: IdmConfig = field(default_factory=IdmConfig)
-    #: What happens to a world whose episode has ended.
-    autoreset: Autoreset = "next_step"
+    randomization: Randomization = field(default_factory=Randomization)  #: Hidden differences.
+    idm: IdmConfig = field(default_factory=IdmConfig)  #: Options of the driver ``"idm"``.
+    autoreset: Autoreset = "next_step"  #: What happens to a world whose episode has ended.
     #: How the scene of an episode is chosen when the reset names none.
     scene_order: SceneOrder = "random"
 
@@ -411,10 +364,8 @@ class PythonOptions(Options):
     ``ccdiff_env.traffic.PythonTraffic``.
     """
 
-    #: Steps from one plan to the next (in [1, 10000]).
-    replan_steps: int = 5
-    #: Past states of each agent, the present one included (in [1, 1000]).
-    history_states: int = 31
+    replan_steps: int = 5  #: Steps from one plan to the next (in [1, 10000]).
+    history_states: int = 31  #: Past states of each agent, the present one included (in [1, 1000]).
     #: Fewest of them that the log must have at the start of an episode, the present one included
     #: (in [1, 1000]); an environment that starts earlier is refused. The states before are told as
     #: not valid.
@@ -511,8 +462,7 @@ class CcdiffConfig(Options):
     #: Network evaluations of the DDIM sampler (one: guidance moves its only step) (in [1, 1000]);
     #: ``None``: DDPM with all 100 steps.
     denoising_steps: int | None = 5
-    #: Samples per plan N (in [1, 1024]).
-    num_samples: int = 1
+    num_samples: int = 1  #: Samples per plan N (in [1, 1024]).
     #: Weight w of the conditional branch in classifier-free guidance (in [1, 2)).
     cfg_weight: float = 1.0
     #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (in
@@ -524,10 +474,8 @@ class CcdiffConfig(Options):
     #: Whether the network is told the routes of the vehicles that it drives: the path of the log,
     #: then the lanes ahead. For weights that were trained with routes.
     follow_route: bool = False
-    #: The decision causal graph G that the network sees.
-    graph: GraphMode = "causal"
-    #: Vehicles that are guided K (in [0, 512]); ``None``: all.
-    num_guided: int | None = 5
+    graph: GraphMode = "causal"  #: The decision causal graph G that the network sees.
+    num_guided: int | None = 5  #: Vehicles that are guided K (in [0, 512]); ``None``: all.
     #: How they are found; a list may be a mapping or the path of a JSON file
     #: (``ccdiff_env.traffic.read_ranking``).
     ranking: Ranking = "cliques"
@@ -536,10 +484,8 @@ class CcdiffConfig(Options):
     #: (examples/train_adversary_selection.py); ``criticality`` scales its strengths. It learned
     #: with plans of 20 steps.
     adversary_policy: str | None = None
-    #: Whether they are found again at every plan, not only at the first one.
-    rerank: bool = True
-    #: Who drives the vehicles that are not guided.
-    background_driver: BackgroundDriver = "ccdiff"
+    rerank: bool = True  #: Whether they are found again at every plan, not only at the first one.
+    background_driver: BackgroundDriver = "ccdiff"  #: Who drives the vehicles that are not guided.
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
     #: configured (one denoising step: a fifth of it, so that an ego collides as often) (in [0,
     #: 10]). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may be told
@@ -564,7 +510,5 @@ class CcdiffConfig(Options):
     guided_from_s: float = 0.0
     #: Time of the episode until which plans are guided (s, in [0, 10000]); ``None``: to its end.
     guided_until_s: float | None = None
-    #: Whether plans keep attention and gradient statistics, at some cost.
-    explain: bool = False
-    #: Vehicles that stand still for the whole episode.
-    parked_rule: ParkedRule = "parked"
+    explain: bool = False  #: Whether plans keep attention and gradient statistics, at some cost.
+    parked_rule: ParkedRule = "parked"  #: Vehicles that stand still for the whole episode.

@@ -3,64 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-#: Arrays of a plan: type, axes, whether it may be missing. M planned and R ranked agents, N
-#: samples, T steps, J objectives.
-PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {
-    "agents": (np.int64, "M", False),
-    "follows_plan": (np.bool_, "M", False),
-    "guided": (np.bool_, "M", False),
-    "graph": (np.bool_, "MM", False),
-    "ttc_s": (np.float32, "MM", False),
-    "attention": (np.float32, "MM", True),
-    "ranking": (np.int64, "R", False),
-    "samples": (np.float32, "NMT3", False),
-    "selected_sample": (np.int64, "M", False),
-    "losses": (np.float32, "JNM", False),
-    "realism_cost": (np.float32, "M", False),
-    "shift_sigmas": (np.float32, "M", False),
-    "gradient_cosine": (np.float32, "JJ", True),
-    "realism_cosine": (np.float32, "M", True),
-    "conflict_share": (np.float32, "M", True),
-}
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlanFields:
-    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`."""
+    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`: M planned and R ranked agents, N samples,
+    T steps, J objectives.
+    """
 
     #: Steps since the episode (in a recording: since that) began when the plan was made.
     made_at: int
-    #: Agents that were planned for, indices in the scene, [M].
-    agents: npt.NDArray[np.int64]
+    agents: npt.NDArray[np.int64]  #: Agents that were planned for, indices in the scene, [M].
     #: Whether an agent follows the plan; the others were predicted only, [M].
     follows_plan: npt.NDArray[np.bool_]
-    #: Whether guidance moved its plan, [M].
-    guided: npt.NDArray[np.bool_]
-    #: Decision causal graph G, [M, M].
-    graph: npt.NDArray[np.bool_]
-    #: Times to contact (s), 20 where there is none sooner, [M, M].
-    ttc_s: npt.NDArray[np.float32]
+    guided: npt.NDArray[np.bool_]  #: Whether guidance moved its plan, [M].
+    graph: npt.NDArray[np.bool_]  #: Decision causal graph G, [M, M].
+    ttc_s: npt.NDArray[np.float32]  #: Times to contact (s), 20 where there is none sooner, [M, M].
     #: Attention, mean over heads, zero outside of G. Not kept unless ``explain`` is set. [M, M].
     attention: npt.NDArray[np.float32] | None
     #: Agents that may be guided, by falling importance, indices in the scene, [R].
     ranking: npt.NDArray[np.int64]
-    #: Number of samples N.
-    num_samples: int
-    #: Number of steps T.
-    num_steps: int
+    num_samples: int  #: Number of samples N.
+    num_steps: int  #: Number of steps T.
     #: x, y (m) and heading (rad) in the scene frame after each step, [N, M, T, 3].
     samples: npt.NDArray[np.float32]
-    #: Sample that each agent follows, [M].
-    selected_sample: npt.NDArray[np.int64]
-    #: Names of the guidance objectives, J of them.
-    objectives: tuple[str, ...]
-    #: Loss of each objective without its weight, [J, N, M].
-    losses: npt.NDArray[np.float32]
+    selected_sample: npt.NDArray[np.int64]  #: Sample that each agent follows, [M].
+    objectives: tuple[str, ...]  #: Names of the guidance objectives, J of them.
+    losses: npt.NDArray[np.float32]  #: Loss of each objective without its weight, [J, N, M].
     #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau); NaN for
     #: networks that do not denoise, [M].
     realism_cost: npt.NDArray[np.float32]

@@ -47,42 +47,30 @@ class TrafficBatch:
     of the frame of each agent's scene. Entries of states that are not valid are zero.
     """
 
-    #: Centres, m, [M, H, 2].
-    position_m: F32
-    #: Headings, rad, [M, H].
-    heading_rad: F32
-    #: Speeds along the heading, m/s, [M, H].
-    speed_mps: F32
-    #: Whether the agent was there, [M, H].
-    valid: Bool
-    #: Lengths and widths, m, [M, 2].
-    size_m: F32
-    #: Kinds, indices of :data:`AGENT_KINDS`, [M].
-    kind: npt.NDArray[np.uint8]
+    position_m: F32  #: Centres, m, [M, H, 2].
+    heading_rad: F32  #: Headings, rad, [M, H].
+    speed_mps: F32  #: Speeds along the heading, m/s, [M, H].
+    valid: Bool  #: Whether the agent was there, [M, H].
+    size_m: F32  #: Lengths and widths, m, [M, 2].
+    kind: npt.NDArray[np.uint8]  #: Kinds, indices of :data:`AGENT_KINDS`, [M].
     #: Agents [M] that the model drives; the others have other drivers, and their plans are not
     #: looked at.
     drives: Bool
-    #: Whether an agent is its world's ego, or driven from outside, [M].
-    is_ego: Bool
+    is_ego: Bool  #: Whether an agent is its world's ego, or driven from outside, [M].
     #: Whether a vehicle never moves in its log, and stays where it is for other traffic, [M].
     is_parked: Bool
-    #: World of each agent among the W, [M]; agents of a world stand together.
-    world: I64
-    #: Index of each agent in its scene, [M].
-    agent: I64
+    world: I64  #: World of each agent among the W, [M]; agents of a world stand together.
+    agent: I64  #: Index of each agent in its scene, [M].
     #: Scene of each world with its map (:meth:`~ccdiff_env.Scene.map_layers`), W of them.
     scenes: tuple[Scene, ...]
-    #: Index of each world's scene in the environment's list, [W].
-    scene_idx: I64
-    #: Steps since each world's episode began, [W].
-    elapsed_steps: I64
+    scene_idx: I64  #: Index of each world's scene in the environment's list, [W].
+    elapsed_steps: I64  #: Steps since each world's episode began, [W].
     #: Seed of each world's random numbers for this plan, [W]: another one for every plan, the same
     #: whatever the batch.
     seed: npt.NDArray[np.uint64]
     #: Strength that a curriculum or ``override_plan`` asks of each world, 0 where nobody does, [W].
     criticality: F32
-    #: Seconds between states, and between the steps of a plan.
-    dt_s: float
+    dt_s: float  #: Seconds between states, and between the steps of a plan.
     #: Places on each vehicle's route, from where it is on, :data:`ROUTE_SPACING_M` apart, m, in the
     #: frame of its scene, [M, P, 2]. Routes are those of IDM and CCDiff: the logged path, then
     #: the lanes ahead, else straight on. They tell where a vehicle goes, not when.
@@ -143,14 +131,10 @@ class TrafficBatch:
 class LoggedFuture:
     """Logged states of the M agents of a batch after its step; zero where not valid."""
 
-    #: Centres, m, in the frame of each agent's scene, [M, F, 2].
-    position_m: F32
-    #: Headings, rad, in that frame, [M, F].
-    heading_rad: F32
-    #: Speeds along the heading, m/s, [M, F].
-    speed_mps: F32
-    #: Whether the agent is logged, [M, F].
-    valid: Bool
+    position_m: F32  #: Centres, m, in the frame of each agent's scene, [M, F, 2].
+    heading_rad: F32  #: Headings, rad, in that frame, [M, F].
+    speed_mps: F32  #: Speeds along the heading, m/s, [M, F].
+    valid: Bool  #: Whether the agent is logged, [M, F].
 
 
 #: From a batch to poses x, y (m), heading (rad) in the scene's frame [M, T, 3], or accelerations

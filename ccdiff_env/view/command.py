@@ -40,10 +40,8 @@ PLAYED: dict[str, Any] = {
     "save": None,
     "slider": False,
 }
-#: Criticalities under a slider.
-LEVELS = tuple(0.25 * k for k in range(9))
-#: Suffixes of images and videos.
-IMAGES = ("png", "svg", "gif", "mp4")
+LEVELS = tuple(0.25 * k for k in range(9))  #: Criticalities under a slider.
+IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
 #: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
     "step": None,

@@ -43,8 +43,7 @@ AT_FAULT = {
     "static": "{one} hit {other}",
 }
 STOPPED = "{one} had stopped and was hit in front by {other}"
-#: How kinds of agents go.
-GOES = {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode"}
+GOES = {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode"}  #: How kinds of agents go.
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,8 @@ Image: TypeAlias = npt.NDArray[np.uint8]
 _NUMBERS = {name: number for name, _, number in _native.drivers()}
 #: Who moves an agent; sets its colour. Further drivers look like one of these.
 DRIVERS = tuple(name for i, (name, number) in enumerate(_NUMBERS.items()) if i == number)
-#: Kinds of agents; set their shape.
-KINDS = AGENT_KINDS
-#: Grounds that images are drawn on; the replay page has the same.
-THEMES = ("light", "dark")
+KINDS = AGENT_KINDS  #: Kinds of agents; set their shape.
+THEMES = ("light", "dark")  #: Grounds that images are drawn on; the replay page has the same.
 #: Times, lengths and strengths that images and the replay page share, by name.
 LOOK = dict(_native.render_look())
 

@@ -18,8 +18,7 @@ from ccdiff_env.worlds.spaces import Form
 
 #: Scenes by themselves, the text of a source, or the name of a split of the embedded ones.
 Scenes: TypeAlias = SceneSet | Sequence[Scene] | Scene | str | None
-#: A scene by name or by index.
-SceneChoice: TypeAlias = str | int | None
+SceneChoice: TypeAlias = str | int | None  #: A scene by name or by index.
 
 
 def scene_set(scenes: Scenes) -> SceneSet:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Fit", "fitting_fields", "schema_digest"]
 
-#: Name of the attribute of a space.
-ATTRIBUTE = "ccdiff_env"
+ATTRIBUTE = "ccdiff_env"  #: Name of the attribute of a space.
 #: Name of the attribute of a policy of stable-baselines3 with the mean, scale and limit by which
 #: its observations were normalised.
 STATISTICS = "ccdiff_env_statistics"

@@ -42,8 +42,7 @@ _DATA = Path(__file__).resolve().parents[1] / "data"
 #: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone.
 SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay")}
 
-#: Name of the shipped choice of adversaries.
-LEARNED = "learned"
+LEARNED = "learned"  #: Name of the shipped choice of adversaries.
 
 
 def adversary_policy_path(name: str) -> Path:
@@ -66,8 +65,7 @@ class PolicyFile(NamedTuple):
     tensors: dict[str, F32]
     #: Fields of :class:`~ccdiff_env.config.WorldConfig`, some of :data:`FITTING`.
     options: dict[str, Any]
-    #: Digest of the meaning of observations, without the dial.
-    schema: str
+    schema: str  #: Digest of the meaning of observations, without the dial.
     about: dict[str, Any]
     styles: Ranges
 

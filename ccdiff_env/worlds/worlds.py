@@ -30,10 +30,8 @@ from ccdiff_env.worlds.networks import network_policies
 from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
 from ccdiff_env.worlds.step_arrays import F32, U8, StepArrays
 
-#: Batches from here on use all processors by default.
-PARALLEL_FROM = 64
-#: Past steps in images.
-TRAIL_STEPS = 31
+PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
+TRAIL_STEPS = 31  #: Past steps in images.
 
 
 def _num_processors() -> int:
@@ -114,8 +112,7 @@ class Worlds:
         self._width = self.native.action_width
         self._arrays = self.native.step_arrays()
         self._index = {scene.name: i for i, scene in enumerate(scenes)}
-        #: Arrays of the newest reset or step.
-        self.last: StepArrays | None = None
+        self.last: StepArrays | None = None  #: Arrays of the newest reset or step.
         #: Weights by which scenes are drawn, where there are any.
         self.scene_weights: list[float] | None = None
 

@@ -19,10 +19,8 @@ from ccdiff_env.system.files import write_aside
 __all__ = ["CITY", "SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
 
 VERSION = "v1.0-embedded"
-#: The zipped data set, in the package.
-SHIPPED = "data/embedded.zip"
-#: The set that planners are compared on, zipped.
-CITY = "data/city.zip"
+SHIPPED = "data/embedded.zip"  #: The zipped data set, in the package.
+CITY = "data/city.zip"  #: The set that planners are compared on, zipped.
 
 
 @cache
