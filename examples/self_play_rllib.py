@@ -50,9 +50,7 @@ def main() -> None:
     config = (
         PPOConfig()
         .environment(
-            "ccdiff_game",
-            env_config={"scenes": str(place_from(args))},
-            disable_env_checking=True,
+            "ccdiff_game", env_config={"scenes": str(place_from(args))}, disable_env_checking=True
         )
         .env_runners(num_env_runners=args.runners)
         .multi_agent(policies={"ego", "adversary"}, policy_mapping_fn=role)

@@ -81,11 +81,7 @@ def main() -> None:
                     continue
                 fork.native.restore(0, kept[at])
                 live = avoidability(
-                    fork,
-                    reactive=True,
-                    ego=args.ego,
-                    draws=args.draws,
-                    horizon_s=before + AFTER_S,
+                    fork, reactive=True, ego=args.ego, draws=args.draws, horizon_s=before + AFTER_S
                 )
                 recorded = rollout_avoidability(rollout, before_s=before, after_s=AFTER_S)
                 figures.append((recorded.avoidable, live.avoidable, live.held, live.unchanged))

@@ -8,13 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
-from ccdiff_env import (
-    AgentVectorEnv,
-    EgoEnv,
-    embedded_scenes,
-    make_vec,
-    parallel_env,
-)
+from ccdiff_env import AgentVectorEnv, EgoEnv, embedded_scenes, make_vec, parallel_env
 from ccdiff_env.envs.backtrack import Backtrack
 from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError

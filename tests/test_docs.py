@@ -209,10 +209,7 @@ def test_help_lists_the_names_that_an_option_takes(verb):
     listed = {
         "--methods": "ccdiff_unguided",
         "--planners": "pdm",
-        "--traffic": {
-            "view": "constant_velocity",
-            "train-ego": "bank",
-        }.get(verb, "ccdiff-1"),
+        "--traffic": {"view": "constant_velocity", "train-ego": "bank"}.get(verb, "ccdiff-1"),
         "--driver": "ego_replay",
         "--ego": "ego_replay",
         "--split": "mini_val",

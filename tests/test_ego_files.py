@@ -11,10 +11,7 @@ from ccdiff_env import WorldConfig, planners
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
 from ccdiff_env.envs import ego_network
-from ccdiff_env.errors import (
-    ConfigError,
-    ShapeError,
-)
+from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds

@@ -147,11 +147,7 @@ def test_a_dial_drives_traffic_otherwise(scenes, tmp_path):
     [
         ({"policy": "nobody"}, ConfigError, "nobody"),
         ({"policy": "nobody.safetensors"}, DatasetNotFoundError, "nobody.safetensors"),
-        (
-            {"style": {"comfort": 9.0}},
-            ConfigError,
-            "style: comfort is 9.0, expected none",
-        ),
+        ({"style": {"comfort": 9.0}}, ConfigError, "style: comfort is 9.0, expected none"),
         ({"named_drivers": "ego"}, ConfigError, "named_drivers"),
     ],
 )

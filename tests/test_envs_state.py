@@ -16,13 +16,7 @@ from test_envs import same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
-from ccdiff_env.errors import (
-    ConfigError,
-    ForkError,
-    ResetNeededError,
-    SnapshotError,
-    ThreadError,
-)
+from ccdiff_env.errors import ConfigError, ForkError, ResetNeededError, SnapshotError, ThreadError
 
 ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
 

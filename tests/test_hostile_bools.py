@@ -80,10 +80,7 @@ def stepped(active):
 AREA = [([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]], [])]
 #: Call with the flags of an argument, and those flags.
 CASES = {
-    "causal_ttc.valid": (
-        lambda m: _native.causal_ttc(*states(), *SIZES, m, "oriented"),
-        VALID,
-    ),
+    "causal_ttc.valid": (lambda m: _native.causal_ttc(*states(), *SIZES, m, "oriented"), VALID),
     "causal_distance.valid": (lambda m: _native.causal_distance(*states()[:2], m), VALID),
     "causal_rank.valid": (ranked, SOME),
     "render_arrays.collided": (lambda m: drawn(collided=m), SOME),

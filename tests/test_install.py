@@ -238,12 +238,7 @@ def test_checkers_refuse_names_that_do_not_exist(tmp_path):
     calls = (f"ccdiff_env.{call}" for call in CALLS)
     snippet.write_text("\n".join(["import ccdiff_env", *calls]) + "\n")
     found, _, _ = api.run(
-        [
-            "--config-file",
-            str(ROOT / "pyproject.toml"),
-            "--follow-imports=silent",
-            str(snippet),
-        ]
+        ["--config-file", str(ROOT / "pyproject.toml"), "--follow-imports=silent", str(snippet)]
     )
     errors = {int(line): text for line, text in re.findall(r"snippet.py:(\d+): error: (.*)", found)}
     wrong = {call: errors.get(at, "") for at, call in enumerate(CALLS, start=2)}

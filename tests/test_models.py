@@ -74,9 +74,7 @@ def test_a_run_writes_weights_curves_and_a_header_that_rebuilds_the_network(weig
     assert float(validation[1][validation[0].index("constant_velocity_ade_m")]) > 0.0
 
 
-def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(
-    weights: Path,
-) -> None:
+def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(weights: Path) -> None:
     scene = road()
     (plan,) = TrajectoryModel(weights).plan([scene], [40], num_samples=3)
     assert plan.actions.shape == (3, 2, 52, 2)

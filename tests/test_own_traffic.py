@@ -12,13 +12,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import (
-    CcdiffError,
-    ConfigError,
-    PolicyError,
-    ShapeError,
-    UnknownNameError,
-)
+from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError, UnknownNameError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.traffic import KINDS, IdmConfig, PythonTraffic, TrafficBatch

@@ -8,13 +8,7 @@ from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
 from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.planners.built_in import Seat, ego_driver
-from ccdiff_env.planners.planning import (
-    Tracker,
-    curve_speed,
-    lane_ahead,
-    overlap,
-    road_distance,
-)
+from ccdiff_env.planners.planning import Tracker, curve_speed, lane_ahead, overlap, road_distance
 from ccdiff_env.scenes import with_tracks
 from ccdiff_env.worlds import Worlds
 

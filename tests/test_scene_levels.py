@@ -18,10 +18,7 @@ from ccdiff_env.errors import CcdiffError, DatasetError, SceneError, ShapeError
 from ccdiff_env.scenes.scenarionet_export import scenario_dict, write_scenario
 from tests import overpass
 
-OBJECTS = [
-    overpass.vehicle(1, overpass.on_bridge(0.0)),
-    overpass.vehicle(2, overpass.below(-40.0)),
-]
+OBJECTS = [overpass.vehicle(1, overpass.on_bridge(0.0)), overpass.vehicle(2, overpass.below(-40.0))]
 
 
 def load(path: Path) -> Scene:

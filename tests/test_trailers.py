@@ -18,10 +18,7 @@ TRAILER = {"size": (12.0, 2.5, 3.8)}
 
 def hitched(x, y=20.0, **more):
     """A truck and its trailer 8 m behind: 1 m of overlap."""
-    return [
-        agent("truck", x, y, **TRUCK, **more),
-        agent("trailer", x - 8.0, y, **TRAILER, **more),
-    ]
+    return [agent("truck", x, y, **TRUCK, **more), agent("trailer", x - 8.0, y, **TRAILER, **more)]
 
 
 @pytest.mark.parametrize(

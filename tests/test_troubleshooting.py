@@ -23,7 +23,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
 ID = "ccdiff_env/Ego-v0"
 #: Messages that other tests see, by the names of these.
 ELSEWHERE = {
-    "made in process ..., used in its forked child ...": "test_a_forked_child_is_told_to_spawn",
+    "made in process ..., used in its forked child ...": "test_a_forked_child_is_told_to_spawn"
 }
 
 

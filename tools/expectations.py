@@ -38,11 +38,7 @@ TRAININGS = {
         ],
     ),
     "sac": ("SAC", "unicycle", ["--algorithm", "sac"]),
-    "ppo_assisted": (
-        "PPO",
-        "changes of IDM",
-        ["--dynamics", "assisted", "--decisions", "200000"],
-    ),
+    "ppo_assisted": ("PPO", "changes of IDM", ["--dynamics", "assisted", "--decisions", "200000"]),
 }
 #: PPO with all of the defaults, and without a part of them: title and options of the example.
 PARTS = {

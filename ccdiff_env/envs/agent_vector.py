@@ -18,10 +18,7 @@ from ccdiff_env.envs.drawing import FPS
 from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
 from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
 from ccdiff_env.traffic.options import VehicleRanking
-from ccdiff_env.worlds import (
-    Scenes,
-    StepArrays,
-)
+from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.spaces import Form
 

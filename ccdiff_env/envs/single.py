@@ -18,10 +18,7 @@ from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
-from ccdiff_env.worlds import (
-    Scenes,
-    normalize_seed,
-)
+from ccdiff_env.worlds import Scenes, normalize_seed
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form

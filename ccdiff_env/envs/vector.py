@@ -19,11 +19,7 @@ from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
-from ccdiff_env.worlds import (
-    Scenes,
-    StepArrays,
-    Worlds,
-)
+from ccdiff_env.worlds import Scenes, StepArrays, Worlds
 from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form

@@ -254,11 +254,7 @@ class Motion:
         return np.asarray(self._native.min_ttc(), dtype=np.float32)
 
     def over_speed(
-        self,
-        limit_mps: float,
-        *,
-        at_least_s: float = 0.5,
-        counted: npt.ArrayLike | None = None,
+        self, limit_mps: float, *, at_least_s: float = 0.5, counted: npt.ArrayLike | None = None
     ) -> npt.NDArray[np.bool_]:
         """Tell which agents [A] exceed a speed for some time without a break.
 

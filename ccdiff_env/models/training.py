@@ -8,10 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.errors import (
-    CheckpointError,
-    ConfigError,
-)
+from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.curves import Curves
 from ccdiff_env.models.training_loop import run_training
 from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator

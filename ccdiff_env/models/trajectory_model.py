@@ -9,10 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ccdiff_env import _native
-from ccdiff_env.errors import (
-    CheckpointError,
-    ConfigError,
-)
+from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.scene_plan import ScenePlan
 from ccdiff_env.models.weights import needs_torch, require_networks
 from ccdiff_env.scenes import Scene

@@ -7,11 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ccdiff_env import _native
-from ccdiff_env.errors import (
-    CheckpointError,
-    DatasetNotFoundError,
-    MissingFeatureError,
-)
+from ccdiff_env.errors import CheckpointError, DatasetNotFoundError, MissingFeatureError
 from ccdiff_env.system.files import reading
 from ccdiff_env.traffic import KINDS
 

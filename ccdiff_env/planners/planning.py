@@ -132,13 +132,7 @@ class Tracker:
         ConfigError: For another frame or other dynamics, and for indices of a grid.
     """
 
-    def __init__(
-        self,
-        worlds: Any,
-        reach_s: float = 0.5,
-        *,
-        frame: str = "scene",
-    ) -> None:
+    def __init__(self, worlds: Any, reach_s: float = 0.5, *, frame: str = "scene") -> None:
         if frame not in FRAMES:
             raise ConfigError(f"frame is {frame!r}, expected {' or '.join(map(repr, FRAMES))}")
         action = worlds.config.action

@@ -108,11 +108,7 @@ def _worlds(scenes: Scene | Sequence[Scene], world: Any, count: int) -> tuple[li
 
 
 def _placed(
-    scenes: Scene | Sequence[Scene],
-    position_m: Any,
-    heading_rad: Any,
-    elevation_m: Any,
-    world: Any,
+    scenes: Scene | Sequence[Scene], position_m: Any, heading_rad: Any, elevation_m: Any, world: Any
 ) -> tuple[list[Scene], I64, F32, F32, F32]:
     """The scenes, the scene of each place, positions, headings and elevations."""
     position = _floats("position_m", position_m, (None, 2))
@@ -174,11 +170,7 @@ def nearest_lines(
 
 
 def road_distance(
-    scenes: Scene | Sequence[Scene],
-    position_m: Any,
-    *,
-    elevation_m: Any = None,
-    world: Any = None,
+    scenes: Scene | Sequence[Scene], position_m: Any, *, elevation_m: Any = None, world: Any = None
 ) -> F32:
     """Return the distances of places to the edge of the road, m, positive on the road.
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from ccdiff_env.traffic.ccdiff import (
-    PAPER_PROTOCOL,
-    TrafficPlan,
-    read_ranking,
-)
+from ccdiff_env.traffic.ccdiff import PAPER_PROTOCOL, TrafficPlan, read_ranking
 from ccdiff_env.traffic.kinds import (
     EGOS,
     KINDS,

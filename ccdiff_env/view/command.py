@@ -22,13 +22,7 @@ from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import (
-    LOG,
-    SAMPLES,
-    find_rollout,
-    find_scene,
-    play_scene,
-)
+from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
 #: Options that play a scene, and what they are without being given.
@@ -114,9 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
     )
     play.add_argument(
-        "--save",
-        type=Path,
-        help="keep that episode in this file (.npz; default: not kept)",
+        "--save", type=Path, help="keep that episode in this file (.npz; default: not kept)"
     )
     draw = parser.add_argument_group(
         "an image or a video instead of a page, where --out ends in .png, .svg, .gif or .mp4"

@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from ccdiff_env.config import BevConfig, WorldConfig
-from ccdiff_env.errors import (
-    ConfigError,
-)
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import SOURCES, load

@@ -12,12 +12,7 @@ import numpy as np
 
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import (
-    ActionError,
-    ConfigError,
-    ShapeError,
-    UnknownNameError,
-)
+from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.checked_options import check
