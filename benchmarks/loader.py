@@ -3,9 +3,8 @@
     python benchmarks/loader.py --dataroot DATA/nuscenes --version v1.0-trainval
 
 Every figure is the best of some runs, each in a process of its own, taken in turns, files in the
-page cache.
-"cpu s" adds up the threads: on a busy machine it says more than the clock. The devkit's constructor
-reads and indexes the tables; ours also reads the maps and builds every scene.
+page cache. "cpu s" adds up the threads: on a busy machine it says more than the clock. The devkit's
+constructor reads and indexes the tables; ours also reads the maps and builds every scene.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA, CHARTS = ROOT / "docs" / "results", ROOT / "docs" / "charts"
-WIDTH = 6.67
-"""Inches, of 72 pixels."""
+WIDTH = 6.67  #: Inches, of 72 pixels.
 #: Colours of Okabe and Ito, that of light and that of dark ground.
 COLOURS = {
     "blue": ("#0072b2", "#56b4e9"),
@@ -38,8 +37,8 @@ COLOURS = {
     "ink": ("#000000", "#e8edf3"),
 }
 
+#: A value and the ends of its interval; nan where there is none.
 Figure = tuple[float, float, float]
-"""A value and the ends of its interval; nan where there is none."""
 Look = tuple[str, str]  #: Colour and marker.
 
 

@@ -17,14 +17,11 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import ShapeError
 
-TTC_CAP_S = 20.0
-"""Times to contact are capped here, seconds."""
-DISTANCE_CAP_M = 20.0
-"""Distances beyond this are 0 in the normalised form, metres."""
-NODE_LIMIT = 20_000
-"""Cliques that a search visits per step at most, by default."""
+TTC_CAP_S = 20.0  #: Times to contact are capped here, seconds.
+DISTANCE_CAP_M = 20.0  #: Distances beyond this are 0 in the normalised form, metres.
+NODE_LIMIT = 20_000  #: Cliques that a search visits per step at most, by default.
+#: Agents are joined in the causal graph up to this time to contact, s, and distance, m.
 GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
-"""Agents are joined in the causal graph up to this time to contact, s, and distance, m."""
 
 __all__ = [
     "DISTANCE_CAP_M",
@@ -217,10 +214,9 @@ def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
 class Graph:
     """The decision causal graph G."""
 
+    #: [M, M]; entry (i, j) says that j may influence i. Always true on the diagonal.
     adjacency: npt.NDArray[np.bool_]
-    """[M, M]; entry (i, j) says that j may influence i. Always true on the diagonal."""
-    sparsity: float
-    """Share of ordered pairs of different agents that are not joined."""
+    sparsity: float  #: Share of ordered pairs of different agents that are not joined.
 
 
 def graph(
@@ -256,14 +252,11 @@ def graph(
 class CliqueCounts:
     """How often agents take part in the heaviest cliques."""
 
+    #: Agent indices by falling count; equal counts in the order of first appearance.
     agents: npt.NDArray[np.int64]
-    """Agent indices by falling count; equal counts in the order of first appearance."""
-    counts: npt.NDArray[np.int64]
-    """Number of cliques that hold each of ``agents``."""
-    num_cliques: int
-    """Cliques counted over all steps."""
-    exact: bool
-    """Whether the search was completed at every step."""
+    counts: npt.NDArray[np.int64]  #: Number of cliques that hold each of ``agents``.
+    num_cliques: int  #: Cliques counted over all steps.
+    exact: bool  #: Whether the search was completed at every step.
 
 
 def _matrices(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -401,12 +394,9 @@ def rank_greedy(
 class Ranking:
     """Key agents, most important first."""
 
-    agents: list[int]
-    """Agent indices, no repeats."""
-    num_named: int
-    """How many of them the ranker named; the rest was filled up."""
-    exact: bool
-    """False where a clique search was cut short by its limit."""
+    agents: list[int]  #: Agent indices, no repeats.
+    num_named: int  #: How many of them the ranker named; the rest was filled up.
+    exact: bool  #: False where a clique search was cut short by its limit.
 
 
 def rank(

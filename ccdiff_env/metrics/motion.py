@@ -14,27 +14,26 @@ from ccdiff_env.errors import SceneError, ShapeError
 
 Variant = Literal["all", "controlled", "new", "controlled_new"]
 
+#: What a collision rate can count: every contact; those that involve a controlled agent; those of
+#: pairs that touch neither at the first step nor in the log at the same step; both.
 VARIANTS: tuple[Variant, ...] = ("all", "controlled", "new", "controlled_new")
-"""What a collision rate can count: every contact; those that involve a controlled agent; those of
-pairs that touch neither at the first step nor in the log at the same step; both."""
 
 
 @dataclass(frozen=True)
 class Collisions:
     """All contacts of one scene."""
 
+    #: [N, 3]: step and the two agents, the smaller index first; by step, then agents.
     contacts: npt.NDArray[np.int64]
-    """[N, 3]: step and the two agents, the smaller index first; by step, then agents."""
-    controlled: npt.NDArray[np.bool_]
-    """[N]: whether the contact involves a controlled agent."""
+    controlled: npt.NDArray[np.bool_]  #: [N]: whether the contact involves a controlled agent.
+    #: [N]: whether the pair touches neither at the first step nor in the log at this step.
     new: npt.NDArray[np.bool_]
-    """[N]: whether the pair touches neither at the first step nor in the log at this step."""
+    #: Side on which every agent is hit at its first contact: "front", "rear" or "side".
     first_kind: list[str | None]
-    """Side on which every agent is hit at its first contact: "front", "rear" or "side"."""
+    #: [A] per variant: whether an agent is ever in a contact that counts.
     agents: Mapping[Variant, npt.NDArray[np.bool_]]
-    """[A] per variant: whether an agent is ever in a contact that counts."""
+    #: Share of the agents that are ever there that collide, per variant.
     agent_rate: Mapping[Variant, float]
-    """Share of the agents that are ever there that collide, per variant."""
 
     def any(self, variant: Variant = "all") -> bool:
         """Tell whether any contact counts: the scene's entry in the scene collision rate (SCR)."""
@@ -57,27 +56,23 @@ class Collisions:
 class OffRoad:
     """Where agents are off the drivable area, and how often."""
 
+    #: [A, T]: whether the centre is outside; false for absent agents.
     centroid: npt.NDArray[np.bool_]
-    """[A, T]: whether the centre is outside; false for absent agents."""
-    box: npt.NDArray[np.bool_]
-    """[A, T]: whether a corner of the box is outside."""
+    box: npt.NDArray[np.bool_]  #: [A, T]: whether a corner of the box is outside.
+    #: Share of the present entries with the centre outside: the off-road rate (ORR).
     centroid_rate: float
-    """Share of the present entries with the centre outside: the off-road rate (ORR)."""
-    box_rate: float
-    """The same for boxes."""
+    box_rate: float  #: The same for boxes.
+    #: The centre variant where agents that vanish between two plans count as outside until the
+    #: next.
     reference_impl_rate: float
-    """The centre variant where agents that vanish between two plans count as outside until the
-    next."""
 
 
 @dataclass(frozen=True)
 class Displacement:
     """Errors against the log, metres; NaN for agents that are never there together."""
 
-    ade: npt.NDArray[np.float64]
-    """[A]: mean over the common steps."""
-    fde: npt.NDArray[np.float64]
-    """[A]: at the last common step."""
+    ade: npt.NDArray[np.float64]  #: [A]: mean over the common steps.
+    fde: npt.NDArray[np.float64]  #: [A]: at the last common step.
 
     def mean(self, counted: npt.ArrayLike | None = None) -> tuple[float, float]:
         """Return mean ADE and FDE over the agents of a mask [A] (all if absent), NaN if none has

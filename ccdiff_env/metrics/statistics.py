@@ -11,13 +11,13 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, ShapeError
 
+#: Bounds over the paper's six methods and eleven columns: :func:`scores` on the paper's scale.
 PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
     "scr": (0.31, 0.58),
     "orr": (0.51, 12.21),
     "fde": (3.20, 15.00),
     "cfd": (1.88, 11.65),
 }
-"""Bounds over the paper's six methods and eleven columns: :func:`scores` on the paper's scale."""
 
 
 def speed_limit(speed: npt.ArrayLike) -> float:
@@ -42,14 +42,10 @@ def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.f
 class ComfortDistance:
     """Earth mover's distances of comfort histograms, not scaled."""
 
-    longitudinal: float
-    """Of longitudinal acceleration, m/s2."""
-    lateral: float
-    """Of lateral acceleration, m/s2."""
-    jerk: float
-    """Of jerk, m/s3."""
-    cfd: float
-    """Their mean, the comfort distance. The paper's figures are near 100 times this."""
+    longitudinal: float  #: Of longitudinal acceleration, m/s2.
+    lateral: float  #: Of lateral acceleration, m/s2.
+    jerk: float  #: Of jerk, m/s3.
+    cfd: float  #: Their mean, the comfort distance. The paper's figures are near 100 times this.
 
 
 def comfort_distance(one: npt.ArrayLike, other: npt.ArrayLike) -> ComfortDistance:

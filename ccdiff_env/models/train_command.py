@@ -13,8 +13,7 @@ from ccdiff_env.scenes.sources import SOURCES, coverage, load, title
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import KINDS, NETWORKS
 
-#: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a
-#: town.
+#: Places on a route that a network sees, metres ahead: as far as a plan of 5 s may lead in a town.
 ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 
 

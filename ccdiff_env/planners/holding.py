@@ -40,8 +40,7 @@ class Held:
         """Return the present actions; ``decide`` makes them where a decision is due.
 
         It makes those of all worlds, for products of matrices round with the number of rows, and is
-        told which are due [E].
-        ``active`` are the worlds [E] that go on, all by default.
+        told which are due [E]. ``active`` are the worlds [E] that go on, all by default.
         """
         num_worlds, native = self._worlds.num_worlds, self._worlds.native
         due = np.ones(num_worlds, np.bool_) if active is None else active

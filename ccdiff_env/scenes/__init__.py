@@ -195,9 +195,8 @@ def warn_without_road(scenes: SceneSet) -> None:
 def splits() -> dict[str, tuple[str, ...]]:
     """Return the scene names of every split.
 
-    ``train`` (500) and ``train_val`` (200) are the two parts of the devkit's 700 training
-    scenes, as
-    the prediction challenge and trajdata divide them; ``val`` (150), ``mini_train`` (8) and
+    ``train`` (500) and ``train_val`` (200) are the two parts of the devkit's 700 training scenes,
+    as the prediction challenge and trajdata divide them; ``val`` (150), ``mini_train`` (8) and
     ``mini_val`` (2) are the devkit's; ``ccdiff100`` are the 100 validation scenes that the CCDiff
     paper evaluates on.
     """

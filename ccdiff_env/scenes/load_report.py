@@ -12,115 +12,81 @@ from typing import Any
 class Dropped:
     """Tracks that were left out for one reason."""
 
-    reason: str
-    """Why."""
-    category: str
-    """Category of the data set."""
-    tracks: int
-    """Number of tracks."""
-    annotations: int
-    """Number of annotations in them."""
+    reason: str  #: Why.
+    category: str  #: Category of the data set.
+    tracks: int  #: Number of tracks.
+    annotations: int  #: Number of annotations in them.
 
 
 @dataclass(frozen=True)
 class SceneReport:
     """What became of one scene."""
 
-    name: str
-    """Name of the scene."""
-    key_frames: int
-    """Key frames of the data set."""
-    tracks: dict[str, int]
-    """Tracks kept per category, the ego included."""
-    annotations: int
-    """Annotations in the tracks kept, the ego's poses not counted."""
-    dropped: tuple[Dropped, ...]
-    """Tracks left out."""
+    name: str  #: Name of the scene.
+    key_frames: int  #: Key frames of the data set.
+    tracks: dict[str, int]  #: Tracks kept per category, the ego included.
+    annotations: int  #: Annotations in the tracks kept, the ego's poses not counted.
+    dropped: tuple[Dropped, ...]  #: Tracks left out.
+    #: Gaps inside tracks, of up to two seconds, that were filled by interpolation.
     filled_gaps: int
-    """Gaps inside tracks, of up to two seconds, that were filled by interpolation."""
-    filled_key_frames: int
-    """Key frames in those gaps; steps where the data set has no key frames."""
-    absences: int
-    """Longer gaps: the agent is away meanwhile."""
+    filled_key_frames: int  #: Key frames in those gaps; steps where the data set has no key frames.
+    absences: int  #: Longer gaps: the agent is away meanwhile.
+    #: Sensor channel of the ego poses; ``None`` where the scene has no ego.
     ego_channel: str | None
-    """Sensor channel of the ego poses; ``None`` where the scene has no ego."""
+    #: How the area where vehicles may drive was had: ``"given"``, from ``"edges"`` or ``"lanes"``;
+    #: ``"none"``: nothing is ever off the road.
     road: str
-    """How the area where vehicles may drive was had: ``"given"``, from ``"edges"`` or ``"lanes"``;
-    ``"none"``: nothing is ever off the road."""
-    map_layers: dict[str, int]
-    """Elements per map layer round the scene."""
-    map_bytes: int
-    """Size of the scene's map, bytes."""
-    notes: tuple[str, ...]
-    """Anything else worth knowing."""
+    map_layers: dict[str, int]  #: Elements per map layer round the scene.
+    map_bytes: int  #: Size of the scene's map, bytes.
+    notes: tuple[str, ...]  #: Anything else worth knowing.
 
 
 @dataclass(frozen=True)
 class MapReport:
     """What one location's map file holds."""
 
-    location: str
-    """Location."""
-    layers: dict[str, int]
-    """Elements per layer in the whole file."""
-    notes: tuple[str, ...]
-    """Elements that could not be used, and why."""
+    location: str  #: Location.
+    layers: dict[str, int]  #: Elements per layer in the whole file.
+    notes: tuple[str, ...]  #: Elements that could not be used, and why.
 
 
 @dataclass(frozen=True)
 class CacheReport:
     """What the cache of built scenes did."""
 
-    directory: str | None
-    """Folder; ``None`` where the cache is off."""
-    hits: int
-    """Scenes taken from the cache."""
-    built: int
-    """Scenes built from files."""
-    files_hashed: int
-    """Files whose contents were hashed because they are new or have changed."""
+    directory: str | None  #: Folder; ``None`` where the cache is off.
+    hits: int  #: Scenes taken from the cache.
+    built: int  #: Scenes built from files.
+    files_hashed: int  #: Files whose contents were hashed because they are new or have changed.
+    #: Damaged files that were built again, folders that could not be written.
     notes: tuple[str, ...]
-    """Damaged files that were built again, folders that could not be written."""
 
 
 @dataclass(frozen=True)
 class Timing:
     """Where the time went, seconds."""
 
-    hash_s: float
-    """Finding out whether files have changed."""
-    cache_s: float
-    """Reading scenes from the cache."""
-    read_s: float
-    """Reading tables and maps."""
-    build_s: float
-    """Building scenes and writing them to the cache."""
-    total_s: float
-    """All of it."""
+    hash_s: float  #: Finding out whether files have changed.
+    cache_s: float  #: Reading scenes from the cache.
+    read_s: float  #: Reading tables and maps.
+    build_s: float  #: Building scenes and writing them to the cache.
+    total_s: float  #: All of it.
 
 
 @dataclass(frozen=True)
 class LoadReport:
     """Everything a load has to say; ``print`` shows it as a table."""
 
-    dataroot: str
-    """Root of the data set, or the file."""
-    version: str
-    """Version of the data set."""
-    scenes: tuple[SceneReport, ...]
-    """One entry per scene, in the order of the scenes."""
-    missing: tuple[str, ...]
-    """Scenes of the split that the data set does not have."""
-    empty: tuple[str, ...]
-    """Scenes that have no agent to show and were left out."""
-    missing_maps: tuple[str, ...]
-    """Locations without a map file; their scenes have an empty map."""
+    dataroot: str  #: Root of the data set, or the file.
+    version: str  #: Version of the data set.
+    scenes: tuple[SceneReport, ...]  #: One entry per scene, in the order of the scenes.
+    missing: tuple[str, ...]  #: Scenes of the split that the data set does not have.
+    empty: tuple[str, ...]  #: Scenes that have no agent to show and were left out.
+    missing_maps: tuple[str, ...]  #: Locations without a map file; their scenes have an empty map.
+    #: Map files that were read; none where all scenes came from the cache.
     maps: tuple[MapReport, ...]
-    """Map files that were read; none where all scenes came from the cache."""
-    cache: CacheReport
-    """What the cache did."""
-    timing: Timing
-    """Where the time went."""
+    cache: CacheReport  #: What the cache did.
+    timing: Timing  #: Where the time went.
 
     @classmethod
     def blank(cls) -> LoadReport:

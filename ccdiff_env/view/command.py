@@ -54,8 +54,7 @@ class Titled:
 
     rollout: Rollout
     title: str
-    shared: str = ""
-    """What is so of all runs that were played together."""
+    shared: str = ""  #: What is so of all runs that were played together.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 
-TTC_CAP_S = 10.0
-"""Pairs that meet later than this are left out."""
+TTC_CAP_S = 10.0  #: Pairs that meet later than this are left out.
 MOVING_MPS = 0.5
 
 

@@ -28,15 +28,12 @@ THUMBNAIL = (480, 300)
 class Entry:
     """One replay of an index."""
 
-    href: str
-    """Address of its page, relative to the index, at the moment that matters."""
+    href: str  #: Address of its page, relative to the index, at the moment that matters.
     title: str
     line: str
     outcome: Outcome
-    images: tuple[str, ...]
-    """Data addresses of the thumbnail on light and on dark ground."""
-    beside: str = ""
-    """What became of the run beside it."""
+    images: tuple[str, ...]  #: Data addresses of the thumbnail on light and on dark ground.
+    beside: str = ""  #: What became of the run beside it.
 
 
 def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:

@@ -14,12 +14,9 @@ from ccdiff_env.system.terminal import counted
 
 __all__ = ["install"]
 
-HEIGHT = 560
-"""Of the frame that a replay is shown in, pixels."""
-HEADS = ("scene", "location", "seconds", "agents", "vehicles")
-"""Of tables of scenes."""
-ROWS = 30
-"""Scenes of a set that are listed, at most."""
+HEIGHT = 560  #: Of the frame that a replay is shown in, pixels.
+HEADS = ("scene", "location", "seconds", "agents", "vehicles")  #: Of tables of scenes.
+ROWS = 30  #: Scenes of a set that are listed, at most.
 
 
 def install() -> None:

@@ -16,17 +16,13 @@ from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, 
 Lane = Literal["ego", "guided", "others"]
 Tone = Literal["bad", "good", "plain"]
 
-PARKED_MPS = 0.5
-"""A vehicle whose log never exceeds this speed is parked."""
-STATIONARY_MPS = 0.1
-"""Who is slower when boxes meet did not drive into anybody."""
-LEAD_S = 2.0
-"""Replays open so long before what they open for."""
+PARKED_MPS = 0.5  #: A vehicle whose log never exceeds this speed is parked.
+STATIONARY_MPS = 0.1  #: Who is slower when boxes meet did not drive into anybody.
+LEAD_S = 2.0  #: Replays open so long before what they open for.
+#: A vehicle that leaves the road where its log does so within this time is not worth a flag.
 NEAR_S = 1.0
-"""A vehicle that leaves the road where its log does so within this time is not worth a flag."""
 ENDS = ("goal", "time_limit")
-WAITED_M = 2.0
-"""An ego that moves less than this, as its log does, waited."""
+WAITED_M = 2.0  #: An ego that moves less than this, as its log does, waited.
 #: What is said of collisions.
 COLLISIONS = {
     "collision_front": "{one} {went} into {other}",

@@ -38,10 +38,8 @@ LENGTH_STEP_M = 0.01
 ANGLE_STEP_RAD = 1e-4
 SPEED_STEP_MPS = 0.01
 TTC_STEP_S = 0.05
-PLAN_SPACING_S = 0.4
-"""Time between the points of planned samples, at least."""
-PLAN_SAMPLES = 12
-"""Samples kept of a plan, at most; the selected one is always kept."""
+PLAN_SPACING_S = 0.4  #: Time between the points of planned samples, at least.
+PLAN_SAMPLES = 12  #: Samples kept of a plan, at most; the selected one is always kept.
 
 _AREAS = {
     "drivable": "drivable_area",

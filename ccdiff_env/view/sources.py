@@ -17,10 +17,8 @@ from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view.contacts import overlaps
 from ccdiff_env.view.link import is_drive, play_drive
 
-SAMPLES = 8
-"""Samples per plan of CCDiff in episodes that are played for a page."""
-LOG = "log"
-"""Stands for the log of the scene of the other run."""
+SAMPLES = 8  #: Samples per plan of CCDiff in episodes that are played for a page.
+LOG = "log"  #: Stands for the log of the scene of the other run.
 
 
 def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:

@@ -17,12 +17,9 @@ from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.render import LOOK
 
-GAP = 6
-"""Pixels between videos side by side."""
-HOLD_S = 1.6
-"""The last image stays so long: the verdict can be read."""
-FPS = {".gif": 10.0, ".mp4": 30.0}
-"""Images per second by suffix."""
+GAP = 6  #: Pixels between videos side by side.
+HOLD_S = 1.6  #: The last image stays so long: the verdict can be read.
+FPS = {".gif": 10.0, ".mp4": 30.0}  #: Images per second by suffix.
 
 
 class Video:
