@@ -1,4 +1,4 @@
-"""Actions held for several steps, against the user's own loop over single steps, bit for bit."""
+"""Actions held for several steps, against loops over single steps; assisted ones."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import pytest
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.planners.steering import Steering
+from ccdiff_env.record.counterfactual import avoidability
 
 #: Together, so that the figures of a decision have something to keep.
 GOES_ON = {"on_collision": "stop", "on_off_road": "ignore", "terminate_at_goal": False}
@@ -124,3 +126,105 @@ def test_what_counts_steps_refuses_decisions(scenes):
 def test_max_cycles_counts_decisions(scenes):
     game = ccdiff_env.parallel_env(scenes=scenes, agents=2, max_cycles=4, decision_steps=5)
     assert (game.max_cycles, game.worlds.config.horizon_steps) == (4, 20)
+
+
+def driven(env, action, steps=60):
+    """Info columns of the steps of an episode [T], by name."""
+    rows = []
+    for _ in range(steps):
+        _, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
+        rows.append(info)
+        if terminated or truncated:
+            break
+    return {name: np.array([row[name] for row in rows]) for name in env.worlds.column_names}
+
+
+@pytest.mark.parametrize("traffic", ["replay", "idm"])
+def test_zero_is_idm_on_the_route(traffic, scenes):
+    options = {"scenes": scenes, "traffic": traffic, "on_collision": "ignore"}
+    assisted = EgoEnv(dynamics="assisted", **options)
+    idm = EgoEnv(driver="idm", **options)
+    apart = []
+    for i in range(len(scenes)):
+        assisted.reset(seed=i, options={"scene": i})
+        idm.reset(seed=i, options={"scene": i})
+        ours, theirs = driven(assisted, [0, 0]), driven(idm, [0, 0])
+        steps = min(len(ours["speed"]), len(theirs["speed"]))
+        # the release of the brake is softer than IDM's
+        apart += np.abs(ours["speed"][:steps] - theirs["speed"][:steps]).tolist()
+        assert np.abs(ours["route_distance"]).max() < 1.0
+    assert np.median(apart) < 0.1
+    assert np.quantile(apart, 0.9) < 1.5
+
+
+def test_the_second_column_is_a_distance_from_the_route(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted", on_collision="ignore", on_off_road="ignore")
+    reached = 0
+    for i in range(len(scenes)):
+        for side in (-1.0, 1.0):
+            env.reset(seed=i, options={"scene": i})
+            figures = driven(env, [0, side])
+            if len(figures["speed"]) < 50 or figures["speed"].min() < 3.0:
+                continue
+            reached += 1
+            assert abs(figures["route_distance"][-1] - 1.5 * side) < 0.3
+            assert np.abs(figures["route_distance"]).max() < 1.9
+    assert reached > 2
+
+
+def test_the_first_column_changes_idms_acceleration_within_the_jerk(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted", on_collision="ignore")
+    braked = 0
+    for i in range(len(scenes)):
+        env.reset(seed=i, options={"scene": i})
+        figures = driven(env, [-0.5, 0], 12)
+        moving = figures["speed"] > 0.0
+        braked += figures["acceleration"][moving].min(initial=0.0) < -1.4
+        env.reset(seed=i, options={"scene": i})
+        faster = driven(env, [1, 0], 40)
+        assert faster["acceleration"].max() <= 2.4 + 1e-3
+        rolling = faster["speed"] > 0.1  # a stop ends the braking at once
+        assert faster["jerk"][rolling].max(initial=0.0) <= 8.0 + 0.1
+    assert braked > len(scenes) // 2
+
+
+@pytest.mark.parametrize("base", ["idm", "pdm"])
+def test_the_bases_jerk_is_held_outside_emergencies(base, scenes):
+    asked = {"scenes": scenes, "traffic": "idm", "on_collision": "ignore"}
+
+    def accelerations(action=0.0, **limits):
+        env, driven_scenes = EgoEnv(dynamics={"assisted": {"base": base} | limits}, **asked), []
+        for i in range(len(scenes)):
+            env.reset(seed=i, options={"scene": i})
+            driven_scenes.append(driven(env, [action, 0]))
+        return driven_scenes
+
+    def changes(episode, added_mps2=0.0):
+        """Per step of 0.1 s, while rolling, but for emergencies: the base brakes by 4.05 m/s²."""
+        a, rolling = episode["acceleration"], episode["speed"] > 0
+        return np.diff(a)[rolling[1:] & (np.minimum(a[1:], a[:-1]) > added_mps2 - 4.0)]
+
+    free = accelerations()
+    for episode, beyond in zip(free, accelerations(base_jerk_mps3=105.0), strict=True):
+        # from 2.4 to -8 m/s² in a step is 104 m/s³: the default of 1000 holds nothing
+        assert np.array_equal(episode["acceleration"], beyond["acceleration"])
+    assert max(np.abs(changes(episode)).max() for episode in free) > 0.3
+    for action, added_mps2 in ((0.0, 0.0), (0.1, 0.2)):
+        for episode in accelerations(action, base_jerk_mps3=2.0):
+            assert np.abs(changes(episode, added_mps2) - added_mps2).max() <= 2.0 * 0.1 + 1e-4
+
+
+def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
+    env = EgoEnv(scenes=scenes, dynamics="assisted")
+    env.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"action\.dynamics"):
+        env.expert_action()
+
+
+def test_plans_are_changes_of_idm_and_distances_from_the_route(scenes):
+    env = EgoEnv(scenes=scenes, dynamics={"assisted": {"delta_mps2": (-6.0, 2.0)}})
+    env.reset(seed=0)
+    steering = Steering(env.worlds)
+    for plan, action in (((0.0, 0.0), (0.0, 0.0)), ((-3.0, 0.75), (-0.5, 0.5)), ((9, -9), (1, -1))):
+        assert steering.action(0, None, 0, *plan).tolist() == list(action)
+    assert avoidability(env, num_samples=1).avoidable, "IDM"

@@ -8,17 +8,19 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from sb3_contrib import RecurrentPPO
+import torch
+from sb3_contrib import MaskablePPO, RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env import WorldConfig
+from ccdiff_env import AdversarySelectionVectorEnv, EgoVectorEnv, WorldConfig
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import BicycleLimits, ObservationConfig
-from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
+from ccdiff_env.envs.sb3 import SB3VecEnv, SelectionSB3VecEnv, save_policy
+from ccdiff_env.envs.selection_policy import CandidatePolicy
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners import SHIPPED
 from ccdiff_env.planners.built_in import BUILT_IN, load_sb3
@@ -330,3 +332,49 @@ def test_policies_that_say_nothing_are_refused(scenes, tmp_path):
     model.save(tmp_path / "old.zip")
     with pytest.raises(ConfigError, match=r"old\.zip does not say what it was trained in"):
         load_sb3(tmp_path / "old.zip")
+
+
+QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}
+
+
+@pytest.fixture
+def worlds(scenes):
+    env = EgoVectorEnv(2, scenes=scenes)
+    yield env
+    env.close()
+
+
+def test_torch_has_one_thread_unless_told_otherwise(worlds):
+    before = torch.get_num_threads()
+    try:
+        for threads, found in ((3, 3), (None, 3), (1, 1)):
+            SB3VecEnv(worlds, torch_threads=threads)
+            assert torch.get_num_threads() == found
+        torch.set_num_threads(3)
+        SB3VecEnv(worlds)
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_candidates_are_scored_alike_wherever_they_stand(scenes):
+    native = AdversarySelectionVectorEnv(4, scenes=scenes, max_candidates=6, **QUICK)
+    env = SelectionSB3VecEnv(native)
+    model = MaskablePPO(CandidatePolicy, env, n_steps=8, batch_size=16, n_epochs=1, seed=0)
+    model.learn(32)
+    obs = env.reset()
+    masks = np.stack(env.env_method("action_masks"))
+
+    def shares(obs, masks):
+        tensors, _ = model.policy.obs_to_tensor(obs)
+        found = model.policy.get_distribution(tensors, action_masks=masks)
+        return found.distribution.probs.detach().numpy()
+
+    before = shares(obs, masks)
+    assert (before[masks == 0] == 0.0).all()
+    np.testing.assert_allclose(before.sum(1), 1.0, rtol=1e-5)
+    order = np.random.default_rng(0).permutation(6)
+    moves = np.append((3 * order[:, None] + np.arange(3)).ravel(), 18)
+    after = shares(obs[:, order], masks[:, moves])
+    np.testing.assert_allclose(after, before[:, moves], atol=1e-6)
+    env.close()

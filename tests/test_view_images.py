@@ -1,20 +1,24 @@
-"""Images and videos of rollouts: colours, names and marks against the rollout and the page."""
+"""Rollouts in images, words and notebooks: colours, names, marks, the fate of the ego."""
 
 from __future__ import annotations
 
+import html
 import re
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from browser_page import Page
-from test_view import elements, unpacked
-from view_rollouts import plan_of, planned_rollout
+from test_view import elements, shown_events, unpacked
+from view_rollouts import NUM_STEPS, plan_of, planned_rollout
 
 from ccdiff_env import embedded_scenes
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes import SceneSet, with_tracks
 from ccdiff_env.view import log_rollout, page_html, render, write_page
+from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.video import Video
 
 
@@ -210,3 +214,132 @@ def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
     video = Video(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
     seen = [bool((video.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
     assert seen == [True, False]
+
+
+def test_whoever_follows_the_log_into_what_stands_is_no_deed_of_traffic():
+    run = planned_rollout()
+    kinds, ids = run.scene.agent_types, run.agent_ids
+    walker = next(i for i, kind in enumerate(kinds) if kind != "static" and i > 2)
+    velocity = run.velocity.copy()
+    event = RolloutEvent(20, ids[walker], ids[2], "collision_front")
+    shown = shown_events(replace(run, velocity=velocity, events=(event,)))
+    assert (shown[0]["kind"], shown[0]["lane"]) == ("collision", "guided")
+    velocity[2, 19] = 0.0
+    shown = shown_events(replace(run, velocity=velocity, events=(event,)))
+    assert (shown[0]["kind"], shown[0]["lane"]) == ("overlap", "others")
+    assert outcome(replace(run, velocity=velocity, events=(event,))).others == 0
+
+
+def test_an_ego_that_waits_as_its_log_does_is_not_late():
+    run = planned_rollout()
+    tracks = {name: values.copy() for name, values in run.scene.tracks().items()}
+    tracks["position"][0] = tracks["position"][0, :1]
+    waiting = replace(
+        run,
+        scene=with_tracks(run.scene, tracks),
+        position=np.concatenate([tracks["position"][:1, :NUM_STEPS], run.position[1:]]),
+        events=(RolloutEvent(NUM_STEPS - 1, "ego", None, "time_limit"),),
+    )
+    assert outcome(waiting).text == "ego waited, as in its log"
+    assert shown_events(waiting)[0]["text"] == "ego waited, as in its log"
+
+
+def test_who_stands_does_not_drive_into_anybody():
+    run = planned_rollout()
+    velocity = run.velocity.copy()
+    velocity[0, 29] = 0.0
+    events = (RolloutEvent(30, "ego", run.agent_ids[1], "collision_front", False),)
+    shown = shown_events(replace(run, velocity=velocity, events=events))
+    said = r"ego had stopped and was hit in front by 1 \(\w+\), not at fault"
+    assert re.fullmatch(said, shown[0]["text"])
+
+
+@pytest.mark.parametrize(
+    ("kinds", "tone", "text"),
+    [
+        ([(20, "goal")], "good", "ego reached its goal at 2.0 s"),
+        ([(13, "off_road")], "bad", "ego left the road at 1.3 s"),
+        ([(80, "time_limit")], "plain", "ego not at its goal in 8.0 s"),
+        ([], "plain", "ego drove 8.0 s, hit nobody"),
+        ([(13, "off_road"), (40, "goal")], "bad", "ego left the road at 1.3 s, reached its goal"),
+        ([(13, "goal"), (40, "off_road")], "good", "ego reached its goal at 1.3 s"),
+    ],
+)
+def test_the_outcome_says_what_became_of_the_ego(kinds, tone, text):
+    events = tuple(RolloutEvent(step, "ego", None, kind) for step, kind in kinds)
+    found = outcome(replace(planned_rollout(), events=events))
+    assert (found.tone, found.text, found.others) == (tone, text, 0)
+
+
+def test_a_collision_of_the_ego_is_told_apart_from_those_of_others():
+    run = planned_rollout()
+    ids = run.agent_ids
+    events = (
+        RolloutEvent(9, ids[1], ids[2], "collision_front"),
+        RolloutEvent(9, ids[2], ids[1], "collision_rear"),
+        RolloutEvent(50, "ego", ids[2], "collision_rear", False),
+    )
+    found = outcome(replace(run, events=events))
+    assert re.fullmatch(r"ego hit from behind by 2 \(\w+\) at 5.0 s, not at fault", found.text)
+    assert (found.tone, found.others, found.opening_s) == ("bad", 1, pytest.approx(3.0))
+    assert found.line.endswith("others: 1 collision")
+    assert outcome(log_rollout(run.scene)).text == "as recorded"
+
+
+def test_a_rollout_is_its_page_in_a_frame_without_rights():
+    text = planned_rollout()._repr_html_()
+    head = r'<iframe sandbox="allow-scripts" title="[^"]*" style="[^"]*" '
+    found = re.fullmatch(head + r'srcdoc="([^"]*)"></iframe>', text)
+    assert html.unescape(found[1]) == page_html(planned_rollout())
+    assert repr(planned_rollout()).startswith("Rollout(left-turn-00, 81 steps of 0.1 s")
+    assert len(repr(planned_rollout())) < 120
+
+
+def test_the_frame_shows_a_canvas(browser, tmp_path):
+    (tmp_path / "note.html").write_text(planned_rollout()._repr_html_(), encoding="utf-8")
+    page = browser.new_page(reduced_motion="reduce")
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto((tmp_path / "note.html").as_uri())
+    frame = page.frame_locator("iframe")
+    frame.locator("body[data-ready=yes]").wait_for()
+    assert frame.locator("canvas.map").bounding_box()["width"] > 300
+    frame.locator("#layer-graph").click()
+    page.wait_for_timeout(700)  # the address that it may not change
+    assert faults == []
+    page.close()
+
+
+def test_scenes_and_sets_are_an_image_and_a_table():
+    scenes = embedded_scenes()
+    text = scenes["left-turn-00"]._repr_html_()
+    assert text.startswith('<img src="data:image/png;base64,')
+    assert "left-turn-00 · ccdiff-town" in text
+    table = scenes._repr_html_()
+    assert table.count("ccdiff-town") == 30
+    assert f"and {len(scenes) - 30} more" in table
+    assert SceneSet([])._repr_html_().startswith("<pre>0 scenes")
+
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "examples/notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_is_kept_without_outputs(path, tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    monkeypatch.setenv("PYTHONPATH", str(path.parents[2]))
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert not cell.outputs
+            assert cell.execution_count is None
+            # smaller where a line says so: "STEPS = 300_000  # in tests: 2048"
+            cell.source = re.sub(r"= [\d_]+  # in tests: (\d+)", r"= \1", cell.source)
+    resources = {"metadata": {"path": str(tmp_path)}}
+    nbclient.NotebookClient(
+        notebook, timeout=280, kernel_name="python3", resources=resources
+    ).execute()
+    assert any(cell.get("outputs") for cell in notebook.cells)
