@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import html
 import json
-import re
-import shlex
 from html.parser import HTMLParser
 
 import pytest
@@ -19,7 +16,6 @@ from ccdiff_env.bench.plots import styles_of
 from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
 from ccdiff_env.bench.traffic_report import Condition, choose_examples, examples_tables
 from ccdiff_env.system.table import document
-from ccdiff_env_cli import parse
 
 VAL = "embedded/val"
 
@@ -101,15 +97,6 @@ def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(pla
     assert (folder / "table.md").read_text(encoding="utf-8").count("](replays/") == 4
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "made by <code>" in page
-    # a heat map of each planner: cells lead to their replay, or say the command that plays it
-    assert page.count('<table class="heat">') == 2
-    cells = re.findall(r'<td style="--v:[0-9.]+" title="([^"]*)">(.*?)</td>', page)
-    assert len(cells) == 2 * 2 * 4
-    assert sum("replays/" in cell for _, cell in cells) == 4
-    for said, _ in cells:
-        words = shlex.split(html.unescape(said).partition("; ")[2])
-        assert words[:2] == ["ccdiff-env", "view"]
-        parse(words[1:])
     assert cli.main(command) == 0
     assert "differ" not in capsys.readouterr().out
 
@@ -239,7 +226,7 @@ def test_recording_traffic_changes_nothing():
 def test_examples_are_guided_scenes_with_realistic_collisions_first():
     def row(scene, hit, cost):
         return {
-            "scene": scene, "collision": {"controlled_new": hit}, "realism_cost": cost,
+            "job": "j", "scene": scene, "collision": {"controlled_new": hit}, "realism_cost": cost,
             "shift_sigmas": cost and 4.0 * cost, "fde_m": 1.0, "off_road": 0.0,
         }  # fmt: skip
 
@@ -252,7 +239,7 @@ def test_examples_are_guided_scenes_with_realistic_collisions_first():
     assert [(c.method, c.k, r["scene"]) for c, r in chosen] == [
         ("ccdiff", "4", "c"), ("ccdiff", "4", "b"), ("ccdiff", "4", "a"),
     ]  # fmt: skip
-    pages = {(c, r["scene"]): f"replays/{r['scene']}.html" for c, r in chosen}
+    pages = {("j", r["scene"]): f"replays/{r['scene']}.html" for _, r in chosen}
     text = document(*examples_tables(chosen, pages))
     assert "| [c](replays/c.html) | yes | 0.40 | 1.60 | 1.0 | 0.0 |" in text
 

@@ -14,18 +14,6 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments
 
-__all__ = [
-    "PLANNERS",
-    "add_methods",
-    "add_replays",
-    "add_run_arguments",
-    "add_traffic",
-    "add_weights",
-    "counts",
-    "replan_steps",
-    "seeds_of",
-]
-
 T = TypeVar("T")
 #: Help of an option that names planners.
 PLANNERS = f"comma-separated, of: {EGO_HELP.partition('of: ')[2]}"

@@ -21,8 +21,6 @@ from ccdiff_env.bench.run import Run
 from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
 
-__all__ = ["add_arguments"]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks to the verb ``bench``."""
@@ -85,16 +83,8 @@ def _traffic(args: argparse.Namespace) -> int:
     by_condition = report.conditions(episodes)
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: report.summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
-    names = ("method", "num_controlled", "replan_steps")
-    job_of = {
-        (report.Condition(*(job.arguments[name] for name in names)), scene): job
-        for job in jobs
-        for scene in job.arguments["names"]
-    }
     chosen = report.choose_examples(by_condition, args.replays)
-    pages = run.replays(
-        {(c, row["scene"]): (job_of[c, row["scene"]], row["scene"]) for c, row in chosen}
-    )
+    pages = run.replays(row for _, row in chosen)
     return run.report(
         "Traffic",
         {
@@ -159,25 +149,16 @@ def _scenarios(args: argparse.Namespace) -> int:
     driving = cross_jobs(sets, planners, seed=args.seed)
     rows = report.cross_rows(sets, run.episodes(driving, "generator", "planner"))
     avoidable = grouped((row for row in rows if row["avoidable"]), "planner", "generator")
-    job_of = {
-        (job.arguments["planner"], job.arguments["generator"], scene): job
-        for job in driving
-        for scene in job.arguments.get("files", ())
-    }
-    pages = run.replays(
-        {
-            (planner, name, row["scene"]): (job_of[planner, name, row["scene"]], row["scene"])
-            for planner in planners
-            for name, row in worst_scenes(avoidable, planner, args.replays)
-        }
-    )
+    worst = (worst_scenes(avoidable, planner, args.replays) for planner in planners)
+    pages = run.replays(row for of in worst for _, row in of)
     heads, counted = report.sets_table(sets, realism)
-    worst = worst_table(avoidable, max(args.replays, 10), pages, "made against")
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {
             "Cross matrix": report.tables(sets, realism, rows),
-            "Worst scenarios that can be avoided": worst,
+            "Worst scenarios that can be avoided": worst_table(
+                avoidable, max(args.replays, 10), pages, "made against"
+            ),
             "Collisions in the sets": report.collisions_tables(sets, run.folder, args.replays),
         },
         rows,

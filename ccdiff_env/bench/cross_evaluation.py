@@ -38,16 +38,6 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.version import __version__
 
-__all__ = [
-    "RECORDED",
-    "Realism",
-    "cross_jobs",
-    "evaluate_in_set",
-    "generation_jobs",
-    "set_folders",
-    "write_sets",
-]
-
 #: Traffic that does as recorded in a set.
 RECORDED = Traffic("as recorded", "replay")
 

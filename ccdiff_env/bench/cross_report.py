@@ -18,8 +18,6 @@ from ccdiff_env.bench.scenes import source_title
 from ccdiff_env.system.files import file_name
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
-__all__ = ["collisions_tables", "cross_rows", "figures_table", "plot", "sets_table", "tables"]
-
 Row = Mapping[str, Any]
 Sets = Mapping[str, ScenarioSet]
 #: How episodes and files name traffic that reacts to the planner, and how tables do.

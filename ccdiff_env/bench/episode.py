@@ -13,16 +13,6 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import TrafficPlan
 
-__all__ = [
-    "Episode",
-    "Relations",
-    "drivable",
-    "logged",
-    "measure",
-    "off_road",
-    "relations",
-]
-
 #: Logged steps that rankings look at, the present one left out.
 PAST_STEPS = 30
 

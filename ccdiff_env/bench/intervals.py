@@ -16,26 +16,12 @@ import numpy.typing as npt
 
 from ccdiff_env.system.table import Figure, Table, TableRows
 
-__all__ = [
-    "FEW",
-    "LEAST_SCENES",
-    "are_few",
-    "brackets",
-    "column",
-    "difference",
-    "figures",
-    "grouped",
-    "interval",
-    "mean_interval",
-    "permutation_p",
-    "scene_means",
-]
-
 F64 = npt.NDArray[np.float64]
 #: Fewest scenes for an interval, a test or a verdict.
 LEAST_SCENES = 10
 #: What reports say in place of them.
 FEW = f"Fewer than {LEAST_SCENES} scenes: no interval and no verdict."
+BRACKETS = "Brackets: 95 % bootstrap intervals over scenes."
 RESAMPLES, PERMUTATIONS = 1000, 10_000
 
 Row = Mapping[str, Any]
@@ -54,7 +40,7 @@ def are_few(rows: Iterable[Row]) -> bool:
 
 def brackets(groups: Iterable[Rows]) -> str:
     """Return the note below tables: what brackets are, or why there are none."""
-    return FEW if any(map(are_few, groups)) else "Brackets: 95 % bootstrap intervals over scenes."
+    return FEW if any(map(are_few, groups)) else BRACKETS
 
 
 def column(rows: Rows, name: str) -> F64:

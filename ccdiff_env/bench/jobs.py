@@ -19,8 +19,6 @@ from ccdiff_env.system.files import parsed_object, read_text, reading, write_asi
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
 
-__all__ = ["Job", "processor_seconds", "results", "run_jobs"]
-
 Backend = Literal["local", "ray"]
 #: What results may follow from and mostly do not; arguments that tell jobs of a kind apart.
 INDIRECT, PLACES = ("package", "weights"), ("names", "files", "lists", "seed")

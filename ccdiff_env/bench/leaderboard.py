@@ -12,8 +12,6 @@ from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.system.table import document
 from ccdiff_env.system.terminal import counted
 
-__all__ = ["leaderboard", "write_leaderboard"]
-
 
 def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
     """Write the page of :func:`leaderboard`, with links to the reports; return the tables."""

@@ -30,22 +30,6 @@ from ccdiff_env.scenes.map_queries import road_distance
 from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS
 
-__all__ = [
-    "FEATURES",
-    "GROUPS",
-    "RANK_BINS",
-    "RANK_SECONDS",
-    "WEIGHTS",
-    "Feature",
-    "box_gaps",
-    "evaluate",
-    "likelihood",
-    "likelihood_jobs",
-    "motion_features",
-    "ranks",
-    "scene_likelihoods",
-]
-
 F64 = npt.NDArray[np.float64]
 #: Steps between looks at other vehicles.
 STRIDE = 5

@@ -10,17 +10,6 @@ from typing import Any, TypeVar
 from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
-__all__ = [
-    "METHODS",
-    "OWN_RANKINGS",
-    "PAPER_METHODS",
-    "REORDERED",
-    "Method",
-    "NamedDrivers",
-    "label_of",
-    "on_device",
-]
-
 _T = TypeVar("_T")
 
 

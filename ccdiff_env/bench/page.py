@@ -11,9 +11,6 @@ from pathlib import Path
 from ccdiff_env.system.files import read_text, write_aside
 from ccdiff_env.view.page import plain_html
 
-__all__ = ["anchor", "markdown_html", "write_report_page"]
-
-
 #: What abbreviations in the reports stand for.
 TERMS = {
     "CS": "controllability score: how far collisions are reached, 0 to 1 within a table",
@@ -40,14 +37,13 @@ def write_report_page(
     line: str,
     plots: Sequence[Path],
     parts: Mapping[str, str],
-    maps: str = "",
     command: str = "",
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
     ``parts`` are Markdown by heading (see :func:`markdown_html`), empty ones are left out; the
-    first comes, up to its subheadings, before the ``plots`` (SVG) and says what was found. ``maps``
-    is HTML after them: heat maps. ``command`` made the page.
+    first comes, up to its subheadings, before the ``plots`` (SVG) and says what was found.
+    ``command`` made the page.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)
@@ -63,7 +59,6 @@ def write_report_page(
             first,
             _terms(" ".join(shown.values())),
             f'<div class="plots">{drawn}</div>' if drawn else "",
-            maps,
             rest,
             *sections[1:],
             f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",

@@ -17,8 +17,6 @@ from ccdiff_env.bench.run import Run
 from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.system.terminal import say, say_page
 
-__all__ = ["add_planner_benchmark"]
-
 #: Traffic of ``bench planners`` without a protocol.
 _USUAL_TRAFFIC = "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1"
 
@@ -70,7 +68,6 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import planner_report as report
-    from ccdiff_env.bench.heat import heat_maps
     from ccdiff_env.bench.intervals import grouped
     from ccdiff_env.bench.planners import TRAFFIC, planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
@@ -110,21 +107,8 @@ def _planners(args: argparse.Namespace) -> int:
     )
     rows = run.episodes(jobs, "planner", "traffic")
     found: report.Results = grouped(rows, "planner", "traffic")
-    job_of = {
-        (job.arguments["planner"], job.arguments["traffic"], job.arguments["seed"], scene): job
-        for job in jobs
-        for scene in job.arguments["names"]
-    }
-    pages = run.replays(
-        {
-            (planner, name, row["scene"]): (
-                job_of[planner, name, row["seed"], row["scene"]],
-                row["scene"],
-            )
-            for planner in planners
-            for name, row in report.worst_scenes(found, planner, args.replays)
-        }
-    )
+    worst = (report.worst_scenes(found, planner, args.replays) for planner in planners)
+    pages = run.replays(row for of in worst for _, row in of)
     privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
     scores = [
         report.verdict(found, planners, traffic),
@@ -149,7 +133,6 @@ def _planners(args: argparse.Namespace) -> int:
         rows,
         files,
         plot_robustness(found, criticality, report.short_name, run.folder / "robustness"),
-        maps=heat_maps(found, pages, source, {p: report.short_name(p) for p in planners}),
     )
 
 

@@ -22,23 +22,10 @@ from ccdiff_env.bench.intervals import (
 )
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.bench.replays import Pages
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import planner_title
-
-__all__ = [
-    "BASES",
-    "comparison",
-    "figures_table",
-    "headlines",
-    "pairs_table",
-    "parts_tables",
-    "short_name",
-    "summary",
-    "verdict",
-    "worst_scenes",
-    "worst_table",
-]
 
 Row = Mapping[str, Any]
 #: Episodes of every planner in every traffic: planner, traffic -> rows per scene and seed.
@@ -243,18 +230,16 @@ def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Ro
     return list(seen.values())[:count]
 
 
-def worst_table(
-    found: Results, count: int, pages: Mapping[tuple[str, str, str], str], traffic: str = "traffic"
-) -> list[Block]:
-    """Return the worst scenes of every planner, some per planner.
+def worst_table(found: Results, count: int, pages: Pages, traffic: str = "traffic") -> list[Block]:
+    """Return the worst scenes of every planner, some per planner, linked to their replays.
 
-    ``pages`` are addresses of replays by planner, traffic and scene; ``traffic`` heads that column.
+    ``traffic`` heads its column.
     """
     blocks: list[Block] = []
     for planner in dict.fromkeys(p for p, _ in found):
         rows: TableRows = []
         for name, row in worst_scenes(found, planner, count):
-            page = pages.get((planner, name, row["scene"]))
+            page = pages.get((row["job"], row["scene"]))
             if row["score"] < BAD_BELOW or page is not None:
                 kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
                 scene = row["scene"] if page is None else f"[{row['scene']}]({page})"

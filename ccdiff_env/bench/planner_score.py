@@ -20,8 +20,6 @@ import numpy.typing as npt
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["Judge", "comfort", "progress_share", "right_way", "savitzky_golay", "score_of"]
-
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]

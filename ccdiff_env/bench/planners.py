@@ -33,17 +33,6 @@ from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
 from ccdiff_env.worlds.policy_file import LEARNED
 
-__all__ = [
-    "TRAFFIC",
-    "Traffic",
-    "drive",
-    "evaluate",
-    "is_privileged",
-    "planner_jobs",
-    "play",
-    "window_of",
-]
-
 #: Steps before an episode, and those that it lasts at most, in scenes of 9.1 s as Waymo's.
 SHORT_WINDOW = {"history_steps": 10, "horizon_steps": 80}
 HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
@@ -120,18 +109,6 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
             f"ccdiff-{level:g}-{form}": _critical(level, form=form)
             for level in (1.0, 2.0)
             for form in _FORMS
-        },
-        # one vehicle at a time, found by the causal ranking or by time to contact
-        **{
-            f"ccdiff-1-k1{suffix}": Traffic(
-                f"CCDiff, criticality 1, K = 1, {found}",
-                "ccdiff",
-                {"criticality": 1.0, "num_samples": 1, "num_guided": 1, "ranking": ranking},
-            )
-            for suffix, found, ranking in (
-                ("", "causal ranking", "cliques"),
-                ("-ttc", "by time to contact", "ttc"),
-            )
         },
         "ccdiff-1-learned": replace(_chosen_by(LEARNED), label="CCDiff, a learned adversary"),
         "ccdiff-redrawn": Traffic(

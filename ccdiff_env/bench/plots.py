@@ -22,17 +22,6 @@ if TYPE_CHECKING:
 
 _P = ParamSpec("_P")
 
-__all__ = [
-    "name_ends",
-    "new_plot",
-    "plot_bars",
-    "plot_matrix",
-    "plot_robustness",
-    "plot_scores",
-    "save_plot",
-    "styles_of",
-]
-
 #: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
 OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 #: No hue tells methods apart alone.
@@ -261,10 +250,7 @@ def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> P
 def _lines(rows: Sequence[Condition]) -> list[tuple[list[Condition], list[str]]]:
     """Lines of one method: K at the shortest time between plans, then times at each K."""
     shortest = min(c.replan_steps for c in rows)
-    by_k = sorted(
-        (c for c in rows if c.replan_steps == shortest),
-        key=lambda c: np.inf if c.num_controlled is None else c.num_controlled,
-    )
+    by_k = sorted((c for c in rows if c.replan_steps == shortest), key=lambda c: c.order)
     found = [(by_k, [c.k for c in by_k])]
     for first in by_k:
         line = sorted(

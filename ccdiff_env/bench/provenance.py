@@ -25,16 +25,6 @@ from ccdiff_env.system.files import read_bytes, read_text
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.system.version import __version__
 
-__all__ = [
-    "commit",
-    "made_with",
-    "package_digest",
-    "processor",
-    "scene_hashes",
-    "sha256_of",
-    "source_digest",
-]
-
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Files of the package that show results and decide none.
 _SHOW = (

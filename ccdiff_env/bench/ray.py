@@ -7,8 +7,6 @@ from typing import TypeVar
 
 from ccdiff_env.errors import MissingFeatureError
 
-__all__ = ["results_of_tasks"]
-
 _Work = TypeVar("_Work")
 _Result = TypeVar("_Result")
 #: Times that the work of a lost worker is tried again.

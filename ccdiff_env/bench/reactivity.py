@@ -28,8 +28,6 @@ from ccdiff_env.metrics import Motion
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 
-__all__ = ["WAYS", "altered", "reactions"]
-
 WAYS = ("log", "speed", "lateral", "direction")
 LEAST_SPEED_MPS, LEAST_CHANGE_M = 2.0, 1.0
 BRAKING_MPS2, STOPPING_MPS2 = 2.0, 3.0

@@ -12,8 +12,6 @@ from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECOND
 from ccdiff_env.bench.methods import label_of
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
-__all__ = ["COLUMNS", "tables"]
-
 #: Figures that are read against those of the log replayed.
 _SHARED = ("realism", *GROUPS)
 _PLAIN = (

@@ -32,8 +32,6 @@ from ccdiff_env.system.files import (
     write_aside,
 )
 
-__all__ = ["Entry", "Record", "Result", "submit"]
-
 FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
 #: Bytes of a submission, packed and unpacked, its members, and values of all texts of a record.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -17,58 +17,40 @@ from ccdiff_env.system.files import file_name, reading
 from ccdiff_env.view import address, write_page
 from ccdiff_env.view.outcome import LEAD_S, outcome
 
-__all__ = ["make_replays", "play_again", "write_replay"]
-
 #: Folder of the pages in a run folder.
 FOLDER = "replays"
-K = TypeVar("K", bound=Hashable)
+#: Addresses of pages by the names of job and scene.
+Pages = Mapping[tuple[str, str], str]
 
 
-def make_replays(
-    wanted: Mapping[K, tuple[Job, str]], folder: Path, **run: Any
-) -> tuple[dict[K, str], list[K]]:
+def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path, **run: Any) -> tuple[Pages, int]:
     """Play scenes of finished jobs again and write pages of them.
 
     The function of a job is ``<name>``; ``<name>_recorded`` beside it takes the names of the scenes
-    to ``record`` too, and returns rows and rollouts by scene.
-
-    Returns
-    -------
-    dict
-        Addresses of the pages from the run folder, by key of ``wanted`` (job and scene).
-    list
-        Keys of the episodes that are not what the job had reported: networks round differently on
-        other machines.
+    to ``record`` too, and returns rows and rollouts by scene. Returned are the addresses of the
+    pages from the run folder, and how many episodes are not what the job had reported: networks
+    round differently on other machines.
     """
-    scenes: dict[str, list[str]] = {}
+    scenes: dict[str, set[str]] = {}
     jobs: dict[str, Job] = {}
-    for job, scene in wanted.values():
+    for job, scene in wanted:
         jobs[job.name] = job
-        if scene not in scenes.setdefault(job.name, []):
-            scenes[job.name].append(scene)
+        scenes.setdefault(job.name, set()).add(scene)
     again = {name: _again(job, sorted(scenes[name]), folder) for name, job in jobs.items()}
     run_jobs(list(again.values()), folder / "raw", **run)
-    found = results(list(again.values()), folder / "raw")
-    before = results(list(jobs.values()), folder / "raw")
-    pages, changed = {}, []
-    for key, (job, scene) in wanted.items():
-        entry = found[again[job.name].name]
-        pages[key] = _page_of(entry, job.name, scene, folder)
-        now, then = (
-            [r for r in rows if r["scene"] == scene] for rows in (entry["rows"], before[job.name])
-        )
-        if now != then:
-            changed.append(key)
+    found = results([*again.values(), *jobs.values()], folder / "raw")
+    pages, changed = {}, 0
+    for name, job in again.items():
+        with reading("pages of replays", folder / "raw" / f"{job.name}.json"):
+            rows = [{r["scene"]: r for r in of} for of in (found[job.name]["rows"], found[name])]
+            for scene in scenes[name]:
+                page = str(found[job.name]["pages"][scene])
+                # that of another file would lead elsewhere
+                if page.partition("#")[0] != f"{FOLDER}/{file_name(f'{name}-{scene}', '.html')}":
+                    raise DatasetError(f"the page of {scene!r} is {page[:80]!r}")
+                pages[name, scene] = page
+                changed += rows[0].get(scene) != rows[1].get(scene)
     return pages, changed
-
-
-def _page_of(entry: Any, prefix: str, scene: str, folder: Path) -> str:
-    """Address of a page in a result; that of another file would lead elsewhere."""
-    with reading("pages of replays", folder / "raw"):
-        page = str(entry["pages"][scene])
-        if page.partition("#")[0] != f"{FOLDER}/{file_name(f'{prefix}-{scene}', '.html')}":
-            raise DatasetError(f"the page of {scene!r} is {page[:80]!r}")
-        return page
 
 
 def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:

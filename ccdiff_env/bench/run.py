@@ -8,15 +8,15 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
-from ccdiff_env.bench.replays import make_replays
+from ccdiff_env.bench.replays import Pages, make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weight_files
@@ -28,13 +28,10 @@ from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
 
-__all__ = ["Run", "episodes_table"]
-
-K = TypeVar("K", bound=Hashable)
 #: Arguments of jobs that name who drives, perhaps by a file.
 _DRIVE = ("planner", "generator", "ego", "method", "traffic", "start")
-#: Fields of an episode that repeat it, too long for a table.
-_TAPE = ("actions", "action")
+#: Fields of an episode that are no part of a table: its job, and what repeats it.
+_HIDDEN = ("job", "actions", "action")
 
 
 class Run:
@@ -84,6 +81,7 @@ class Run:
         given["own_weights"] = {name: sha256_of(Path(f)) for name, f in self.own_weights.items()}
         self._made_with = made_with()
         self._digests: dict[str, str | None] = {}
+        self._jobs: dict[str, Job] = {}
         self._begun = False
         if getattr(args, "overwrite", False):
             self._delete()
@@ -162,8 +160,9 @@ class Run:
     def episodes(self, jobs: Sequence[Job], *keys: str, **names: str) -> list[dict[str, Any]]:
         """Do the jobs, whose results are lists of episodes; return all of them in one list.
 
-        Each episode gets the arguments ``keys`` of its job, and further ones by other names.
+        Each episode gets its ``job``, whose arguments ``keys``, and further ones by other names.
         """
+        self._jobs |= {job.name: job for job in jobs}
         given = {**{key: key for key in keys}, **names}
         by_name, found = self.results(jobs), []
         for job in jobs:
@@ -172,14 +171,15 @@ class Run:
                 if not (rows and all(row.keys() for row in rows)):
                     raise DatasetError("no rows of figures")
             of_job = {name: job.arguments.get(key) for name, key in given.items()}
+            of_job["job"] = job.name
             found += [{**of_job, **row} for row in rows]
         return found
 
-    def replays(self, wanted: Mapping[K, tuple[Job, str]]) -> dict[K, str]:
-        """Write replay pages of scenes of jobs; return their addresses from the run folder."""
-        dated = {key: (self._dated(job), scene) for key, (job, scene) in wanted.items()}
-        pages, changed = make_replays(dated, self.folder, **self._options)
-        self._num_changed += len(changed)
+    def replays(self, rows: Iterable[Mapping[str, Any]]) -> Pages:
+        """Write replay pages of episodes; return their addresses from the run folder."""
+        wanted = [(self._dated(self._jobs[row["job"]]), row["scene"]) for row in rows]
+        pages, changed = make_replays(wanted, self.folder, **self._options)
+        self._num_changed += changed
         return pages
 
     def report(
@@ -189,13 +189,12 @@ class Run:
         episodes: Iterable[Mapping[str, Any]],
         files: Mapping[str, Table],
         *plots: Path | None,
-        maps: str = "",
     ) -> int:
         """Write the report, say its first part, and return the exit status.
 
         ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables,
         ``episodes.csv`` a row per episode; ``files`` are further tables by file name. The first
-        part is what was found. ``maps`` is HTML of heat maps.
+        part is what was found.
         """
         if not self._begun:
             self._begin()
@@ -221,7 +220,6 @@ class Run:
             line=" · ".join(facts),
             plots=[plot for plot in plots if plot is not None],
             parts=texts,
-            maps=maps,
             command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
         )
         found, more, _ = first[1].partition("\n### ")
@@ -252,9 +250,9 @@ def episodes_table(rows: Iterable[Mapping[str, Any]]) -> Table:
 
 def _flat(row: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
     for name, value in row.items():
-        if isinstance(value, Mapping) and name not in _TAPE:
+        if isinstance(value, Mapping) and name not in _HIDDEN:
             yield from _flat(value, f"{before}{name}_")
-        elif not isinstance(value, (list, tuple)) and name not in _TAPE:
+        elif not isinstance(value, (list, tuple)) and name not in _HIDDEN:
             yield before + name, float(value) if isinstance(value, bool) else value
 
 

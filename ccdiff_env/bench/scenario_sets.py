@@ -38,14 +38,6 @@ from ccdiff_env.system.files import (
     write_aside,
 )
 
-__all__ = [
-    "Scenario",
-    "ScenarioSet",
-    "generate",
-    "load_scenario_set",
-    "write_manifest",
-]
-
 FORMAT = "ccdiff-env scenarios 1"
 MANIFEST = "manifest.json"
 #: Episodes go on to the end of the horizon, so that slower egos meet the same traffic.

@@ -11,8 +11,6 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.sources import Place, load, parse, title
 
-__all__ = ["chunks", "place_of", "scene_names", "scenes_of", "source_title"]
-
 
 def place_of(source: object) -> Place:
     """Return the place that a text names, of a file perhaps.

@@ -20,8 +20,6 @@ from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["Recorded", "Tape", "Witnessed"]
-
 F32 = npt.NDArray[np.float32]
 
 

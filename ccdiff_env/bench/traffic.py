@@ -31,8 +31,6 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
-__all__ = ["episodes", "evaluate", "traffic_jobs"]
-
 #: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
 START_STEP: int = PAPER_PROTOCOL["history_steps"]
 HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]

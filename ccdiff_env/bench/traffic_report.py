@@ -1,39 +1,19 @@
-"""Report of the traffic benchmark: figures by method, K and T; differences; the paper beside."""
+"""Report of the traffic benchmark: figures by method, K and T, and their differences."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.intervals import FEW, LEAST_SCENES, RESAMPLES, column, interval
+from ccdiff_env.bench.intervals import BRACKETS, FEW, LEAST_SCENES, RESAMPLES, column, interval
 from ccdiff_env.bench.methods import METHODS, label_of
+from ccdiff_env.bench.replays import Pages
 from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, generational_distance, scores
-from ccdiff_env.system.files import read_text
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
-
-__all__ = [
-    "FIGURES",
-    "PAPER",
-    "Condition",
-    "Figures",
-    "choose_examples",
-    "comparison",
-    "conditions",
-    "difference",
-    "examples_tables",
-    "figures_table",
-    "paper_pairs",
-    "summarise",
-    "tables",
-    "with_scores",
-]
 
 Row = Mapping[str, Any]
 Rows = Sequence[Row]
@@ -52,16 +32,11 @@ _MEANS: dict[str, tuple[str, float]] = {
     "sor": ("over_speed", 1.0),
     "sor_log": ("over_speed_log", 1.0),
     "excess": ("excess_mps", 1.0),
-    **{
-        name: (name, 1.0)
-        for name in (
-            "realism_cost",
-            "shift_sigmas",
-            "conflict_share",
-            "gradient_cosine",
-            "graph_sparsity",
-        )
-    },
+    "realism_cost": ("realism_cost", 1.0),
+    "shift_sigmas": ("shift_sigmas", 1.0),
+    "conflict_share": ("conflict_share", 1.0),
+    "gradient_cosine": ("gradient_cosine", 1.0),
+    "graph_sparsity": ("graph_sparsity", 1.0),
 }
 #: Comfort distances, of histograms that are summed over scenes, x 100.
 _COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
@@ -84,6 +59,11 @@ class Condition:
     def k(self) -> str:
         """K as tables write it."""
         return "Full" if self.num_controlled is None else str(self.num_controlled)
+
+    @property
+    def order(self) -> float:
+        """K, infinite for all."""
+        return np.inf if self.num_controlled is None else self.num_controlled
 
     @property
     def cells(self) -> list[Any]:
@@ -116,13 +96,8 @@ def conditions(rows: Iterable[Row]) -> dict[Condition, list[Row]]:
         c = Condition(row["method"], row["k"], row["replan_steps"])
         found.setdefault(c, []).append(row)
     methods = list(dict.fromkeys(c.method for c in found))
-    by = sorted(found, key=lambda c: (methods.index(c.method), _order(c), c.replan_steps))
+    by = sorted(found, key=lambda c: (methods.index(c.method), c.order, c.replan_steps))
     return {c: found[c] for c in by}
-
-
-def _order(condition: Condition) -> float:
-    k = condition.num_controlled
-    return np.inf if k is None else k
 
 
 def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
@@ -214,7 +189,7 @@ def tables(table: Summary) -> list[Block]:
         known = [x if np.isfinite(x[0]) or column.name in NEED_ROAD else None
                  for x, column in zip(figures, _SHOWN, strict=True)]  # fmt: skip
         rows.append([label, *c.cells[1:], *pair, *known])
-    note = FEW if _few(table) else "Brackets: 95 % bootstrap intervals over scenes."
+    note = FEW if _few(table) else BRACKETS
     heads = ("method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN)
     return [Table(heads, rows), f"{note} CS, RS: bounds over this table."]
 
@@ -223,29 +198,9 @@ def tables(table: Summary) -> list[Block]:
 
 #: Figures that are compared.
 COMPARED = {
-    column.name: column
-    for column in (
-        Column("scr", "SCR", sign="+"),
-        Column("scr_controlled", "SCR new, controlled", sign="+"),
-        Column("orr", "ORR", "%", sign="+"),
-        Column("fde", "FDE", "m", sign="+"),
-        Column("cfd", "CFD", sign="+"),
-        Column("realism_cost", "C(tau)", sign="+"),
-    )
-}
-
-#: K and steps between plans of the columns of the paper's tables 1 and 2; ``None``: all.
-PAPER_COLUMNS: tuple[tuple[int | None, int], ...] = (
-    *((k, 5) for k in (2, 3, 4, 5, 10, None)),
-    *((5, steps) for steps in (10, 20, 30, 40, 50)),
-)
-
-
-_TABLES = json.loads(read_text(Path(__file__).resolve().parents[1] / "data/paper_tables.json"))
-#: The paper's figures by method and name, in the order of :data:`PAPER_COLUMNS`.
-PAPER: Mapping[str, Mapping[str, tuple[float, ...]]] = {
-    method.lower(): {name: tuple(_TABLES[name][i]) for name in ("scr", "orr", "fde", "cfd")}
-    for i, method in enumerate(_TABLES["methods"])
+    column.name: replace(column, sign="+")
+    for column in _SHOWN
+    if column.name not in ("sor", "shift_sigmas", "conflict_share")
 }
 
 
@@ -255,15 +210,14 @@ def difference(one: Figures, other: Figures, name: str) -> Figure:
 
 
 def comparison(table: Summary) -> list[Block]:
-    """Return paired differences to CCDiff, distances to the Pareto front, and the paper beside.
+    """Return paired differences to CCDiff, and distances to the Pareto front.
 
     CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
     """
     equal = any(c.method == "ccdiff_equal" for c in table)
     base = "ccdiff_equal" if equal else "ccdiff"
     blocks = _against(table, base)
-    if not _few(table):
-        blocks += [*_distances(table), *_beside(table, base)]
+    blocks += [] if _few(table) else _distances(table)
     return blocks or ["One method alone."]
 
 
@@ -313,67 +267,6 @@ def _distances(table: Summary) -> list[Block]:
     ]
 
 
-def paper_pairs(
-    table: Summary, column: tuple[int | None, int], name: str, base: str
-) -> tuple[int, int, int, int]:
-    """Compare the order of the paper's methods in a figure with the paper's.
-
-    Returns
-    -------
-    tuple
-        Pairs of methods that the paper does not give equal, of them in its order here; pairs
-        whose paired interval leaves out zero, of them in its order.
-    """
-    at = PAPER_COLUMNS.index(column)
-    pairs = same = clear = clear_same = 0
-    for first, second in combinations(_played(table, column, base).items(), 2):
-        (one, figures), (two, others) = first, second
-        theirs = PAPER[one][name][at] - PAPER[two][name][at]
-        value, low, high = difference(figures, others, name)
-        if theirs == 0.0 or not np.isfinite(value):
-            continue
-        agrees = value * theirs > 0.0
-        is_clear = low > 0.0 or high < 0.0
-        pairs, same = pairs + 1, same + agrees
-        clear, clear_same = clear + is_clear, clear_same + (is_clear and agrees)
-    return pairs, same, clear, clear_same
-
-
-def _played(table: Summary, column: tuple[int | None, int], base: str) -> dict[str, Figures]:
-    """The paper's methods that were played in a column; CCDiff by the name of ours."""
-    found = {
-        name: table.get(Condition(base if name == "ccdiff" else name, *column)) for name in PAPER
-    }
-    return {name: figures for name, figures in found.items() if figures is not None}
-
-
-def _beside(table: Summary, base: str) -> list[Block]:
-    """Our figures beside the paper's, and whether their order is the same."""
-    tables: list[Block] = []
-    names = ("scr", "orr", "fde", "cfd")
-    for at, place in enumerate(PAPER_COLUMNS):
-        played = _played(table, place, base)
-        if len(played) < 2:
-            continue
-        rows = [
-            [
-                label_of(base if method == "ccdiff" else method),
-                *(f"{Column('').text(f.value[n])}, {PAPER[method][n][at]:.2f}" for n in names),
-            ]
-            for method, f in played.items()
-        ]
-        counts = [paper_pairs(table, place, name, base) for name in names]
-        for what, i in (("pairs in the paper's order", 1), ("of those with a clear difference", 3)):
-            rows.append([what, *(f"{c[i]} of {c[i - 1]}" for c in counts)])
-        title = f"Beside the paper, K = {place[0] or 'all'}, T = {place[1] / 10:g} s"
-        tables.append(Table(["method", *(COMPARED[name].title for name in names)], rows, title))
-    note = (
-        "Here, paper. Compare orders, not values: scenes, floor and budget differ. A difference is "
-        "clear where its interval leaves out 0."
-    )
-    return [*tables, note] if tables else []
-
-
 # examples to look at
 
 
@@ -398,14 +291,12 @@ def choose_examples(
 
     found = []
     for several in by_method.values():
-        condition = min(several, key=lambda c: (abs(_order(c) - 5), c.replan_steps))
+        condition = min(several, key=lambda c: (abs(c.order - 5), c.replan_steps))
         found += [(condition, row) for row in sorted(by_condition[condition], key=order)[:count]]
     return found
 
 
-def examples_tables(
-    chosen: Sequence[tuple[Condition, Row]], pages: Mapping[tuple[Condition, str], str]
-) -> list[Block]:
+def examples_tables(chosen: Sequence[tuple[Condition, Row]], pages: Pages) -> list[Block]:
     """Return the examples, with links to their replays."""
     columns = [
         Column("realism_cost", "C(tau)"),
@@ -417,7 +308,7 @@ def examples_tables(
     for condition in dict.fromkeys(c for c, _ in chosen):
         rows = [
             [
-                f"[{row['scene']}]({pages[c, row['scene']]})",
+                f"[{row['scene']}]({pages[row['job'], row['scene']]})",
                 "yes" if row["collision"]["controlled_new"] else "no",
                 *(np.nan if row[column.name] is None else row[column.name] for column in columns),
             ]

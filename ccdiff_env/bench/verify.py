@@ -21,8 +21,6 @@ from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.planners.built_in import ego_driver, is_of_package
 from ccdiff_env.system.progress import shown
 
-__all__ = ["Verified", "verify"]
-
 #: How far an action of a learned planner of the package may be from what it chooses here:
 #: processors multiply matrices of float32 in different orders.
 TOLERANCE = 1e-3

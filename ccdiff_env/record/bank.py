@@ -28,8 +28,6 @@ from ccdiff_env.system.files import parsed_object, read_bytes, read_text, readin
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.worlds import Scenes, scene_set
 
-__all__ = ["load_bank", "record_bank"]
-
 FORMAT = "ccdiff-env bank 1"
 #: The world of every episode. It goes on to the end of the horizon, so that slower egos meet the
 #: same traffic.

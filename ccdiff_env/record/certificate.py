@@ -25,8 +25,6 @@ from ccdiff_env.system.version import __version__
 if TYPE_CHECKING:
     from ccdiff_env.worlds import Worlds
 
-__all__ = ["Certificate", "schema_digest"]
-
 FORMAT = "ccdiff-env certificate 2"
 #: Episodes since the seed that a replay goes through.
 MOST_EPISODES = 100_000

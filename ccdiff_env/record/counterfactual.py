@@ -23,17 +23,6 @@ from ccdiff_env.scenes import Scene, SceneSet, with_tracks
 from ccdiff_env.worlds import Worlds, normalize_seed
 from ccdiff_env.worlds.snapshot import Snapshot
 
-__all__ = [
-    "Attribution",
-    "Avoidability",
-    "EgoPlan",
-    "attribute",
-    "avoidability",
-    "branch",
-    "ego_plans",
-    "rollout_avoidability",
-]
-
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Cause: TypeAlias = Literal["none", "adversaries", "ego", "either", "both"]

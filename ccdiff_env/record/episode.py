@@ -17,8 +17,6 @@ from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds import StepArrays, Worlds
 
-__all__ = ["Step", "begin", "play", "recorders_of", "world_of_seat"]
-
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 

@@ -18,8 +18,6 @@ from ccdiff_env.traffic import TrafficPlan
 if TYPE_CHECKING:
     from ccdiff_env.worlds import Worlds
 
-__all__ = ["Recorder"]
-
 _STATES = ("position", "heading", "velocity", "active", "elevation_m")
 
 

@@ -22,8 +22,6 @@ from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, readi
 from ccdiff_env.traffic import TrafficPlan, driver_names
 from ccdiff_env.traffic.ccdiff import PLAN_ARRAYS
 
-__all__ = ["DRIVER_NAMES", "EVENT_KINDS", "Rollout", "RolloutEvent", "as_scene"]
-
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 
