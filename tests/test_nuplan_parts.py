@@ -164,7 +164,7 @@ my_planner:
   _target_: {target}
   _convert_: 'all'
   step: {{_target_: fractions.Fraction, numerator: 8, denominator: 5}}
-  names: [1.0, {{_target_: fractions.Fraction, numerator: 3}}]
+  names: [1e-4, {{_target_: fractions.Fraction, numerator: 3}}]
   speed: ???
   path: ${{oc.env:HOME}}
 """
@@ -192,7 +192,7 @@ def test_settings_are_found_by_name_by_class_and_by_file(checkout):
 
 def test_settings_make_objects_of_parts(checkout):
     values = Settings.of("nuplan:my_planner?speed=3&path=x&step.numerator=4").values
-    assert made_of(values, "mine").given == (Fraction(4, 5), [1.0, 3], 3, "x")
+    assert made_of(values, "mine").given == (Fraction(4, 5), [1e-4, 3], 3, "x")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import functools
 import importlib
 import importlib.util
 import inspect
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,8 +104,12 @@ def read_settings(file: Path) -> dict[str, Any]:
         import yaml
     except ImportError as error:
         raise MissingFeatureError(f"settings of nuPlan need PyYAML: {INSTALL}") from error
+    # PyYAML takes 1e-4 for a text, Hydra for a number
+    loader = type("Loader", (yaml.SafeLoader,), {})
+    number = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
+    loader.add_implicit_resolver("tag:yaml.org,2002:float", number, [*"-+0123456789"])
     with reading("settings of a planner", file):
-        found = yaml.safe_load(read_text(file))
+        found = yaml.load(read_text(file), loader)
         if isinstance(found, dict) and "_target_" not in found and len(found) == 1:
             (found,) = found.values()
         if not isinstance(found, dict) or not isinstance(found.get("_target_"), str):
