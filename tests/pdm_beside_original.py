@@ -45,7 +45,7 @@ class Both:
                 known = i in self.theirs._drives
                 scene_idx = behind(self.worlds).native.status(i).scene_idx
                 scene = behind(self.worlds).scenes[scene_idx]
-                self.theirs._step(i, scene_idx, scene)
+                self.theirs.step(i)
                 self._compare(i, FOUND.setdefault(scene.name, []), float(driven[i, 0]), known)
         return driven
 

@@ -122,8 +122,8 @@ def test_places_on_a_line_against_numpy():
     assert line.length_m == 11.0
     assert line.pose(8.0) == pytest.approx((3.0, 7.0, np.pi / 2))
     assert line.project(5.0, 7.0) == pytest.approx(8.0)
-    assert line.offset(5.0, 7.0) == pytest.approx((0.0, -2.0))
-    assert line.offset(3.0, 12.0) == pytest.approx((2.0, 0.0))
+    assert line.offset(5.0, 7.0) == pytest.approx((0.0, -2.0, np.pi / 2))
+    assert line.offset(3.0, 12.0) == pytest.approx((2.0, 0.0, np.pi / 2))
 
 
 def test_surfaces_that_cross_themselves_keep_their_largest_part():

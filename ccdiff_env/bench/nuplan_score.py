@@ -6,16 +6,13 @@ As in nuPlan's simulation, the ego's acceleration is that along its heading.
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ccdiff_env.interop.nuplan.devkit import find_devkit
-from ccdiff_env.interop.nuplan.settings import made_of, read_settings
+from ccdiff_env.interop.nuplan.settings import made_of, of_devkit
 from ccdiff_env.record.rollout import Rollout
-
-__all__ = ["PARTS", "nuplan_metrics", "nuplan_score"]
 
 #: nuPlan's metrics by the names that their parts of the score have here.
 PARTS = {
@@ -123,11 +120,7 @@ class _Metrics(dict[str, Any]):
     """nuPlan's metrics, made as they are asked for, each after those that it asks itself."""
 
     def __missing__(self, name: str) -> Any:
-        import nuplan.planning.script
-
-        (folder,) = nuplan.planning.script.__path__
-        (file,) = Path(folder).glob(f"config/common/simulation_metric/*/{name}_statistics.yaml")
-        values = read_settings(file)
+        values = of_devkit(f"common/simulation_metric/*/{name}_statistics")
         asked = values.pop("required_metrics", {})
         others = {key: self[other.removesuffix("_statistics")] for key, other in asked.items()}
         made = self[name] = made_of({**values, **others}, name)

@@ -9,18 +9,16 @@ that are not installed become modules that can be imported and nothing else: a c
 from __future__ import annotations
 
 import importlib
-import importlib.abc
 import importlib.util
 import os
 import sys
 import types
+from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import DatasetNotFoundError, MissingFeatureError
-
-__all__ = ["INSTALL", "STANDS_IN", "VARIABLE", "checkouts", "find_devkit"]
 
 #: Variable of the environment: checkouts of nuplan-devkit and of planners, separated as in PATH.
 VARIABLE = "CCDIFF_NUPLAN"
@@ -53,12 +51,7 @@ def _absent(module: str, name: str) -> Any:
     return _Absent(name, (), {"__module__": module})
 
 
-class _AbsentModule(types.ModuleType):
-    def __getattr__(self, name: str) -> Any:
-        return _absent(self.__name__, name)
-
-
-class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+class _Finder(MetaPathFinder, Loader):
     """Last in line: finds modules of packages that nobody else found."""
 
     def __init__(self, packages: frozenset[str]) -> None:
@@ -68,19 +61,16 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         known = name.partition(".")[0] in self._packages
         return ModuleSpec(name, self, is_package=True) if known else None
 
-    def create_module(self, spec: ModuleSpec) -> types.ModuleType:
-        return _AbsentModule(spec.name)
-
     def exec_module(self, module: types.ModuleType) -> None:
-        module.__path__ = []
+        found: Any = module
+        found.__path__, found.__getattr__ = [], lambda name: _absent(module.__name__, name)
 
 
 def checkouts() -> list[Path]:
     """Return the folders that :data:`VARIABLE` names; raises if one of them is no folder."""
     found = [Path(part) for part in os.environ.get(VARIABLE, "").split(os.pathsep) if part]
-    for folder in found:
-        if not folder.is_dir():
-            raise DatasetNotFoundError(f"{VARIABLE} names {folder}, which is no folder")
+    if lost := [folder for folder in found if not folder.is_dir()]:
+        raise DatasetNotFoundError(f"{VARIABLE} names {lost[0]}, which is no folder")
     return found
 
 
@@ -94,9 +84,8 @@ def find_devkit() -> None:
     MissingFeatureError
         If the devkit, or a package that it needs, is missing; names it.
     """
-    for folder in reversed([str(folder.resolve()) for folder in checkouts()]):
-        if folder not in sys.path:
-            sys.path.insert(0, folder)
+    named = [str(folder.resolve()) for folder in checkouts()]
+    sys.path[:0] = [folder for folder in named if folder not in sys.path]
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         missing = frozenset(p for p in STANDS_IN if importlib.util.find_spec(p) is None)
         sys.meta_path.append(_Finder(missing))

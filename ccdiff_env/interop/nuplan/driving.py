@@ -12,7 +12,6 @@ from nuplan.common.actor_state.state_representation import StateSE2, TimePoint
 from nuplan.planning.simulation.controller.motion_model.kinematic_bicycle import (
     KinematicBicycleModel,
 )
-from nuplan.planning.simulation.controller.tracker.lqr import LQRTracker
 from nuplan.planning.simulation.history.simulation_history_buffer import SimulationHistoryBuffer
 from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
 from nuplan.planning.simulation.planner.abstract_planner import (
@@ -26,28 +25,13 @@ from nuplan.planning.simulation.simulation_time_controller.simulation_iteration 
 from ccdiff_env.errors import CcdiffError, PolicyError
 from ccdiff_env.interop.nuplan.roads import Centreline, wrap
 from ccdiff_env.interop.nuplan.scene_map import SceneMap
-from ccdiff_env.interop.nuplan.settings import Settings
+from ccdiff_env.interop.nuplan.settings import Settings, made_of, of_devkit
 from ccdiff_env.interop.nuplan.states import SceneStates
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["Drive", "NuPlanPlanner"]
-
 #: Seconds of the history, and samples that nuPlan's simulation has beyond: the present and one.
 _HISTORY_S, _HISTORY_MORE = 2.0, 2
-#: Settings of nuPlan's controller, those of its ``lqr_tracker.yaml``.
-_LQR = {
-    "q_longitudinal": [10.0],
-    "r_longitudinal": [1.0],
-    "q_lateral": [1.0, 10.0, 0.0],
-    "r_lateral": [1.0],
-    "discretization_time": 0.1,
-    "tracking_horizon": 10,
-    "jerk_penalty": 1e-4,
-    "curvature_rate_penalty": 1e-2,
-    "stopping_proportional_gain": 0.5,
-    "stopping_velocity": 0.2,
-}
 #: How far the world may have put the ego from where the controller did, m.
 _FOLLOWED_M = 0.02
 
@@ -61,8 +45,7 @@ class Drive:
         scene = worlds.scenes[status.scene_idx]
         slot = self._native.slot_agents(world_idx)[0]
         told = self._native.route(world_idx, 0)
-        assert slot is not None
-        assert told is not None
+        assert slot is not None and told is not None  # noqa: PT018
         self._dt_us = round(worlds.config.dt_s * 1e6)
         self._states = SceneStates(scene, slot)
         route, goal = told
@@ -78,7 +61,8 @@ class Drive:
         self._seen: deque[DetectionsTracks] = deque(maxlen=most)
         self._add_past(scene.tracks(), status.step_idx - status.elapsed_steps)
         self._led_to: EgoState | None = None
-        self._controller = LQRTracker(**_LQR, vehicle=self._states.vehicle)
+        lqr = of_devkit("simulation/ego_controller/tracker/lqr_tracker")
+        self._controller = made_of({**lqr, "vehicle": self._states.vehicle}, "lqr_tracker")
         self._bicycle = KinematicBicycleModel(self._states.vehicle)
 
     def _add_past(self, log: Any, start: int) -> None:
@@ -121,9 +105,9 @@ class Drive:
         wanted = self._controller.track_trajectory(now, after, here, trajectory)
         there = self._bicycle.propagate_state(here, wanted, TimePoint(self._dt_us))
         self._led_to = there
-        dx, dy = there.center.x - here.center.x, there.center.y - here.center.y
-        cos, sin = np.cos(here.center.heading), np.sin(here.center.heading)
-        turn = wrap(there.center.heading - here.center.heading)
+        (dx, dy), heading = there.center.array - here.center.array, here.center.heading
+        cos, sin = np.cos(heading), np.sin(heading)
+        turn = wrap(there.center.heading - heading)
         return np.array([dx * cos + dy * sin, dy * cos - dx * sin, turn])
 
 
@@ -170,29 +154,29 @@ class NuPlanPlanner:
         for i in range(native.num_worlds):
             if native.slot_agents(i)[0] is None or not native.slot_alive(i)[0]:
                 continue
-            status = native.status(i)
-            scene = self._worlds.scenes[status.scene_idx]
             try:
-                steps[i] = self._step(i, status.scene_idx, scene)
+                steps[i] = self.step(i)
             except CcdiffError:
                 raise
             except Exception as error:
+                status = native.status(i)
                 raise PolicyError(
-                    f"{self._settings.name}: {type(error).__name__}: {error} (in {scene.name} at "
-                    f"step {status.elapsed_steps})"
+                    f"{self._settings.name}: {type(error).__name__}: {error} (in "
+                    f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps})"
                 ) from error
         # zero means zero, and each side has its own bound
         most = np.where(steps > 0, self._bounds[:, 1], -self._bounds[:, 0])
-        actions: npt.NDArray[np.float32] = np.clip(steps / most, -1.0, 1.0)
-        return actions
+        return np.clip(steps / most, -1.0, 1.0)  # type: ignore[no-any-return]
 
-    def _step(self, world_idx: int, scene_idx: int, scene: Any) -> npt.NDArray[np.float64]:
-        """Ask the planner of a world."""
-        assert self._worlds is not None
+    def step(self, world_idx: int) -> npt.NDArray[np.float64]:
+        """Ask the planner of a world, and return what :meth:`Drive.follow` says."""
+        assert self._worlds is not None, "reset comes first"
         if world_idx not in self._drives:
-            if scene_idx not in self._maps:
-                self._maps[scene_idx] = SceneMap(scene.map_layers(), scene.location or "scene")
-            drive = Drive(self._worlds, world_idx, self._maps[scene_idx])
+            idx = self._worlds.native.status(world_idx).scene_idx
+            if idx not in self._maps:
+                scene = self._worlds.scenes[idx]
+                self._maps[idx] = SceneMap(scene.map_layers(), scene.location or "scene")
+            drive = Drive(self._worlds, world_idx, self._maps[idx])
             planner = self._settings.make()
             planner.initialize(drive.initialization)
             self._drives[world_idx] = drive, planner

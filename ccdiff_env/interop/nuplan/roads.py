@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,29 +16,22 @@ import numpy.typing as npt
 import shapely
 from shapely import LineString, Point, Polygon, STRtree
 
-__all__ = ["Centreline", "Road", "RoadGraph", "lanes_of_route", "surface", "wrap"]
-
 F64 = npt.NDArray[np.float64]
-
 #: Distances between centre lines of lanes side by side, how far one may lie past the end of the
 #: other, m, and the least cosine between their directions.
-BESIDE_M = (1.5, 6.5)
-BEYOND_M = 3.0
-AGREE_COS = 0.9
+BESIDE_M, BEYOND_M, AGREE_COS = (1.5, 6.5), 3.0, 0.9
 #: Half of a lane's width where its surface does not say, and least and greatest, m.
-HALF_WIDTH_M = 1.75
-HALF_WIDTHS_M = (0.5, 6.0)
+HALF_WIDTH_M, HALF_WIDTHS_M = 1.75, (0.5, 6.0)
 #: Distance between places of a route at which its lane is asked for, how far away a lane's centre
 #: line may be there, m, and the least cosine between the directions.
-SAMPLE_M = 2.0
-REACH_M = 6.0
-ALONG_COS = 0.7
-#: Metres of a route without a lane from which on the route itself is the lane.
-GAP_M = 10.0
-#: Length of the lanes that a route becomes, m.
-PIECE_M = 30.0
+SAMPLE_M, REACH_M, ALONG_COS = 2.0, 6.0, 0.7
+#: Metres of a route without a lane from which on the route itself is the lane, and the length of
+#: the lanes that it becomes.
+GAP_M, PIECE_M = 10.0, 30.0
 #: Costs of a route's way from lane to lane, m²: to one that follows, to one beside, to any other.
 FOLLOW_COST, BESIDE_COST, JUMP_COST = 0.1, 4.0, 400.0
+#: Road blocks at most between two of a route that do not follow one another.
+MOST_LINKS = 6
 
 
 def wrap(angle_rad: float) -> float:
@@ -76,16 +70,8 @@ class Centreline:
         headings = np.arctan2(steps[:, 1], steps[:, 0])
         #: Headings [P]; that of the last point is that of the one before.
         self.headings: F64 = np.append(headings, headings[-1])
-
-    @cached_property
-    def shape(self) -> LineString:
-        """The line."""
-        return LineString(self.points)
-
-    @property
-    def length_m(self) -> float:
-        """Length."""
-        return float(self._along[-1])
+        self.length_m = float(self._along[-1])
+        self.shape = LineString(self.points)
 
     def heading_at(self, along_m: float) -> float:
         """Return the heading after so many metres."""
@@ -101,12 +87,14 @@ class Centreline:
         at = self.shape.interpolate(along_m)
         return at.x, at.y, self.heading_at(along_m)
 
-    def offset(self, x: float, y: float) -> tuple[float, float]:
-        """Return how far ahead and to the left of the nearest place of the line a place is, m."""
+    def offset(self, x: float, y: float) -> tuple[float, float, float]:
+        """Return how far ahead and to the left of the nearest place of the line a place is, m, and
+        the heading there.
+        """
         near_x, near_y, heading = self.pose(self.project(x, y))
         dx, dy = x - near_x, y - near_y
         cos, sin = np.cos(heading), np.sin(heading)
-        return float(dx * cos + dy * sin), float(dy * cos - dx * sin)
+        return float(dx * cos + dy * sin), float(dy * cos - dx * sin), heading
 
 
 class Road:
@@ -128,16 +116,17 @@ class Road:
         """Left and right edges [P, 2]: where normals of the centre line leave the surface."""
         line, edge = self.line, self.surface.exterior
         normals = np.stack([-np.sin(line.headings), np.cos(line.headings)], axis=1)
-        found = []
-        for sign in (1.0, -1.0):
+
+        def side(sign: float) -> F64:
             ends = line.points + sign * HALF_WIDTHS_M[1] * normals
             rays = shapely.linestrings(np.stack([line.points, ends], axis=1))
             hits = shapely.intersection(rays, edge)
             widths = shapely.distance(shapely.points(line.points), hits)
             widths = np.where(np.nan_to_num(widths) > 0, widths, HALF_WIDTH_M)
-            wide = np.clip(widths, *HALF_WIDTHS_M)[:, None]
-            found.append(line.points + sign * wide * normals)
-        return found[0], found[1]
+            wide: F64 = np.clip(widths, *HALF_WIDTHS_M)[:, None]
+            return line.points + sign * wide * normals
+
+        return side(1.0), side(-1.0)
 
 
 class RoadGraph:
@@ -158,12 +147,12 @@ class RoadGraph:
 
     def _add_blocks(self, groups: Iterable[Sequence[int]]) -> None:
         for group in groups:
-            first = self.roads[group[0]].line
-            middles = {i: self.roads[i].line for i in group[1:]}
-            left = {i: first.offset(*_middle(line))[1] for i, line in middles.items()}
-            self.blocks.append(sorted(group, key=lambda i: -left.get(i, 0.0)))
+            first, left = self.roads[group[0]].line, {group[0]: 0.0}
+            for line, i in ((self.roads[i].line, i) for i in group[1:]):
+                left[i] = first.offset(*line.pose(0.5 * line.length_m)[:2])[1]
             for i in group:
-                self.block_of[i] = len(self.blocks) - 1
+                self.block_of[i] = len(self.blocks)
+            self.blocks.append(sorted(group, key=lambda i: -left[i]))
 
     def _beside(self) -> list[list[int]]:
         """Lanes side by side, never one with what follows it."""
@@ -173,10 +162,9 @@ class RoadGraph:
             for j in sorted(near.tolist()):
                 if j not in groups or groups[j] is groups[i] or self.roads[j].alone:
                     continue
-                if not self._is_beside(i, j):
-                    continue
                 both = groups[i] + groups[j]
-                if not any(k in both for member in both for k in self.roads[member].after):
+                follows = any(k in both for member in both for k in self.roads[member].after)
+                if not follows and self._is_beside(i, j):
                     groups.update(dict.fromkeys(both, both))
         return list({id(group): group for group in groups.values()}.values())
 
@@ -185,10 +173,9 @@ class RoadGraph:
         lines = self.roads[one].line, self.roads[other].line
         for line, beside in (lines, lines[::-1]):
             x, y, heading = line.pose(0.5 * line.length_m)
-            ahead, left = beside.offset(x, y)
-            turn = beside.heading_at(beside.project(x, y)) - heading
+            ahead, left, there = beside.offset(x, y)
             fits = abs(ahead) < BEYOND_M and BESIDE_M[0] < abs(left) < BESIDE_M[1]
-            if fits and np.cos(turn) > AGREE_COS:
+            if fits and np.cos(there - heading) > AGREE_COS:
                 return True
         return False
 
@@ -199,8 +186,7 @@ class RoadGraph:
             if not road.is_lane:
                 ends = [[self.block_of[k] for k in side] for side in (road.before, road.after)]
                 known = all(end and end[0] >= 0 for end in ends)
-                key = (ends[0][0], ends[1][0]) if known else i
-                groups.setdefault(key, []).append(i)
+                groups.setdefault((ends[0][0], ends[1][0]) if known else i, []).append(i)
         return list(groups.values())
 
     def neighbours(self, block: int, *, after: bool) -> list[int]:
@@ -215,9 +201,8 @@ class RoadGraph:
 
     def block_surface(self, block: int) -> Polygon:
         """Return the surface of a block."""
-        return largest(
-            shapely.union_all([self.roads[i].surface.buffer(0.05) for i in self.blocks[block]])
-        )
+        parts = [self.roads[i].surface.buffer(0.05) for i in self.blocks[block]]
+        return largest(shapely.union_all(parts))
 
     def intersections(self) -> list[Polygon]:
         """Return where connectors that come from different blocks overlap."""
@@ -242,13 +227,10 @@ class RoadGraph:
         roads = self._roads_along(Centreline(route))
         if not roads:
             return None
-        blocks: list[int] = []
-        for road in roads:
-            block = self.block_of[road]
-            if blocks and block != blocks[-1]:
-                blocks += self._linked(blocks[-1], block)
-            if not blocks or block != blocks[-1]:
-                blocks.append(block)
+        blocks = [self.block_of[roads[0]]]
+        for block in (self.block_of[road] for road in roads[1:]):
+            if block != blocks[-1]:
+                blocks += [*self._linked(blocks[-1], block), block]
         end = roads[-1]
         while ahead_m > 0 and (after := self.roads[end].after):
             heading = self.roads[end].line.headings[-1]
@@ -261,43 +243,32 @@ class RoadGraph:
 
     def _roads_along(self, route: Centreline) -> list[int]:
         """The cheapest way through the lanes near a route, each following the one before."""
-        places = [route.pose(s) for s in np.arange(0.0, route.length_m + SAMPLE_M, SAMPLE_M)]
-        costs: dict[int, float] = {}
-        back: list[dict[int, int | None]] = []
+        #: Cost of the best way to each road, and the way.
+        ways: dict[int, tuple[float, list[int]]] = {}
         gap_m = 0.0
-        for x, y, heading in places:
-            here = self._near(x, y, heading)
+        for along_m in np.arange(0.0, route.length_m + SAMPLE_M, SAMPLE_M):
+            here = self._near(*route.pose(along_m))
             gap_m = 0.0 if here else gap_m + SAMPLE_M
             if gap_m > GAP_M:
                 return []
-            if not here:
-                continue
-            now: dict[int, float] = {}
-            origin: dict[int, int | None] = {}
+            before, ways = ways, {} if here else ways
             for road, own in here.items():
-                reach = {prev: cost + self._step_cost(prev, road) for prev, cost in costs.items()}
-                best = min(reach, key=reach.__getitem__) if reach else None
-                origin[road], now[road] = best, own + (0.0 if best is None else reach[best])
-            costs = now
-            back.append(origin)
-        path: list[int] = []
-        last = min(costs, key=costs.__getitem__) if costs else None
-        for origin in reversed(back):
-            assert last is not None
-            path.append(last)
-            last = origin[last]
-        return list(dict.fromkeys(reversed(path)))
+                reach = [
+                    (cost + self._step_cost(way[-1], road), way) for cost, way in before.values()
+                ]
+                cost, way = min(reach, key=lambda found: found[0], default=(0.0, []))
+                ways[road] = own + cost, [*way, road]
+        _, best = min(ways.values(), key=lambda found: found[0], default=(0.0, []))
+        return list(dict.fromkeys(best))
 
     def _near(self, x: float, y: float, heading: float) -> dict[int, float]:
         """Roads at a place in its direction, with the squares of their distances, m²."""
         found: dict[int, float] = {}
         near = self._tree.query(Point(x, y), predicate="dwithin", distance=0.5 * REACH_M)
         for i in sorted(near.tolist()):
-            line = self.roads[i].line
-            ahead, left = line.offset(x, y)
-            turn = line.heading_at(line.project(x, y)) - heading
+            ahead, left, there = self.roads[i].line.offset(x, y)
             away = ahead**2 + left**2
-            if np.cos(turn) > ALONG_COS and away < REACH_M**2:
+            if np.cos(there - heading) > ALONG_COS and away < REACH_M**2:
                 found[i] = away
         return found
 
@@ -308,19 +279,16 @@ class RoadGraph:
             return FOLLOW_COST
         return BESIDE_COST if self.block_of[road] == self.block_of[last] else JUMP_COST
 
-    def _linked(self, start: int, end: int, most: int = 6) -> list[int]:
+    def _linked(self, start: int, end: int) -> list[int]:
         """Blocks between two that do not follow one another; none where nothing links them."""
         paths = [[start]]
-        for _ in range(most):
-            for path in paths:
-                if end in self.neighbours(path[-1], after=True):
-                    return path[1:]
+        for _ in range(MOST_LINKS):
+            steps = ((path, self.neighbours(path[-1], after=True)) for path in paths)
             paths = [
-                [*path, block]
-                for path in paths
-                for block in self.neighbours(path[-1], after=True)
-                if block not in path
+                [*path, block] for path, found in steps for block in found if block not in path
             ]
+            if whole := next((path for path in paths if path[-1] == end), None):
+                return whole[1:-1]
         return []
 
 
@@ -332,21 +300,15 @@ def lanes_of_route(route: npt.ArrayLike, first: int) -> list[dict[str, Any]]:
     line = Centreline(route)
     count = max(round(line.length_m / PIECE_M), 2)
     ends = np.linspace(0.0, line.length_m, count + 1)
-    lanes: list[dict[str, Any]] = []
-    for i in range(count):
-        samples = np.linspace(ends[i], ends[i + 1], max(round(ends[i + 1] - ends[i]), 1) + 1)
-        lanes.append(
-            {
-                "kind": "route",
-                "centreline": np.array([line.pose(s)[:2] for s in samples]),
-                "polygon": {"exterior": [], "holes": []},
-                "successors": [first + i + 1] if i + 1 < count else [],
-                "predecessors": [first + i - 1] if i else [],
-                "speed_limit_mps": None,
-            }
-        )
-    return lanes
-
-
-def _middle(line: Centreline) -> tuple[float, float]:
-    return line.pose(0.5 * line.length_m)[:2]
+    places = [np.linspace(a, b, max(round(b - a), 1) + 1) for a, b in pairwise(ends)]
+    return [
+        {
+            "kind": "route",
+            "centreline": np.array([line.pose(along_m)[:2] for along_m in piece]),
+            "polygon": {"exterior": [], "holes": []},
+            "successors": [first + i + 1] if i + 1 < count else [],
+            "predecessors": [first + i - 1] if i else [],
+            "speed_limit_mps": None,
+        }
+        for i, piece in enumerate(places)
+    ]

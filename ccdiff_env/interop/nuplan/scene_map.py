@@ -1,40 +1,228 @@
-"""The map of a scene as a map of nuPlan, in the frame of the scene."""
+"""The map of a scene as a map of nuPlan with its objects, in the frame of the scene."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from nuplan.common.actor_state.state_representation import Point2D
+from nuplan.common.actor_state.state_representation import Point2D, StateSE2
 from nuplan.common.maps.abstract_map import AbstractMap
-from nuplan.common.maps.maps_datatypes import SemanticMapLayer
-from shapely import Point, STRtree
+from nuplan.common.maps.abstract_map_objects import (
+    Intersection,
+    Lane,
+    LaneConnector,
+    LaneGraphEdgeMapObject,
+    PolygonMapObject,
+    PolylineMapObject,
+    RoadBlockGraphEdgeMapObject,
+    StopLine,
+)
+from nuplan.common.maps.maps_datatypes import (
+    IntersectionType,
+    LaneConnectorType,
+    SemanticMapLayer,
+    StopLineType,
+)
+from shapely import Point, Polygon, STRtree
 
 from ccdiff_env.errors import MissingFeatureError
-from ccdiff_env.interop.nuplan.map_objects import (
-    Area,
-    Block,
-    ConnectorBlock,
-    Crossing,
-    MapConnector,
-    MapLane,
-    Network,
-    StopArea,
-)
-from ccdiff_env.interop.nuplan.roads import RoadGraph, lanes_of_route, surface
+from ccdiff_env.interop.nuplan.roads import Centreline, RoadGraph, lanes_of_route, surface, wrap
 
-__all__ = ["SceneMap"]
+#: Metres before and after a place over which the curvature of a line is taken.
+_CURVATURE_M = 2.0
+#: Turns of connectors, rad: up to the first they go straight on, from the second on they turn back.
+_STRAIGHT_RAD, _BACK_RAD = np.pi / 6, 0.9 * np.pi
+
+
+class _Line(PolylineMapObject):
+    """A line."""
+
+    def __init__(self, name: str, line: Centreline | npt.NDArray[np.float64]) -> None:
+        super().__init__(name)
+        self._line = line if isinstance(line, Centreline) else Centreline(line)
+
+    linestring: Any = property(lambda self: self._line.shape)
+    length: Any = property(lambda self: self._line.length_m)
+
+    @cached_property
+    def discrete_path(self) -> list[StateSE2]:
+        places = zip(self._line.points.tolist(), self._line.headings.tolist(), strict=True)
+        return [StateSE2(x, y, heading) for (x, y), heading in places]
+
+    def get_nearest_arc_length_from_position(self, point: Point2D) -> float:
+        return self._line.project(point.x, point.y)
+
+    def get_nearest_pose_from_position(self, point: Point2D) -> StateSE2:
+        return StateSE2(*self._line.pose(self._line.project(point.x, point.y)))
+
+    def get_curvature_at_arc_length(self, arc_length: float) -> float:
+        low = max(arc_length - _CURVATURE_M, 0.0)
+        high = min(arc_length + _CURVATURE_M, self._line.length_m)
+        turn = wrap(self._line.heading_at(high) - self._line.heading_at(low))
+        return turn / max(high - low, 1e-3)
+
+
+class _Edge(LaneGraphEdgeMapObject):
+    """What lanes and connectors share: the road of a number."""
+
+    def __init__(self, name: str, on: SceneMap, number: int) -> None:
+        super().__init__(name)
+        self._map, self._number, self._road = on, number, on.graph.roads[number]
+        self._baseline = _Line(f"{name}-baseline", self._road.line)
+
+    polygon: Any = property(lambda self: self._road.surface)
+    baseline_path: Any = property(lambda self: self._baseline)
+    incoming_edges: Any = property(lambda self: [self._map.edges[i] for i in self._road.before])
+    outgoing_edges: Any = property(lambda self: [self._map.edges[i] for i in self._road.after])
+    parallel_edges: Any = property(lambda self: self.parent.interior_edges)
+    parent: Any = property(lambda self: self._map.blocks[self._map.graph.block_of[self._number]])
+    speed_limit_mps: Any = property(lambda self: self._road.speed_limit_mps)
+    stop_lines: Any = property(lambda self: [])
+
+    def get_roadblock_id(self) -> str:
+        return str(self.parent.id)
+
+    def has_traffic_lights(self) -> bool:
+        return False
+
+    @property
+    def _place(self) -> int:
+        """Place in the road block, from the left."""
+        return int(self.parent.interior_edges.index(self))
+
+    def is_left_of(self, other: _Edge) -> bool:
+        assert self.is_same_roadblock(other), "lanes of one road block"
+        return self._place < other._place
+
+    def is_right_of(self, other: _Edge) -> bool:
+        return other.is_left_of(self)
+
+    @property
+    def adjacent_edges(self) -> tuple[_Edge | None, _Edge | None]:
+        row: list[_Edge | None] = [None, *self.parent.interior_edges, None]
+        return row[self._place], row[self._place + 2]
+
+    @cached_property
+    def left_boundary(self) -> _Line:
+        return _Line(f"{self.id}-left", self._road.sides[0])
+
+    @cached_property
+    def right_boundary(self) -> _Line:
+        return _Line(f"{self.id}-right", self._road.sides[1])
+
+    def get_width_left_right(
+        self, point: Point2D, include_outside: bool = False
+    ) -> tuple[float, float]:
+        at = Point(point.x, point.y)
+        if not include_outside and not self.polygon.contains(at):
+            return np.inf, np.inf
+        left, right = self.left_boundary.linestring, self.right_boundary.linestring
+        return float(left.distance(at)), float(right.distance(at))
+
+    def oriented_distance(self, point: Point2D) -> float:
+        ahead, left, _ = self._road.line.offset(point.x, point.y)
+        return float(np.copysign(np.hypot(ahead, left), left))
+
+
+class _Lane(_Edge, Lane):
+    """A lane."""
+
+    index: Any = property(lambda self: self._place + 1)
+
+
+class _Connector(_Edge, LaneConnector):
+    """A way through an intersection."""
+
+    adjacent_edges = LaneConnector.adjacent_edges
+
+    @property
+    def turn_type(self) -> LaneConnectorType:
+        turn = wrap(self._road.line.headings[-1] - self._road.line.headings[0])
+        if abs(turn) < _STRAIGHT_RAD:
+            return LaneConnectorType.STRAIGHT
+        if abs(turn) > _BACK_RAD:
+            return LaneConnectorType.UTURN
+        return LaneConnectorType.LEFT if turn > 0 else LaneConnectorType.RIGHT
+
+
+class _Block(RoadBlockGraphEdgeMapObject):
+    """Lanes side by side."""
+
+    def __init__(self, name: str, on: SceneMap, number: int) -> None:
+        super().__init__(name)
+        self._map, self._number = on, number
+
+    @cached_property
+    def polygon(self) -> Polygon:
+        return self._map.graph.block_surface(self._number)
+
+    def _neighbours(self, after: bool) -> list[_Block]:
+        numbers = self._map.graph.neighbours(self._number, after=after)
+        return [self._map.blocks[i] for i in numbers]
+
+    @property
+    def interior_edges(self) -> list[_Edge]:
+        return [self._map.edges[i] for i in self._map.graph.blocks[self._number]]
+
+    incoming_edges: Any = property(lambda self: self._neighbours(False))
+    outgoing_edges: Any = property(lambda self: self._neighbours(True))
+    parallel_edges: Any = property(lambda self: [self])
+    children_stop_lines: Any = property(lambda self: [])
+
+    def contains_point(self, point: Point2D) -> bool:
+        return any(edge.contains_point(point) for edge in self.interior_edges)
+
+
+class _ConnectorBlock(_Block):
+    """Connectors from one road block to another."""
+
+
+# tuplan_garage cuts loops of a route at objects whose class has this name
+_ConnectorBlock.__name__ = "NuPlanRoadBlockConnector"
+
+
+class _Area(PolygonMapObject):
+    """A surface without further properties."""
+
+    _kind: tuple[Any, ...] = ()
+
+    def __init__(self, name: str, polygon: Polygon) -> None:
+        super().__init__(name, *self._kind)
+        self._polygon = polygon
+
+    polygon: Any = property(lambda self: self._polygon)
+
+
+class _Crossing(_Area, Intersection):
+    """An intersection."""
+
+    _kind = (IntersectionType.DEFAULT,)
+    interior_edges: Any = property(lambda self: [])
+    incoming_edges: Any = property(lambda self: [])
+    is_signaled: Any = property(lambda self: False)
+
+
+class _StopArea(_Area, StopLine):
+    """A stop line's area; scenes do not say whose."""
+
+    _kind = (StopLineType.UNKNOWN,)
+    intersection_from: Any = property(lambda self: None)
+    layer_type: Any = property(lambda self: StopLineType.UNKNOWN)
+    parent: Any = property(lambda self: None)
+
 
 _LAYER = SemanticMapLayer
 #: Layers of scenes by those of nuPlan, and what their surfaces become.
 _AREAS = {
-    _LAYER.DRIVABLE_AREA: ("drivable_area", Area),
-    _LAYER.CROSSWALK: ("ped_crossings", Area),
-    _LAYER.WALKWAYS: ("walkways", Area),
-    _LAYER.STOP_LINE: ("stop_lines", StopArea),
-    _LAYER.CARPARK_AREA: ("carpark_areas", Area),
+    _LAYER.DRIVABLE_AREA: ("drivable_area", _Area),
+    _LAYER.CROSSWALK: ("ped_crossings", _Area),
+    _LAYER.WALKWAYS: ("walkways", _Area),
+    _LAYER.STOP_LINE: ("stop_lines", _StopArea),
+    _LAYER.CARPARK_AREA: ("carpark_areas", _Area),
 }
 
 
@@ -48,32 +236,35 @@ class SceneMap(AbstractMap):
     """
 
     def __init__(self, layers: Mapping[str, Any], name: str) -> None:
-        self._given, self._name, self._num_objects = layers, name, 0
-        self._network = Network(RoadGraph(layers.get("lanes", [])))
-        graph, edges, blocks = self._network.graph, self._network.edges, self._network.blocks
-        for i, road in enumerate(graph.roads):
-            kind = MapLane if road.is_lane else MapConnector
-            edges.append(kind(self._next(), self._network, i))
-        for i in range(len(graph.blocks)):
-            block = Block if graph.is_lane_block(i) else ConnectorBlock
-            blocks.append(block(self._next(), self._network, i))
+        self._given, self._name = layers, name
+        numbers = itertools.count(1)
+
+        def made(kind: Any, *given: Any) -> Any:
+            return kind(str(next(numbers)), *given)
+
+        self.graph = graph = RoadGraph(layers.get("lanes", []))
+        #: Lanes and connectors, and road blocks, by their numbers in the graph.
+        self.edges: list[_Edge] = [
+            made(_Lane if road.is_lane else _Connector, self, i)
+            for i, road in enumerate(graph.roads)
+        ]
+        self.blocks: list[_Block] = [
+            made(_Block if graph.is_lane_block(i) else _ConnectorBlock, self, i)
+            for i in range(len(graph.blocks))
+        ]
         self._layers: dict[SemanticMapLayer, list[Any]] = {
-            _LAYER.LANE: [e for e in edges if isinstance(e, MapLane)],
-            _LAYER.LANE_CONNECTOR: [e for e in edges if isinstance(e, MapConnector)],
-            _LAYER.ROADBLOCK: [b for b in blocks if not isinstance(b, ConnectorBlock)],
-            _LAYER.ROADBLOCK_CONNECTOR: [b for b in blocks if isinstance(b, ConnectorBlock)],
-            _LAYER.INTERSECTION: [Crossing(self._next(), p) for p in graph.intersections()],
+            _LAYER.LANE: [e for e in self.edges if isinstance(e, _Lane)],
+            _LAYER.LANE_CONNECTOR: [e for e in self.edges if isinstance(e, _Connector)],
+            _LAYER.ROADBLOCK: [b for b in self.blocks if not isinstance(b, _ConnectorBlock)],
+            _LAYER.ROADBLOCK_CONNECTOR: [b for b in self.blocks if isinstance(b, _ConnectorBlock)],
+            _LAYER.INTERSECTION: [made(_Crossing, polygon) for polygon in graph.intersections()],
         }
-        for layer, (key, made) in _AREAS.items():
-            found = [surface(polygon) for polygon in layers.get(key, [])]
-            self._layers[layer] = [made(self._next(), p) for p in found if not p.is_empty]
+        for layer, (key, kind) in _AREAS.items():
+            found = map(surface, layers.get(key, []))
+            self._layers[layer] = [made(kind, polygon) for polygon in found if not polygon.is_empty]
         self._layers[_LAYER.CARPARK_AREA] += self._layers[_LAYER.DRIVABLE_AREA]
         self._by_id = {layer: {o.id: o for o in found} for layer, found in self._layers.items()}
         self._trees: dict[SemanticMapLayer, STRtree] = {}
-
-    def _next(self) -> str:
-        self._num_objects += 1
-        return str(self._num_objects)
 
     def along(self, route: npt.ArrayLike) -> tuple[SceneMap, list[str]]:
         """Return a map in which lanes lead along a route [P, 2], and its road blocks' identifiers.
@@ -81,17 +272,15 @@ class SceneMap(AbstractMap):
         Where lanes leave out a part of the route, the route itself becomes lanes of 3.5 m:
         nuPlan's planners drive along lanes and nowhere else.
         """
-        found, blocks = self, self._network.graph.route_blocks(route)
+        found, blocks = self, self.graph.route_blocks(route)
         if blocks is None or len(blocks) < 2:  # the devkit's IDM asserts two
             lanes = list(self._given.get("lanes", []))
             more = lanes_of_route(route, len(lanes))
             found = SceneMap({**self._given, "lanes": [*lanes, *more]}, self._name)
-            blocks = list(dict.fromkeys(found._network.graph.block_of[len(lanes) :]))
-        return found, [str(found._network.blocks[i].id) for i in blocks]
+            blocks = list(dict.fromkeys(found.graph.block_of[len(lanes) :]))
+        return found, [str(found.blocks[i].id) for i in blocks]
 
-    @property
-    def map_name(self) -> str:
-        return self._name
+    map_name: Any = property(lambda self: self._name)
 
     def get_available_map_objects(self) -> list[SemanticMapLayer]:
         return list(self._layers)

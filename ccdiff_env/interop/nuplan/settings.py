@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import functools
-import importlib
 import importlib.util
 import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +14,7 @@ from typing import Any
 from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError
 from ccdiff_env.interop.nuplan.devkit import INSTALL, checkouts
 from ccdiff_env.system.files import read_text, reading
-from ccdiff_env.system.named_objects import option_values
-
-__all__ = ["Settings", "made_of", "read_settings"]
+from ccdiff_env.system.named_objects import named_object, option_values
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class Settings:
         options = option_values(text, "planner", name) if text else {}
         if path.endswith(".yaml"):
             return cls(name, _changed(read_settings(Path(path)), options, name), Path(path))
-        files = list(_files(path.partition(".")[0]))
+        files = _files(path.partition(".")[0])
         for file in files:
             if file.stem == path or ("." in path and path in read_text(file)):
                 values = read_settings(file)
@@ -77,8 +74,7 @@ class Settings:
                 f"planner {self.name!r} asks for nuPlan's scenario, which holds the log's future"
             )
         made = made_of(self.values, self.name)
-        seen = made.observation_type()
-        if seen is not DetectionsTracks:
+        if (seen := made.observation_type()) is not DetectionsTracks:
             raise ConfigError(
                 f"planner {self.name!r} observes {seen.__name__}, expected DetectionsTracks: "
                 "scenes have no sensors"
@@ -86,7 +82,7 @@ class Settings:
         return made
 
 
-def _files(package: str) -> Iterator[Path]:
+def _files(package: str) -> list[Path]:
     """Files of settings in the checkouts, and beside a package that is installed."""
     folders = checkouts()
     try:
@@ -94,8 +90,17 @@ def _files(package: str) -> Iterator[Path]:
     except (ImportError, ValueError):
         spec = None
     folders += [Path(place) for place in (spec and spec.submodule_search_locations) or ()]
-    for folder in dict.fromkeys(folder.resolve() for folder in folders):
-        yield from sorted(folder.rglob("simulation/planner/*.yaml"))
+    unique = dict.fromkeys(folder.resolve() for folder in folders)
+    return [file for folder in unique for file in sorted(folder.rglob("simulation/planner/*.yaml"))]
+
+
+def of_devkit(pattern: str) -> dict[str, Any]:
+    """Return the values of the only file of the devkit's own settings that fits a pattern."""
+    import nuplan.planning.script
+
+    (folder,) = nuplan.planning.script.__path__
+    (file,) = Path(folder).glob(f"config/{pattern}.yaml")
+    return read_settings(file)
 
 
 def read_settings(file: Path) -> dict[str, Any]:
@@ -166,14 +171,10 @@ def made_of(value: Any, name: str, path: str = "") -> Any:
     return kind(**below)
 
 
-def _named(target: str, name: str) -> Any:
+def _named(target: Any, name: str) -> Any:
     """Import what a target names."""
     module, _, attribute = str(target).rpartition(".")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        return named_object(f"{module}:{attribute}", f"planner {name!r}, which names")
     except ModuleNotFoundError as error:
-        if f"{module}.".startswith(f"{error.name}."):
-            raise ConfigError(f"planner {name!r}: no module {error.name!r}") from None
         raise MissingFeatureError(f"planner {name!r} needs {error.name}: {error}") from error
-    except (AttributeError, ValueError):
-        raise ConfigError(f"planner {name!r}: no {attribute!r} in module {module!r}") from None

@@ -21,46 +21,23 @@ from nuplan.planning.simulation.observation.observation_type import DetectionsTr
 from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, LEVEL_M
 from ccdiff_env.interop.nuplan.roads import wrap
 
-__all__ = ["SceneStates", "vehicle_of"]
-
 #: Shares of the length of nuScenes' Renault Zoe (4.084 m): from the rear axle to the middle of the
 #: box, as the loader of nuScenes has it, and from axle to axle (2.588 m). Other egos have the same.
-AXLE_TO_CENTRE = EGO_AXLE_TO_CENTRE_M / 4.084
-WHEEL_BASE = 2.588 / 4.084
+AXLE_TO_CENTRE, WHEEL_BASE = EGO_AXLE_TO_CENTRE_M / 4.084, 2.588 / 4.084
 #: From the rear axle to the centre of gravity of nuPlan's own car, as a share of its length.
 _COG = 1.67 / 5.176
 #: Slowest speed at which the yaw rate says where the wheels point, and their greatest angle, rad.
-_ROLLING_MPS = 0.3
-_WHEEL_RAD = 1.0
-
+_ROLLING_MPS, _WHEEL_RAD = 0.3, 1.0
+#: What agents are, by their kind, and static objects by their category.
 _KINDS = {
     "vehicle": TrackedObjectType.VEHICLE,
     "pedestrian": TrackedObjectType.PEDESTRIAN,
     "cyclist": TrackedObjectType.BICYCLE,
     "motorcycle": TrackedObjectType.BICYCLE,
     "static": TrackedObjectType.GENERIC_OBJECT,
-}
-#: What static objects are, by their category.
-_STATIC = {
     "movable_object.trafficcone": TrackedObjectType.TRAFFIC_CONE,
     "movable_object.barrier": TrackedObjectType.BARRIER,
 }
-
-
-def vehicle_of(size_m: npt.ArrayLike) -> VehicleParameters:
-    """Return nuPlan's parameters of a car of a length, width and height [3], m."""
-    length, width, height = np.asarray(size_m, np.float64).tolist()
-    behind_m = AXLE_TO_CENTRE * length
-    return VehicleParameters(
-        vehicle_name="ego",
-        vehicle_type="ccdiff-env",
-        width=width,
-        front_length=0.5 * length + behind_m,
-        rear_length=0.5 * length - behind_m,
-        wheel_base=WHEEL_BASE * length,
-        cog_position_from_rear_axle=_COG * length,
-        height=height,
-    )
 
 
 class SceneStates:
@@ -71,11 +48,22 @@ class SceneStates:
 
     def __init__(self, scene: Any, ego: int) -> None:
         self.ego = ego
-        #: The ego's measures.
-        self.vehicle = vehicle_of(scene.sizes[ego])
         self._sizes = np.asarray(scene.sizes, np.float64)
         both = zip(scene.agent_types, scene.agent_categories, strict=True)
-        self._kinds = [_STATIC.get(category, _KINDS[kind]) for kind, category in both]
+        self._kinds = [_KINDS.get(category, _KINDS[kind]) for kind, category in both]
+        length, width, height = self._sizes[ego].tolist()
+        behind_m = AXLE_TO_CENTRE * length
+        #: The ego's measures.
+        self.vehicle = VehicleParameters(
+            vehicle_name="ego",
+            vehicle_type="ccdiff-env",
+            width=width,
+            front_length=0.5 * length + behind_m,
+            rear_length=0.5 * length - behind_m,
+            wheel_base=WHEEL_BASE * length,
+            cog_position_from_rear_axle=_COG * length,
+            height=height,
+        )
 
     def ego_state(
         self,
@@ -90,14 +78,13 @@ class SceneStates:
         agents.
         """
         heading = float(states["heading"][self.ego])
-        x, y = (float(v) for v in states["position"][self.ego])
-        vx, vy = (float(v) for v in states["velocity"][self.ego])
+        vx, vy = states["velocity"][self.ego].tolist()
         cos, sin = np.cos(heading), np.sin(heading)
         ahead, left = vx * cos + vy * sin, vy * cos - vx * sin
         rolls = abs(ahead) > _ROLLING_MPS
         wheel = np.arctan(self.vehicle.wheel_base * yaw_rate_radps / ahead) if rolls else 0.0
         return EgoState.build_from_center(
-            center=StateSE2(x, y, wrap(heading)),
+            center=StateSE2(*states["position"][self.ego].tolist(), wrap(heading)),
             center_velocity_2d=StateVector2D(ahead, left),
             center_acceleration_2d=StateVector2D(acceleration_mps2, 0.0),
             tire_steering_angle=float(np.clip(wheel, -_WHEEL_RAD, _WHEEL_RAD)),
@@ -119,19 +106,18 @@ class SceneStates:
         column is that of ``first_step``. Accelerations along the heading [T] are by default those
         of the change of speed.
         """
-        speed = np.hypot(*np.moveaxis(states["velocity"][self.ego].astype(np.float64), -1, 0))
-        faster = np.diff(speed, prepend=speed[:1]) / dt_s
-        turned = np.diff(states["heading"][self.ego].astype(np.float64), prepend=0.0) / dt_s
         valid = states["valid"][self.ego]
+        follows = valid & np.append(False, valid[:-1])
+        turned = np.diff(states["heading"][self.ego].astype(np.float64), prepend=0.0)
+        if acceleration_mps2 is None:
+            speed = np.hypot(*states["velocity"][self.ego].astype(np.float64).T)
+            acceleration_mps2 = np.where(follows, np.diff(speed, prepend=speed[:1]) / dt_s, 0.0)
         found = []
         for k in np.flatnonzero(valid).tolist():
-            follows = k > 0 and valid[k - 1]
-            motion = faster[k] if acceleration_mps2 is None else acceleration_mps2[k]
             now = {name: states[name][:, k] for name in ("position", "heading", "velocity")}
+            turn = wrap(turned[k]) / dt_s if follows[k] else 0.0
             at_us = (first_step + k) * round(dt_s * 1e6)
-            turn = wrap(turned[k] * dt_s) / dt_s if follows else 0.0
-            known = follows or acceleration_mps2 is not None
-            found.append((k, self.ego_state(now, float(motion) if known else 0.0, turn, at_us)))
+            found.append((k, self.ego_state(now, float(acceleration_mps2[k]), turn, at_us)))
         return found
 
     def tracks(
@@ -142,20 +128,17 @@ class SceneStates:
         With ``elevation_m`` [A] among the states, agents on other levels are left out: nuPlan's
         world is flat.
         """
-        found: list[Any] = []
         if "elevation_m" in states:
             above = states["elevation_m"] - states["elevation_m"][self.ego]
             active = active & (np.abs(above) <= LEVEL_M)
-        for i in np.flatnonzero(active).tolist():
-            if i == self.ego:
-                continue
-            x, y = (float(v) for v in states["position"][i])
-            box = OrientedBox(StateSE2(x, y, wrap(float(states["heading"][i]))), *self._sizes[i])
+        found: list[Any] = []
+        for i in np.flatnonzero(active & (np.arange(len(active)) != self.ego)).tolist():
+            place = StateSE2(*states["position"][i].tolist(), wrap(float(states["heading"][i])))
+            box = OrientedBox(place, *self._sizes[i])
             data = SceneObjectMetadata(now_us, f"{i}-{now_us}", i, str(i))
-            kind = self._kinds[i]
-            if kind in AGENT_TYPES:
-                velocity = StateVector2D(*(float(v) for v in states["velocity"][i]))
-                found.append(Agent(kind, box, velocity, data))
+            if self._kinds[i] in AGENT_TYPES:
+                velocity = StateVector2D(*states["velocity"][i].tolist())
+                found.append(Agent(self._kinds[i], box, velocity, data))
             else:
-                found.append(StaticObject(kind, box, data))
+                found.append(StaticObject(self._kinds[i], box, data))
         return DetectionsTracks(TrackedObjects(found))
