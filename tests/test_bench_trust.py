@@ -18,6 +18,7 @@ import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench.intervals import FEW, are_few, scene_means
 from ccdiff_env.bench.planner_report import comparison
+from ccdiff_env.bench.planner_score import Judge
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import package_digest, sha256_of
@@ -28,7 +29,7 @@ from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.models import weight_files
 from ccdiff_env.planners import SHIPPED
 from ccdiff_env.system.table import document
-from ccdiff_env.worlds.worlds_view import worlds_view
+from ccdiff_env.worlds.worlds_view import behind, worlds_view
 
 PLANNER = """
 import numpy as np
@@ -277,6 +278,64 @@ def test_wider_processors_verify_what_those_with_fewer_instructions_made(tmp_pat
     on_a_narrow_processor("planners", *words, *few, "--out", tmp_path)
     assert cli.main(["bench", "verify", str(tmp_path)]) == 0
     assert "12 of 12 episodes come out the same, bit for bit" in capsys.readouterr().out
+
+
+class Weakens(Idle):
+    """Digs behind the view, and takes the guidance out of the traffic's plans."""
+
+    def __init__(self, worlds):
+        self.native = behind(worlds).native
+
+    def __call__(self, obs):
+        for i in range(len(obs)):
+            self.native.override_plan(i, guided=[], criticality=0.0)
+        return super().__call__(obs)
+
+
+class Flatters(Idle):
+    """Changes in its own process how it is judged."""
+
+    def __init__(self, worlds):
+        row = Judge.row
+
+        def best(judge, metrics):
+            found = row(judge, metrics) | dict.fromkeys(PROTOCOL.fields["score"]["gates"], 1.0)
+            found |= dict.fromkeys(PROTOCOL.fields["score"]["weights"], 1.0)
+            return {**found, "score": 1.0}
+
+        Judge.row = best
+
+
+class Lucky:
+    """Draws anew in every run: the best of several is kept."""
+
+    def __init__(self, worlds):
+        self.rng = np.random.default_rng()
+
+    def __call__(self, obs):
+        return self.rng.normal(0.0, 0.3, (len(obs), 2)).clip(-1, 1)
+
+
+@pytest.mark.parametrize(
+    ("cheat", "said"),
+    [(Weakens, "in ccdiff-2"), (Flatters, "was 1.0, is"), (Lucky, None)],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_planners_that_cheat_are_found_or_named_by_the_page(tmp_path, monkeypatch, cheat, said):
+    """Those who look the episode up are refused, see above; so are wider dynamics and NaN."""
+    monkeypatch.setattr(Judge, "row", Judge.row)  # as it was, whatever a planner does
+    words = ["--planners", f"{__name__}:{cheat.__name__}", "--traffic", "ccdiff-2", "--seeds", "0"]
+    out = ["--limit", "2", "--out", str(tmp_path), "--quiet"]
+    assert cli.main(["bench", "planners", *words, *out]) == 0
+    monkeypatch.undo()
+    found = verify(Record.read(tmp_path)).differing
+    if said is None:
+        page = " ".join((ROOT / "docs/benchmark.md").read_text().split())
+        assert not found
+        assert "the best of several draws verifies, too" in page
+    else:
+        assert len(found) == 2
+        assert all(said in line for line in found)
 
 
 def changed(made, folder, change, name="ego-ccdiff-1-1-000.json"):
