@@ -96,7 +96,7 @@ def run_jobs(
     if len({job.name for job in jobs}) != len(jobs):
         raise ConfigError("jobs: two of the same name")
     folder.mkdir(parents=True, exist_ok=True)
-    known = {job.name: _known(job, folder) for job in jobs}
+    known: dict[str, Any] = {job.name: _known(job, folder) for job in jobs}
     stale = {job.name: said for job in jobs if (said := _changed(job, known[job.name]))}
     groups: dict[str, list[Job]] = {}
     for job in random.sample(jobs, len(jobs)):

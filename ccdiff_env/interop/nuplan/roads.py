@@ -123,8 +123,8 @@ class Road:
             hits = shapely.intersection(rays, edge)
             widths = shapely.distance(shapely.points(line.points), hits)
             widths = np.where(np.nan_to_num(widths) > 0, widths, HALF_WIDTH_M)
-            wide: F64 = np.clip(widths, *HALF_WIDTHS_M)[:, None]
-            return line.points + sign * wide * normals
+            edges: F64 = line.points + sign * np.clip(widths, *HALF_WIDTHS_M)[:, None] * normals
+            return edges
 
         return side(1.0), side(-1.0)
 

@@ -110,7 +110,7 @@ def read_settings(file: Path) -> dict[str, Any]:
     except ImportError as error:
         raise MissingFeatureError(f"settings of nuPlan need PyYAML: {INSTALL}") from error
     # PyYAML takes 1e-4 for a text, Hydra for a number
-    loader = type("Loader", (yaml.SafeLoader,), {})
+    loader: Any = type("Loader", (yaml.SafeLoader,), {})
     number = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
     loader.add_implicit_resolver("tag:yaml.org,2002:float", number, [*"-+0123456789"])
     with reading("settings of a planner", file):
