@@ -30,8 +30,7 @@ from ccdiff_env.metrics import Motion
 MOVES_MPS = 3.0
 TIMINGS, CURVES = ("nominal", "recorded"), ("linear", "smooth")
 SMOOTHINGS_S3 = (0.001, 0.003, 0.01, 0.03, 0.1)
-#: Tracks that are foretold, drawn from a fixed seed.
-TRACKS = 600
+TRACKS = 600  #: Tracks that are foretold, drawn from a fixed seed.
 
 
 def motion_of(scenes):

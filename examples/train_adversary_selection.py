@@ -29,8 +29,7 @@ from ccdiff_env.system.table import document
 
 #: Cost per standard deviation of shift, one stage of the training after the other.
 SHIFT_COSTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.04, 0.04, 0.04)
-#: Seeds of two trainings share no world.
-SEED_STRIDE = 1_000_003
+SEED_STRIDE = 1_000_003  #: Seeds of two trainings share no world.
 
 
 def arguments() -> argparse.Namespace:

@@ -31,8 +31,7 @@ from ccdiff_env.scenes.arguments import (
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Column, Table
 
-#: Criticalities of the banks.
-BANKS = (1.0, 2.0)
+BANKS = (1.0, 2.0)  #: Criticalities of the banks.
 #: A sixth of the worlds each: the log, IDM, fast critical traffic that reacts, what was recorded.
 TRAINED_IN = ("replay", "idm", "swift", "swift", "bank", "bank")
 RECIPES = {

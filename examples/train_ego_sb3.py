@@ -26,10 +26,7 @@ from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, save_poli
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 
 #: Algorithm, its settings, worlds, and decisions that take about two minutes of one core.
-ALGORITHMS = {
-    "ppo": (PPO, PPO_SETTINGS, 128, 1_000_000),
-    "sac": (SAC, SAC_SETTINGS, 32, 50_000),
-}
+ALGORITHMS = {"ppo": (PPO, PPO_SETTINGS, 128, 1_000_000), "sac": (SAC, SAC_SETTINGS, 32, 50_000)}
 FIGURES = ("score", "success", "collision", "on_road", "progress", "comfort")
 
 

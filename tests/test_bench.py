@@ -18,13 +18,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.run import episodes_table
 from ccdiff_env.bench.scenes import scene_names
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
-from ccdiff_env.bench.traffic_report import (
-    Condition,
-    conditions,
-    figures_table,
-    summarise,
-    tables,
-)
+from ccdiff_env.bench.traffic_report import Condition, conditions, figures_table, summarise, tables
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import scores
 from ccdiff_env.record.episode import begin

@@ -70,10 +70,7 @@ def test_each_of_the_six_limits_of_comfort_counts_by_itself(name, size, limit):
         across = {"lateral": zero + at, "jerk": 0.1 + at * time}
         heading = {"yaw rate": at * time, "yaw acceleration": 0.5 * at * ramp**2}
         calm = comfort(
-            ahead.get(name, zero)[1:],
-            across.get(name, zero)[1:],
-            heading.get(name, zero),
-            0.1,
+            ahead.get(name, zero)[1:], across.get(name, zero)[1:], heading.get(name, zero), 0.1
         )
         assert calm[2:-2].all() == fine, (name, share)
 

@@ -16,14 +16,7 @@ import numpy as np
 
 from ccdiff_env.bench.intervals import grouped
 from ccdiff_env.bench.jobs import Job
-from ccdiff_env.bench.planners import (
-    CHUNK,
-    TRAFFIC,
-    Traffic,
-    drive,
-    planner_jobs,
-    window_of,
-)
+from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
     Scenario,
@@ -38,8 +31,7 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.version import __version__
 
-#: Traffic that does as recorded in a set.
-RECORDED = Traffic("as recorded", "replay")
+RECORDED = Traffic("as recorded", "replay")  #: Traffic that does as recorded in a set.
 
 Rows = list[dict[str, Any]]
 
@@ -51,8 +43,7 @@ class Realism:
     #: Mean total variation of guided plans, 0 to 1, and the same in standard deviations.
     realism_cost: float
     shift_sigmas: float
-    #: Final displacement from the log, m; comfort distance from it, x 100.
-    fde_m: float
+    fde_m: float  #: Final displacement from the log, m; comfort distance from it, x 100.
     cfd: float
     #: Processor seconds of a scene: playing it, and the search for plans that avoid its collision.
     seconds: float
@@ -61,10 +52,8 @@ class Realism:
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
     """Return the folder of the set of each generator.
 
-    Raises
-    ------
-    ConfigError
-        If two generators would share one.
+    Raises:
+        ConfigError: If two generators would share one.
     """
     stems = [Path(g).stem if g.endswith(".zip") else g for g in generators]
     names = [re.sub(r"[^\w.-]+", "-", stem) for stem in stems]
@@ -206,19 +195,14 @@ def evaluate_in_set_recorded(
 ) -> tuple[Rows, dict[str, Rollout]]:
     """Do the same as :func:`evaluate_in_set`, and record some scenes.
 
-    Parameters
-    ----------
-    folder, files, generator
-        Folder of the set, SHA-256 of its episodes by scene, the ego that it was made against.
-    planner, seed, record
-        As in :func:`ccdiff_env.bench.planners.drive`.
-    device
-        Not used, as no network drives; benchmarks pass it to all jobs.
+    Args:
+        folder, files, generator: Folder of the set, SHA-256 of its episodes by scene, the ego that
+            it was made against.
+        planner, seed, record: As in :func:`ccdiff_env.bench.planners.drive`.
+        device: Not used, as no network drives; benchmarks pass it to all jobs.
 
-    Raises
-    ------
-    ConfigError
-        If the set has changed.
+    Raises:
+        ConfigError: If the set has changed.
     """
     found = load_scenario_set(folder)
     if found.generator != generator or any(found.find(s).sha256 != h for s, h in files.items()):

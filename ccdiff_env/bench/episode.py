@@ -13,8 +13,7 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.traffic import TrafficPlan
 
-#: Logged steps that rankings look at, the present one left out.
-PAST_STEPS = 30
+PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
 
 
 @dataclass(frozen=True)
@@ -48,18 +47,15 @@ class Episode:
 
     scene: Scene
     agents: npt.NDArray[np.int64]
-    #: The control set by falling importance, indices in the scene.
-    chosen: list[int]
-    #: Whether each of the A vehicles is in it.
-    controlled: npt.NDArray[np.bool_]
+    chosen: list[int]  #: The control set by falling importance, indices in the scene.
+    controlled: npt.NDArray[np.bool_]  #: Whether each of the A vehicles is in it.
     motion: Motion
     log: Motion
     position: npt.NDArray[np.float32]
     heading: npt.NDArray[np.float32]
     plans: list[TrafficPlan]
     history: Relations
-    #: Step of the log at which it starts.
-    start_step: int
+    start_step: int  #: Step of the log at which it starts.
     recorded: Rollout | None = None
 
 

@@ -17,8 +17,7 @@ import numpy.typing as npt
 from ccdiff_env.system.table import Figure, Table, TableRows
 
 F64 = npt.NDArray[np.float64]
-#: Fewest scenes for an interval, a test or a verdict.
-LEAST_SCENES = 10
+LEAST_SCENES = 10  #: Fewest scenes for an interval, a test or a verdict.
 #: What reports say in place of them.
 FEW = f"Fewer than {LEAST_SCENES} scenes: no interval and no verdict."
 BRACKETS = "Brackets: 95 % bootstrap intervals over scenes."

@@ -85,11 +85,9 @@ def run_jobs(
     weights have changed, one job of each planner and traffic, drawn by chance, is done again: if
     its result is the same bit for bit, the others are kept. Lines on stderr say what has changed.
 
-    Parameters
-    ----------
-    backend
-        ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of the Ray
-        cluster that this process belongs to, where jobs of a lost worker run again.
+    Args:
+        backend: ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of
+            the Ray cluster that this process belongs to, where jobs of a lost worker run again.
     """
     if workers < 1:
         raise ConfigError(f"workers is {workers}, expected at least 1")
@@ -150,10 +148,8 @@ def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]
 def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
     """Return the results of jobs by name.
 
-    Raises
-    ------
-    DatasetError
-        If one is missing or damaged, or was made from something else.
+    Raises:
+        DatasetError: If one is missing or damaged, or was made from something else.
     """
     return {job.name: _entry(job, folder, "result") for job in jobs}
 

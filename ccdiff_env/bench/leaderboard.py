@@ -35,10 +35,8 @@ def leaderboard(records: Sequence[Record]) -> dict[str, str]:
     version are the same; without a protocol also the package. A planner that is in several runs is
     named with its run. Planners that are no part of the package are marked where no code is given.
 
-    Raises
-    ------
-    DatasetError
-        If episodes of a run are missing.
+    Raises:
+        DatasetError: If episodes of a run are missing.
     """
     groups: dict[str, list[tuple[Record, Result]]] = {}
     for record in records:

@@ -31,10 +31,8 @@ from ccdiff_env.system.files import file_name
 from ccdiff_env.traffic import NETWORKS
 
 F64 = npt.NDArray[np.float64]
-#: Steps between looks at other vehicles.
-STRIDE = 5
-#: What every bin counts before anything is seen.
-PSEUDO_COUNT = 0.1
+STRIDE = 5  #: Steps between looks at other vehicles.
+PSEUDO_COUNT = 0.1  #: What every bin counts before anything is seen.
 
 
 @dataclass(frozen=True)
@@ -94,17 +92,12 @@ def motion_features(
 ) -> dict[str, F64]:
     """Return speed, its change, yaw rate and its change by central differences.
 
-    Parameters
-    ----------
-    position, heading, valid
-        [A, T, 2] m, [A, T] rad, [A, T].
-    dt_s
-        Seconds between steps.
+    Args:
+        position, heading, valid: [A, T, 2] m, [A, T] rad, [A, T].
+        dt_s: Seconds between steps.
 
-    Returns
-    -------
-    dict
-        [A, T] each, NaN where a neighbouring step is missing.
+    Returns:
+        dict: [A, T] each, NaN where a neighbouring step is missing.
     """
     x = np.where(valid[..., None], position, np.nan).astype(np.float64)
     yaw = np.where(valid, heading, np.nan).astype(np.float64)
@@ -128,10 +121,8 @@ def motion_features(
 def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.NDArray[Any]) -> F64:
     """Return the distances [A, A] of oriented boxes, m; 0 where they overlap, inf on the diagonal.
 
-    Parameters
-    ----------
-    position, heading, sizes
-        [A, 2] m, [A] rad, [A, 2] m.
+    Args:
+        position, heading, sizes: [A, 2] m, [A] rad, [A, 2] m.
     """
     position, heading, sizes = (np.asarray(a, np.float64) for a in (position, heading, sizes))
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
@@ -267,12 +258,9 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     and ``orr``: share of the samples with a contact, of vehicle steps off the road;
     ``ranks_1s`` and so on: see :func:`ranks`, of the speeds of vehicles that moved at the start.
 
-    Parameters
-    ----------
-    played
-        Episodes of the scene, samples of one method. A method without chance gives one.
-    num_samples
-        As many as it stands for.
+    Args:
+        played: Episodes of the scene, samples of one method. A method without chance gives one.
+        num_samples: As many as it stands for.
     """
     first = played[0]
     tracks = first.scene.tracks()

@@ -35,10 +35,8 @@ def nuplan_score(rollout: Rollout, expert_steps: int) -> dict[str, float]:
 
     Progress is compared with ``expert_steps`` of the log, from the episode's beginning.
 
-    Raises
-    ------
-    MissingFeatureError
-        If there is no nuplan-devkit.
+    Raises:
+        MissingFeatureError: If there is no nuplan-devkit.
     """
     found = nuplan_metrics(rollout, expert_steps)
     parts = {ours: float(found[theirs].metric_score) for ours, theirs in PARTS.items()}

@@ -144,8 +144,7 @@ def _cell(text: str, column: int, heat: bool) -> str:
 
 #: Address of a web page, or of a file beside this one: what comes from files may hold others.
 ADDRESS = r"(?:https?://|(?![^)/#?]*:))[^)\s]*"
-#: A link of Markdown.
-LINK = re.compile(rf"\[([^\]]*)\]\(({ADDRESS})\)")
+LINK = re.compile(rf"\[([^\]]*)\]\(({ADDRESS})\)")  #: A link of Markdown.
 
 
 def _inline(text: str) -> str:

@@ -33,9 +33,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = kinds.add_parser("planners", help="planners x traffic, scored as nuPlan does")
     add_run_arguments(parser, several_seeds=True)
     parser.add_argument(
-        "--planners",
-        default="noop,constant_velocity,lane_idm,idm,pdm,replay",
-        help=PLANNERS,
+        "--planners", default="noop,constant_velocity,lane_idm,idm,pdm,replay", help=PLANNERS
     )
     parser.add_argument(
         "--nuplan",

@@ -44,8 +44,7 @@ _PARTS = (
     "speed_limit",
     "success",
 )
-#: nuPlan's own score of an episode, where it was asked for.
-NUPLAN = "nuplan_score"
+NUPLAN = "nuplan_score"  #: nuPlan's own score of an episode, where it was asked for.
 _REASONS = {
     "no_at_fault_collision": "collision at fault",
     "on_road": "off the road",
@@ -57,8 +56,7 @@ _REASONS = {
 _TITLES = {"idm": "IDM on the log's path", "replay": "Log replay"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
-#: Scenes with a lower score are listed; others where they have a replay.
-BAD_BELOW = 0.7
+BAD_BELOW = 0.7  #: Scenes with a lower score are listed; others where they have a replay.
 
 
 def _names(found: Results) -> tuple[list[str], list[str]]:
@@ -132,8 +130,8 @@ def figures_table(found: Results) -> Table:
 def comparison(
     found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = BASES
 ) -> list[Block]:
-    """Return paired differences of planners: from ``bases``, both IDM, and from the best other
-    one.
+    """Return paired differences of planners: from ``bases``, both IDM, and from the best
+    other one.
     """
     if len(planners) < 2:
         return ["One planner alone."]

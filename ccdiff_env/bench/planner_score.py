@@ -28,21 +28,16 @@ _SCORE = PROTOCOL.fields["score"]
 #: Limits of comfort: accelerations (m/s²), jerks (m/s³), yaw rate (rad/s) and its change (rad/s²).
 COMFORT: Mapping[str, tuple[float, float]] = {k: (a, b) for k, (a, b) in _SCORE["comfort"].items()}
 TTC_BOUND_S: float = _SCORE["least_ttc_s"]
-#: Kinds of agents of which one contact at fault costs half.
-_OBJECTS = ("static",)
-#: nuPlan rounds smoothed figures to so many digits.
-_DIGITS = 8
+_OBJECTS = ("static",)  #: Kinds of agents of which one contact at fault costs half.
+_DIGITS = 8  #: nuPlan rounds smoothed figures to so many digits.
 
 
 class Judge:
     """Follows one world of a batch while it is driven, and scores the episode.
 
-    Parameters
-    ----------
-    worlds
-        Worlds at the beginning of their episodes.
-    world_idx
-        Which of them; judged is the agent of its first slot.
+    Args:
+        worlds: Worlds at the beginning of their episodes.
+        world_idx: Which of them; judged is the agent of its first slot.
     """
 
     def __init__(self, worlds: Worlds, world_idx: int) -> None:
@@ -77,10 +72,7 @@ class Judge:
     def _look(self) -> None:
         before = next((lane for lane in reversed(self._lanes) if lane), None)
         lane, contact_s = self._worlds.native.score_facts(
-            self._world_idx,
-            None if before is None else before[0],
-            self._met,
-            TTC_BOUND_S,
+            self._world_idx, None if before is None else before[0], self._met, TTC_BOUND_S
         )
         self._lanes.append(lane)
         self._ttc &= contact_s is None
@@ -94,10 +86,8 @@ class Judge:
         Without a road ``on_road`` is ``None``, and no part of the score. ``comfort_share`` is the
         share of the steps within all limits of comfort; ``comfort`` is 1 where all are.
 
-        Parameters
-        ----------
-        metrics
-            Metrics of the episode by name.
+        Args:
+            metrics: Metrics of the episode by name.
         """
         dt_s = self._worlds.config.dt_s
         columns = dict(zip(self._at, np.array(self._columns, np.float64).T, strict=True))
@@ -176,14 +166,10 @@ def right_way(lanes: Sequence[tuple[int, float] | None], dt_s: float) -> float:
 def comfort(acceleration: F64, lateral: F64, heading: F64, dt_s: float) -> Bool:
     """Return whether each state is within all six limits of nuPlan's comfort [T + 1].
 
-    Parameters
-    ----------
-    acceleration, lateral
-        Accelerations of the T steps along and across the heading, m/s².
-    heading
-        Headings of the T + 1 states, radians.
-    dt_s
-        Seconds of a step.
+    Args:
+        acceleration, lateral: Accelerations of the T steps along and across the heading, m/s².
+        heading: Headings of the T + 1 states, radians.
+        dt_s: Seconds of a step.
     """
     ahead, across = (np.concatenate([a[:1], a]) for a in (acceleration, lateral))
     yaw = np.unwrap(heading)

@@ -36,8 +36,7 @@ from ccdiff_env.worlds.policy_file import LEARNED
 #: Steps before an episode, and those that it lasts at most, in scenes of 9.1 s as Waymo's.
 SHORT_WINDOW = {"history_steps": 10, "horizon_steps": 80}
 HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
-#: Scenes that share a batch of the network.
-CHUNK: int = PROTOCOL.fields["batch"]
+CHUNK: int = PROTOCOL.fields["batch"]  #: Scenes that share a batch of the network.
 #: Drivers of the world that know where the log goes, and how fast.
 READ_THE_LOG = ("replay", "idm")
 
@@ -131,10 +130,8 @@ def window_of(
     By default they are those of the protocol (3 s and 10 s), for which ``None`` is returned; where
     a scene is too short for these, but has the 9.1 s of Waymo's, all scenes have 1 s and 8 s.
 
-    Raises
-    ------
-    ConfigError
-        If a scene is shorter than that, or than what is asked for; names it.
+    Raises:
+        ConfigError: If a scene is shorter than that, or than what is asked for; names it.
     """
     usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
     shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
@@ -163,17 +160,13 @@ def planner_jobs(
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
-    Parameters
-    ----------
-    planners
-        Names as in docs/planners.md.
-    traffic
-        Names of :data:`TRAFFIC`; ``module:Class`` of a custom model; ``adversary:FILE`` of a
-        choice of adversaries, see examples/train_adversary_selection.py.
-    window
-        As :func:`window_of` returns it.
-    by_nuplan
-        Whether nuPlan's own score is taken, too, see :mod:`ccdiff_env.bench.nuplan_score`.
+    Args:
+        planners: Names as in docs/planners.md.
+        traffic: Names of :data:`TRAFFIC`; ``module:Class`` of a custom model; ``adversary:FILE`` of
+            a choice of adversaries, see examples/train_adversary_selection.py.
+        window: As :func:`window_of` returns it.
+        by_nuplan: Whether nuPlan's own score is taken, too, see
+            :mod:`ccdiff_env.bench.nuplan_score`.
     """
     for name in traffic:
         if name not in TRAFFIC:
@@ -262,12 +255,10 @@ def evaluate_recorded(
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Do the same as :func:`evaluate`, and record some scenes.
 
-    Raises
-    ------
-    ConfigError
-        If the planner, or the model of traffic, is no longer what ``sources`` are digests of.
-    MissingFeatureError
-        With ``by_nuplan``, if there is no nuplan-devkit.
+    Raises:
+        ConfigError: If the planner, or the model of traffic, is no longer what ``sources`` are
+            digests of.
+        MissingFeatureError: With ``by_nuplan``, if there is no nuplan-devkit.
     """
     if sources is not None and dict(sources) != _sources(planner, traffic):
         raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
@@ -315,13 +306,10 @@ def drive(
     decision steps is driven with those. ``options`` are further fields of
     :class:`~ccdiff_env.config.WorldConfig`.
 
-    Returns
-    -------
-    list of dict
-        Figures and score of each scene, see :meth:`.Judge.row`; its actions and its digest, see
-        :class:`~ccdiff_env.bench.tape.Tape`.
-    dict
-        The recorded episodes by name of the scene.
+    Returns:
+        list of dict: Figures and score of each scene, see :meth:`.Judge.row`; its actions and its
+            digest, see :class:`~ccdiff_env.bench.tape.Tape`.
+        dict: The recorded episodes by name of the scene.
     """
     driver, seat = ego_driver(planner)
     who = driver if seat is None else seat.name

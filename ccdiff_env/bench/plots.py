@@ -24,8 +24,7 @@ _P = ParamSpec("_P")
 
 #: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
 OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-#: No hue tells methods apart alone.
-MARKERS = "osD^vPX*"
+MARKERS = "osD^vPX*"  #: No hue tells methods apart alone.
 #: Methods and planners that look the same in every plot, by their place in this list.
 USUAL = (
     "ccdiff_unguided",
@@ -90,10 +89,8 @@ _INK = (
 def save_plot(figure: Figure, path: Path) -> Path:
     """Write a plot as vectors: PDF for papers, SVG for pages, whose text has the page's colour.
 
-    Returns
-    -------
-    Path
-        That of the SVG; the name of ``path``, whatever its suffix.
+    Returns:
+        Path: That of the SVG; the name of ``path``, whatever its suffix.
     """
     from matplotlib import pyplot as plt
 

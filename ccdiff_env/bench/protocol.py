@@ -60,10 +60,8 @@ class Protocol:
 
         ``seat`` is the planner, ``None`` for a driver of the world; ``who`` is what errors call it.
 
-        Raises
-        ------
-        ConfigError
-            If the planner asks for anything else; names it.
+        Raises:
+            ConfigError: If the planner asks for anything else; names it.
         """
         world = WorldConfig.from_json(json.dumps(self.fields["world"]))
         return world_of_seat(world, seat, who, fixed_by=self.name, dt_s=dt_s)
@@ -71,17 +69,12 @@ class Protocol:
     def fix(self, args: argparse.Namespace) -> dict[str, Any]:
         """Fill in the arguments that a level fixes, where ``--protocol`` is given.
 
-        Returns
-        -------
-        dict
-            Settings of the run: ``protocol``, its name, and ``level``.
+        Returns:
+            dict: Settings of the run: ``protocol``, its name, and ``level``.
 
-        Raises
-        ------
-        UnknownNameError
-            If there is no such protocol or level.
-        ConfigError
-            If an argument was given that is fixed, or the data is another.
+        Raises:
+            UnknownNameError: If there is no such protocol or level.
+            ConfigError: If an argument was given that is fixed, or the data is another.
         """
         if args.protocol is None:
             if args.level is not None:
@@ -111,10 +104,8 @@ class Protocol:
     def check(self, level: str, hashes: Mapping[str, str]) -> None:
         """Refuse scenes, by their content hashes, or weights that are not those of a level.
 
-        Raises
-        ------
-        DatasetError
-            Names the scene or the network.
+        Raises:
+            DatasetError: Names the scene or the network.
         """
         expected = self.fields["levels"][level].get("hashes")
         if expected is not None:

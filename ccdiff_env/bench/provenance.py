@@ -27,17 +27,8 @@ from ccdiff_env.system.version import __version__
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Files of the package that show results and decide none.
-_SHOW = (
-    "view",
-    "terminal.py",
-    "progress.py",
-    "page.py",
-    "plots.py",
-    "cli.py",
-    "planner_cli.py",
-)
-#: Digest of each planner's source when this process first saw it.
-_SEEN: dict[str, str] = {}
+_SHOW = ("view", "terminal.py", "progress.py", "page.py", "plots.py", "cli.py", "planner_cli.py")
+_SEEN: dict[str, str] = {}  #: Digest of each planner's source when this process first saw it.
 
 
 def sha256_of(*files: Path) -> str:
@@ -119,12 +110,10 @@ def source_digest(name: str) -> str | None:
     the module, of all that it imports from outside of installed packages, and the bytes of the
     files that its optional attribute ``files``, or an option, names.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If a file is missing.
-    ConfigError
-        If the source has changed since this process first saw it: what is imported stays as it was.
+    Raises:
+        DatasetNotFoundError: If a file is missing.
+        ConfigError: If the source has changed since this process first saw it: what is imported
+            stays as it was.
     """
     path = name.partition("?")[0]
     kind, _, rest = path.partition(":")

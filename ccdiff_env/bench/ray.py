@@ -9,8 +9,7 @@ from ccdiff_env.errors import MissingFeatureError
 
 _Work = TypeVar("_Work")
 _Result = TypeVar("_Result")
-#: Times that the work of a lost worker is tried again.
-RETRIES = 5
+RETRIES = 5  #: Times that the work of a lost worker is tried again.
 
 
 def results_of_tasks(do: Callable[[_Work], _Result], works: Sequence[_Work]) -> Iterator[_Result]:

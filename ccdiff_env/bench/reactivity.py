@@ -35,8 +35,7 @@ OFFSET_M, OFFSET_S = 1.5, 3.0
 TURN_RAD, ACROSS_MPS2, YAW_RATE_RADPS = np.pi / 6, 1.5, 0.3
 
 F64 = npt.NDArray[np.float64]
-#: x, y and heading after each step.
-Path3 = tuple[F64, F64, F64]
+Path3 = tuple[F64, F64, F64]  #: x, y and heading after each step.
 
 
 def altered(scene: Scene, way: str) -> Scene | None:

@@ -12,8 +12,7 @@ from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECOND
 from ccdiff_env.bench.methods import label_of
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
-#: Figures that are read against those of the log replayed.
-_SHARED = ("realism", *GROUPS)
+_SHARED = ("realism", *GROUPS)  #: Figures that are read against those of the log replayed.
 _PLAIN = (
     Column("own_realism", digits=3, interval=False),
     Column("own_kinematic", digits=3, interval=False),
@@ -26,8 +25,7 @@ _PLAIN = (
     Column("low_ttc_off_log", "low ttc, ego off its log"),
     Column("processor_s", "processor s", digits=3, interval=False),
 )
-#: All figures of a method.
-COLUMNS = (*_SHARED, *FEATURES, *(column.name for column in _PLAIN))
+COLUMNS = (*_SHARED, *FEATURES, *(column.name for column in _PLAIN))  #: All figures of a method.
 
 
 def tables(

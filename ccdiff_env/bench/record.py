@@ -36,11 +36,9 @@ FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
 #: Bytes of a submission, packed and unpacked, its members, and values of all texts of a record.
 MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
-#: Steps that an episode may last, or begin after.
-MOST_STEPS = 100_000
+MOST_STEPS = 100_000  #: Steps that an episode may last, or begin after.
 _MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
-#: Letters that mean something in tables of Markdown.
-_MARKS = frozenset("|[]")
+_MARKS = frozenset("|[]")  #: Letters that mean something in tables of Markdown.
 _VERSION = re.compile(r"[\w.+-]{1,40}", re.ASCII)
 
 
@@ -94,14 +92,10 @@ class Record:
     def read(cls, path: Path) -> Record:
         """Read a run folder or a submission.
 
-        Raises
-        ------
-        DatasetNotFoundError
-            If there is no run of ``bench planners``.
-        DatasetError
-            If something is damaged, or a score is not what its parts make.
-        ConfigError
-            If it is the run of another benchmark.
+        Raises:
+            DatasetNotFoundError: If there is no run of ``bench planners``.
+            DatasetError: If something is damaged, or a score is not what its parts make.
+            ConfigError: If it is the run of another benchmark.
         """
         with reading("run of planners", path):
             parsed = _parsed(_of_file(path) if path.is_file() else _of_folder(path), path)
@@ -128,10 +122,8 @@ class Record:
     def results(self) -> list[Result]:
         """Return what there is of each planner.
 
-        Raises
-        ------
-        DatasetError
-            If episodes of it are missing.
+        Raises:
+            DatasetError: If episodes of it are missing.
         """
         groups: dict[str, list[Entry]] = {}
         for entry in self.entries:
@@ -314,12 +306,9 @@ def submit(
     ``code`` is an ``https://`` address of the planner's code, ``training_data`` says what it was
     trained on.
 
-    Raises
-    ------
-    ConfigError
-        If the address is none of the web, or the words are not one line of text.
-    DatasetError, DatasetNotFoundError
-        If the run is damaged, unfinished or not there.
+    Raises:
+        ConfigError: If the address is none of the web, or the words are not one line of text.
+        DatasetError, DatasetNotFoundError: If the run is damaged, unfinished or not there.
     """
     try:
         _declared(code, training_data)

@@ -17,10 +17,8 @@ from ccdiff_env.system.files import file_name, reading
 from ccdiff_env.view import address, write_page
 from ccdiff_env.view.outcome import LEAD_S, outcome
 
-#: Folder of the pages in a run folder.
-FOLDER = "replays"
-#: Addresses of pages by the names of job and scene.
-Pages = Mapping[tuple[str, str], str]
+FOLDER = "replays"  #: Folder of the pages in a run folder.
+Pages = Mapping[tuple[str, str], str]  #: Addresses of pages by the names of job and scene.
 
 
 def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path, **run: Any) -> tuple[Pages, int]:
@@ -67,12 +65,7 @@ def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
 
 
 def play_again(
-    *,
-    function: str,
-    arguments: Mapping[str, Any],
-    scenes: Sequence[str],
-    folder: str,
-    prefix: str,
+    *, function: str, arguments: Mapping[str, Any], scenes: Sequence[str], folder: str, prefix: str
 ) -> dict[str, Any]:
     """Do a job's work once more and write pages of some of its scenes.
 

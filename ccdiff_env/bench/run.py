@@ -37,32 +37,24 @@ _HIDDEN = ("job", "actions", "action")
 class Run:
     """A run folder of a resumable benchmark.
 
-    Parameters
-    ----------
-    args
-        Arguments of :func:`~ccdiff_env.bench.arguments.add_run_arguments`.
-    benchmark
-        Its name.
-    **settings
-        What else decides the results, ``seeds`` where there are several; a folder belongs to one
-        choice of all of it, and to the scenes, the seed, and custom weights. Results that
-        another release or another file of a planner made are made again; those of another package
-        or of other weights, where a sample of them comes out otherwise.
+    Args:
+        args: Arguments of :func:`~ccdiff_env.bench.arguments.add_run_arguments`.
+        benchmark: Its name.
+        **settings: What else decides the results, ``seeds`` where there are several; a folder
+            belongs to one choice of all of it, and to the scenes, the seed, and custom weights.
+            Results that another release or another file of a planner made are made again; those of
+            another package or of other weights, where a sample of them comes out otherwise.
 
-    Raises
-    ------
-    ConfigError
-        If the folder holds a run with other settings.
+    Raises:
+        ConfigError: If the folder holds a run with other settings.
     """
 
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
         place = place_from(args)
-        #: Text of the scenes, and how many of its split there are.
-        self.source = str(place)
+        self.source = str(place)  #: Text of the scenes, and how many of its split there are.
         self.coverage = coverage(place, len(scenes_of(self.source)))
         self.folder: Path = args.out
-        #: SHA-256 of the shipped weights.
-        files = weight_files()
+        files = weight_files()  #: SHA-256 of the shipped weights.
         self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))
         seeds = {"seed": args.seed} if hasattr(args, "seed") else {"seeds": settings.pop("seeds")}
         self._line = f"seed {', '.join(str(s) for s in seeds.get('seeds', [seeds.get('seed')]))}"

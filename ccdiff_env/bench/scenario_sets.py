@@ -48,28 +48,23 @@ OPTIONS: Mapping[str, Any] = {"terminate_at_goal": False}
 class Scenario:
     """One recorded episode of a set.
 
-    Parameters
-    ----------
-    scene, token, scene_hash
-        Name of the scene it started from, its token in the data set, hash of its content.
-    motion_hash
-        SHA-256 of who was where: that of the file depends on who compressed it.
-    file, sha256
-        File of the episode in the folder of the set, and its hash.
-    collision
-        Whether the ego that the set was made against collides before it reaches its goal.
-    kind, partner, time_s, at_fault
-        First collision of the ego: side of the ego, the other agent, time, and whether any of its
-        collisions counts against it; ``None`` and false without a collision.
-    avoidable
-        Whether the ego could have stayed free of collisions, the others doing as recorded: true
-        where it did. False means that none of the plans tried does.
-    realism_cost
-        Mean total variation of the guided plans in [0, 1], the paper's C(tau).
-    shift_sigmas
-        The same in standard deviations, which does not saturate; ``None`` in earlier sets.
-    fde_m
-        Mean distance from the log at the last common step of the vehicles that CCDiff drives.
+    Args:
+        scene, token, scene_hash: Name of the scene it started from, its token in the data set, hash
+            of its content.
+        motion_hash: SHA-256 of who was where: that of the file depends on who compressed it.
+        file, sha256: File of the episode in the folder of the set, and its hash.
+        collision: Whether the ego that the set was made against collides before it reaches its
+            goal.
+        kind, partner, time_s, at_fault: First collision of the ego: side of the ego, the other
+            agent, time, and whether any of its collisions counts against it; ``None`` and false
+            without a collision.
+        avoidable: Whether the ego could have stayed free of collisions, the others doing as
+            recorded: true where it did. False means that none of the plans tried does.
+        realism_cost: Mean total variation of the guided plans in [0, 1], the paper's C(tau).
+        shift_sigmas: The same in standard deviations, which does not saturate; ``None`` in earlier
+            sets.
+        fde_m: Mean distance from the log at the last common step of the vehicles that CCDiff
+            drives.
     """
 
     scene: str
@@ -93,26 +88,16 @@ class Scenario:
 class ScenarioSet:
     """Scenarios made against one ego.
 
-    Parameters
-    ----------
-    folder
-        Where the files are.
-    generator
-        The ego that the traffic was made against, as planners are named.
-    traffic
-        Name of the traffic, see :data:`ccdiff_env.bench.planners.TRAFFIC`.
-    seed
-        Seed of every episode.
-    weights
-        SHA-256 of the weights that drove.
-    source
-        Where the scenes come from, a text of :func:`ccdiff_env.load`.
-    settings
-        Further settings: those of the traffic, the plans tried to avoid a collision.
-    scenarios
-        What there is.
-    version
-        Release that made it.
+    Args:
+        folder: Where the files are.
+        generator: The ego that the traffic was made against, as planners are named.
+        traffic: Name of the traffic, see :data:`ccdiff_env.bench.planners.TRAFFIC`.
+        seed: Seed of every episode.
+        weights: SHA-256 of the weights that drove.
+        source: Where the scenes come from, a text of :func:`ccdiff_env.load`.
+        settings: Further settings: those of the traffic, the plans tried to avoid a collision.
+        scenarios: What there is.
+        version: Release that made it.
     """
 
     folder: Path
@@ -174,11 +159,10 @@ def generate(
     Where the traffic has several draws, a scene is played with one seed after the other until the
     ego collides; the last episode is kept. ``num_plans`` ego plans are tried to avoid a collision.
 
-    Returns
-    -------
-    list of dict
-        ``scenario``: the fields of :class:`Scenario`; ``comfort`` and ``comfort_log``: histograms
-        [3][20] of the vehicles that CCDiff drives, and of their log.
+    Returns:
+        list of dict: ``scenario``: the fields of :class:`Scenario`; ``comfort`` and
+            ``comfort_log``: histograms [3][20] of the vehicles that CCDiff drives, and of their
+            log.
     """
     rollouts: dict[str, Rollout] = {}
     left, hashes = list(names), scene_hashes(source, names)
@@ -281,17 +265,13 @@ def write_manifest(made: ScenarioSet) -> Path:
 def load_scenario_set(path: str | os.PathLike[str]) -> ScenarioSet:
     """Read a set and check its files against the manifest.
 
-    Parameters
-    ----------
-    path
-        Folder of the set, or its manifest.
+    Args:
+        path: Folder of the set, or its manifest.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is no manifest, or a file that it names is missing.
-    DatasetError
-        If the manifest is damaged or of another format, or a file is not the one that it names.
+    Raises:
+        DatasetNotFoundError: If there is no manifest, or a file that it names is missing.
+        DatasetError: If the manifest is damaged or of another format, or a file is not the one that
+            it names.
     """
     place = Path(path)
     manifest = place / MANIFEST if place.is_dir() else place

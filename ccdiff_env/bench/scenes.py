@@ -15,10 +15,8 @@ from ccdiff_env.scenes.sources import Place, load, parse, title
 def place_of(source: object) -> Place:
     """Return the place that a text names, of a file perhaps.
 
-    Raises
-    ------
-    ConfigError
-        If it is no text of a source; run folders of older releases hold another form.
+    Raises:
+        ConfigError: If it is no text of a source; run folders of older releases hold another form.
     """
     if not isinstance(source, str):
         raise ConfigError(

@@ -86,8 +86,7 @@ class Choice(NamedTuple):
     point: str
     #: Returns what :meth:`AdversarySelectionVectorEnv.decide` takes.
     choose: Callable[[AdversarySelectionVectorEnv], Any]
-    #: Options of the environment.
-    options: Mapping[str, Any] = {}
+    options: Mapping[str, Any] = {}  #: Options of the environment.
 
 
 def _rule(rule: str, strength: float, gate_m: float = np.inf) -> Choice:

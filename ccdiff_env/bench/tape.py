@@ -29,14 +29,10 @@ class Tape:
     The digest is over the scene's hash, the seed, and of every step the action, the columns of
     ``info``, and the states of all agents.
 
-    Parameters
-    ----------
-    worlds
-        Worlds at the beginning of their episodes.
-    world_idx
-        Which of them.
-    driver
-        Who drives the ego; actions are kept where it is driven from outside.
+    Args:
+        worlds: Worlds at the beginning of their episodes.
+        world_idx: Which of them.
+        driver: Who drives the ego; actions are kept where it is driven from outside.
     """
 
     def __init__(self, worlds: Worlds, world_idx: int, driver: str) -> None:
@@ -105,12 +101,11 @@ class Recorded:
 
 
 class Witnessed(Recorded):
-    """Does again what tapes hold, while a planner of the package, ``seat``, says what it would
-    do.
+    """Does again what tapes hold, while a planner of the package, ``seat``, says what it
+    would do.
     """
 
-    #: It reads the worlds as the planner does, who may be privileged.
-    privileged = True
+    privileged = True  #: It reads the worlds as the planner does, who may be privileged.
 
     def __init__(self, rows: Sequence[Mapping[str, Any]], seat: Seat) -> None:
         super().__init__(rows)

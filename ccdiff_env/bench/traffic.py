@@ -36,10 +36,8 @@ START_STEP: int = PAPER_PROTOCOL["history_steps"]
 HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
-#: Drivers whose plans may be made at other times.
-_PLANNERS = {*NETWORKS} - {SWIFT}
-#: Speed below which a logged vehicle counts as standing, m/s.
-STATIONARY_MPS = 0.5
+_PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
+STATIONARY_MPS = 0.5  #: Speed below which a logged vehicle counts as standing, m/s.
 
 
 def traffic_jobs(
@@ -59,26 +57,18 @@ def traffic_jobs(
     methods that do not plan, and all vehicles by another ranking than that of ``ccdiff``, where
     that one is asked for.
 
-    Parameters
-    ----------
-    num_controlled
-        Numbers of controlled vehicles K; ``None`` is all.
-    replan_controlled
-        Those K at which all periods are played, the first one alone at the others; all K for
-        ``None``.
-    listed
-        Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
-    weights
-        Weight files by driver, in place of the shipped ones.
+    Args:
+        num_controlled: Numbers of controlled vehicles K; ``None`` is all.
+        replan_controlled: Those K at which all periods are played, the first one alone at the
+            others; all K for ``None``.
+        listed: Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
+        weights: Weight files by driver, in place of the shipped ones.
 
-    Raises
-    ------
-    UnknownNameError
-        For a method that does not exist.
-    ConfigError
-        For ``ccdiff_listed`` without lists.
-    DatasetError
-        If scenes have no list, or a list names what cannot be controlled or names it twice.
+    Raises:
+        UnknownNameError: For a method that does not exist.
+        ConfigError: For ``ccdiff_listed`` without lists.
+        DatasetError: If scenes have no list, or a list names what cannot be controlled or names it
+            twice.
     """
     for name in methods:
         if name not in METHODS:
@@ -155,12 +145,7 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
 
 
 def control_set(
-    scene: Scene,
-    ranking: str,
-    top_k: int | None,
-    seed: int = 0,
-    *,
-    listed: Sequence[str] = (),
+    scene: Scene, ranking: str, top_k: int | None, seed: int = 0, *, listed: Sequence[str] = ()
 ) -> list[int]:
     """Return the first K moving vehicles of a ranking at the start of the episode.
 

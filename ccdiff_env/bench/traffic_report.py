@@ -40,8 +40,7 @@ _MEANS: dict[str, tuple[str, float]] = {
 }
 #: Comfort distances, of histograms that are summed over scenes, x 100.
 _COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
-#: Figures of a condition; docs/evaluation.md defines them.
-FIGURES = (*_MEANS, *_COMFORT)
+FIGURES = (*_MEANS, *_COMFORT)  #: Figures of a condition; docs/evaluation.md defines them.
 #: Figures that scenes without a road do not have.
 NEED_ROAD = ("orr", "orr_box", "orr_reference_impl")
 UNGUIDED = "_unguided"

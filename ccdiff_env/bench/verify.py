@@ -53,25 +53,19 @@ def verify(
     actions are played. Batches are played as a whole, as they were: networks round differently in
     others.
 
-    Parameters
-    ----------
-    episodes
-        At least so many, by chance; all by default.
-    seed
-        Repeats a draw; from the system's randomness by default, so that nobody knows the draw
-        beforehand.
-    dataroot
-        Folder of nuScenes, where it is another than that of the run.
-    own_code
-        Whether traffic that a run folder names by ``module:name`` or by the file of a policy is
-        run. That of a submission never is.
+    Args:
+        episodes: At least so many, by chance; all by default.
+        seed: Repeats a draw; from the system's randomness by default, so that nobody knows the draw
+            beforehand.
+        dataroot: Folder of nuScenes, where it is another than that of the run.
+        own_code: Whether traffic that a run folder names by ``module:name`` or by the file of a
+            policy is run. That of a submission never is.
 
-    Raises
-    ------
-    ConfigError
-        If the number is not positive, the data's folder is missing, or traffic would run code.
-    DatasetError
-        If scenes or protocol are not those of the run, or an episode lacks its actions.
+    Raises:
+        ConfigError: If the number is not positive, the data's folder is missing, or traffic would
+            run code.
+        DatasetError: If scenes or protocol are not those of the run, or an episode lacks its
+            actions.
     """
     if episodes is not None and episodes < 1:
         raise ConfigError(f"episodes is {episodes}, expected at least 1")

@@ -25,13 +25,7 @@ __all__ = ["EgoPolicy", "load_ego", "save_ego"]
 
 F32 = npt.NDArray[np.float32]
 
-_LAYERS = (
-    "encoder.0",
-    "encoder.2",
-    "policy.0",
-    "policy.2",
-    "policy.4",
-)
+_LAYERS = ("encoder.0", "encoder.2", "policy.0", "policy.2", "policy.4")
 
 
 def _worlds(config: WorldConfig) -> Worlds:
@@ -42,19 +36,13 @@ def _worlds(config: WorldConfig) -> Worlds:
 class EgoPolicy:
     """A trained ego.
 
-    Parameters
-    ----------
-    tensors
-        Weights by name, and ``mean`` and ``std`` [D] of observations.
-    options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what its
-        actions mean, for how many steps it holds them.
-    schema
-        Digest of the meaning of its observations.
-    about
-        How it was trained.
-    styles
-        Ranges of the factors of reward weights that it was trained for, by name: its dial.
+    Args:
+        tensors: Weights by name, and ``mean`` and ``std`` [D] of observations.
+        options: Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what
+            its actions mean, for how many steps it holds them.
+        schema: Digest of the meaning of its observations.
+        about: How it was trained.
+        styles: Ranges of the factors of reward weights that it was trained for, by name: its dial.
     """
 
     def __init__(
@@ -65,8 +53,7 @@ class EgoPolicy:
         about: Mapping[str, Any],
         styles: Ranges = NO_STYLE,
     ) -> None:
-        #: Configuration of worlds that fit.
-        self.config = WorldConfig().with_options(**options)
+        self.config = WorldConfig().with_options(**options)  #: Configuration of worlds that fit.
         self.about, self.styles = dict(about), dict(styles)
         self._schema = schema
         worlds = _worlds(self.config)
@@ -85,10 +72,8 @@ class EgoPolicy:
     def check(self, worlds: Worlds) -> None:
         """Refuse worlds whose observations or actions are not those of the policy.
 
-        Raises
-        ------
-        ConfigError
-            In one line that says what differs.
+        Raises:
+            ConfigError: In one line that says what differs.
         """
         action = self.config.action
         if worlds.config.action != action:
@@ -105,10 +90,8 @@ class EgoPolicy:
     def act(self, obs: npt.NDArray[Any]) -> F32:
         """Return actions [N, A] in [-1, 1] for flat observations [N, D]; nothing is drawn.
 
-        Raises
-        ------
-        ShapeError
-            If the observations have another width.
+        Raises:
+            ShapeError: If the observations have another width.
         """
         given = np.asarray(obs, np.float32)
         if given.ndim != 2:
@@ -121,10 +104,8 @@ class EgoPolicy:
         Worlds that do not hold actions themselves are given every action for as many steps as the
         policy was trained to hold it.
 
-        Raises
-        ------
-        ConfigError
-            If the worlds do not fit.
+        Raises:
+            ConfigError: If the worlds do not fit.
         """
         self.check(worlds)
         held = self.config.decision_steps
@@ -148,23 +129,16 @@ def save_ego(
 ) -> None:
     """Write a policy with all that it needs to a safetensors file.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    tensors
-        State of the network as :mod:`ccdiff_env.envs.ppo` has it, tensors or arrays.
-    options
-        Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy: :data:`FITTING`.
-    about
-        How it was trained: what JSON can hold.
-    styles
-        Ranges of the ``style`` of its worlds, in the order of the observation.
+    Args:
+        path: File to write.
+        tensors: State of the network as :mod:`ccdiff_env.envs.ppo` has it, tensors or arrays.
+        options: Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy:
+            :data:`FITTING`.
+        about: How it was trained: what JSON can hold.
+        styles: Ranges of the ``style`` of its worlds, in the order of the observation.
 
-    Raises
-    ------
-    ConfigError
-        If an option is none of these.
+    Raises:
+        ConfigError: If an option is none of these.
     """
     if others := set(options) - set(FITTING):
         raise ConfigError(
@@ -188,20 +162,15 @@ def save_ego(
 def load_ego(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
     """Load a policy that :func:`save_ego` wrote.
 
-    Parameters
-    ----------
-    path
-        The file.
-    style
-        Factors of weights of the reward, where it was trained for a range of them; 1 by default.
+    Args:
+        path: The file.
+        style: Factors of weights of the reward, where it was trained for a range of them; 1 by
+            default.
 
-    Raises
-    ------
-    DatasetNotFoundError, DatasetError
-        If there is no such file, or it is damaged.
-    ConfigError
-        If the observations that this version makes are not those that it was trained on, or it was
-        not trained for the style.
+    Raises:
+        DatasetNotFoundError, DatasetError: If there is no such file, or it is damaged.
+        ConfigError: If the observations that this version makes are not those that it was trained
+            on, or it was not trained for the style.
     """
     found = read_policy(path, style)
     with reading("policy", path):

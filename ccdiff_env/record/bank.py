@@ -35,10 +35,8 @@ WORLD = WorldConfig().with_options(
     on_collision="stop", on_off_road="ignore", terminate_at_goal=False, autoreset="disabled"
 )
 SETTINGS = "bank.json"
-#: Scenes that share a batch of the network, and a file.
-PIECE = 12
-#: A scene in a file is not larger.
-MAX_BYTES = 64 << 20
+PIECE = 12  #: Scenes that share a batch of the network, and a file.
+MAX_BYTES = 64 << 20  #: A scene in a file is not larger.
 #: Bytes of all scenes of a bank: so many, and so many times those of its files. Recorded scenes
 #: take three times as many.
 LEAST_BYTES, MOST_RATIO = 128 << 20, 30
@@ -60,38 +58,25 @@ def record_bank(
     A call that was stopped goes on with what the folder lacks. What a bank holds does not depend on
     the number of workers.
 
-    Parameters
-    ----------
-    scenes
-        Scenes to drive, as for :func:`ccdiff_env.make_vec`.
-    folder
-        Where the bank goes.
-    ego
-        The ego that the traffic is made against: ``"idm"``, ``"replay"``, ``"pdm"``, a policy of
-        :mod:`ccdiff_env.planners`, or the path of one (``.safetensors``, ``.zip``).
-    criticality
-        Strength of the guidance against it.
-    draws
-        Episodes of each scene.
-    seed
-        Seed of the first draw; the others follow.
-    avoidable_only
-        Whether episodes are left out in which the ego collides and no plan that was tried would
-        have kept it free of collisions.
-    workers
-        Processes.
+    Args:
+        scenes: Scenes to drive, as for :func:`ccdiff_env.make_vec`.
+        folder: Where the bank goes.
+        ego: The ego that the traffic is made against: ``"idm"``, ``"replay"``, ``"pdm"``, a policy
+            of :mod:`ccdiff_env.planners`, or the path of one (``.safetensors``, ``.zip``).
+        criticality: Strength of the guidance against it.
+        draws: Episodes of each scene.
+        seed: Seed of the first draw; the others follow.
+        avoidable_only: Whether episodes are left out in which the ego collides and no plan that was
+            tried would have kept it free of collisions.
+        workers: Processes.
 
-    Returns
-    -------
-    SceneSet
-        The recorded scenes: the others do as recorded, the ego's log stays for its route and goal.
+    Returns:
+        SceneSet: The recorded scenes: the others do as recorded, the ego's log stays for its route
+            and goal.
 
-    Raises
-    ------
-    ConfigError
-        If the folder holds a bank of other settings, or one is out of range.
-    DatasetError
-        If what the folder holds is damaged.
+    Raises:
+        ConfigError: If the folder holds a bank of other settings, or one is out of range.
+        DatasetError: If what the folder holds is damaged.
     """
     if draws < 1 or workers < 1:
         raise ConfigError(f"draws, workers are {draws}, {workers}, expected at least 1")
@@ -170,12 +155,9 @@ def _record(job: tuple[Path, list[bytes], str, float, int, str, bool]) -> None:
 def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
     """Return the scenes of a bank that :func:`record_bank` wrote.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If there is none.
-    DatasetError
-        If a file is damaged.
+    Raises:
+        DatasetNotFoundError: If there is none.
+        DatasetError: If a file is damaged.
     """
     root = Path(folder)
     if not (root / SETTINGS).is_file():

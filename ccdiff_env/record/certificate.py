@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from ccdiff_env.worlds import Worlds
 
 FORMAT = "ccdiff-env certificate 2"
-#: Episodes since the seed that a replay goes through.
-MOST_EPISODES = 100_000
+MOST_EPISODES = 100_000  #: Episodes since the seed that a replay goes through.
 
 
 def schema_digest(worlds: Worlds) -> str:
@@ -51,24 +50,16 @@ def _state_digest(worlds: Worlds) -> str:
 class Certificate:
     """Everything that one episode follows from, and a digest of how it came out.
 
-    Parameters
-    ----------
-    package, schema
-        Version of the package, and digest of what observations and info columns mean.
-    scene, scene_hash
-        Name and content hash of the scene.
-    config
-        Configuration.
-    seed, episode_idx
-        Seed of the world, and number of the episode since then.
-    actions
-        Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
-    digest
-        Digest of the final states and of the metrics of the episode.
-    ego, start_step
-        Id and first step of an ego that was drawn.
-    style
-        Factors of weights of the reward that were drawn or set.
+    Args:
+        package, schema: Version of the package, and digest of what observations and info columns
+            mean.
+        scene, scene_hash: Name and content hash of the scene.
+        config: Configuration.
+        seed, episode_idx: Seed of the world, and number of the episode since then.
+        actions: Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
+        digest: Digest of the final states and of the metrics of the episode.
+        ego, start_step: Id and first step of an ego that was drawn.
+        style: Factors of weights of the reward that were drawn or set.
     """
 
     package: str
@@ -129,10 +120,8 @@ class Certificate:
     def from_json(cls, text: str) -> Certificate:
         """Read what :meth:`to_json` wrote.
 
-        Raises
-        ------
-        SnapshotError
-            If the text is damaged or of another format.
+        Raises:
+            SnapshotError: If the text is damaged or of another format.
         """
         try:
             fields = parsed_object(text)
@@ -175,10 +164,9 @@ class Certificate:
     def load(cls, path: str | os.PathLike[str]) -> Certificate:
         """Read a file that :meth:`save` wrote.
 
-        Raises
-        ------
-        DatasetNotFoundError, SnapshotError
-            If there is no such file, or it is damaged or of another format.
+        Raises:
+            DatasetNotFoundError, SnapshotError: If there is no such file, or it is damaged or of
+                another format.
         """
         with reading("certificate", path, SnapshotError):
             return cls.from_json(read_text(path))

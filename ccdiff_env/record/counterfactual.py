@@ -32,14 +32,10 @@ Cause: TypeAlias = Literal["none", "adversaries", "ego", "either", "both"]
 class EgoPlan:
     """A way to drive on: two accelerations one after the other, along a shifted route.
 
-    Parameters
-    ----------
-    acceleration_mps2
-        At first, and after ``switch_s``.
-    switch_s
-        Seconds until the second one.
-    offset_m
-        Distance from the route to drive at, left positive.
+    Args:
+        acceleration_mps2: At first, and after ``switch_s``.
+        switch_s: Seconds until the second one.
+        offset_m: Distance from the route to drive at, left positive.
     """
 
     acceleration_mps2: tuple[float, float]
@@ -56,18 +52,14 @@ STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2
 class Avoidability:
     """Whether some ego plan avoids every collision.
 
-    Parameters
-    ----------
-    avoidable
-        Whether one of the plans tried does.
-    plan
-        The first of them, least aggressive first; ``None`` if there is none.
-    num_tried, num_safe
-        Plans tried, and plans among them that avoid all collisions. The search stops after the
-        batch of plans in which one was found.
-    held, unchanged
-        Of a search with ``reactive=True``: share of futures that did not choose the plan in which
-        it avoids all collisions, 0 without a plan, and share in which the ego without a plan does.
+    Args:
+        avoidable: Whether one of the plans tried does.
+        plan: The first of them, least aggressive first; ``None`` if there is none.
+        num_tried, num_safe: Plans tried, and plans among them that avoid all collisions. The search
+            stops after the batch of plans in which one was found.
+        held, unchanged: Of a search with ``reactive=True``: share of futures that did not choose
+            the plan in which it avoids all collisions, 0 without a plan, and share in which the ego
+            without a plan does.
     """
 
     avoidable: bool
@@ -82,19 +74,13 @@ class Avoidability:
 class Attribution:
     """Who a collision of the ego comes from, by taking one cause away at a time.
 
-    Parameters
-    ----------
-    collided
-        Whether the ego collides as things are.
-    without_adversaries
-        Whether it collides when nobody is guided against it.
-    with_reference
-        Whether it collides when a reference planner drives it.
-    cause
-        ``"none"``: no collision; ``"adversaries"`` or ``"ego"``: it disappears without that one
-        only; ``"either"``: without any one of the two; ``"both"``: it stays in either case.
-    rollouts
-        What happened in the three cases, in the order above.
+    Args:
+        collided: Whether the ego collides as things are.
+        without_adversaries: Whether it collides when nobody is guided against it.
+        with_reference: Whether it collides when a reference planner drives it.
+        cause: ``"none"``: no collision; ``"adversaries"`` or ``"ego"``: it disappears without that
+            one only; ``"either"``: without any one of the two; ``"both"``: it stays in either case.
+        rollouts: What happened in the three cases, in the order above.
     """
 
     collided: bool
@@ -114,32 +100,22 @@ def branch(
 ) -> Rollout:
     """Play a fork of an environment on, to the end or for some steps.
 
-    Parameters
-    ----------
-    env
-        An environment in the middle of an episode; it is not changed.
-    ego
-        Who drives the ego from here on, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes
-        it; ``"replay"`` steers back to the log.
-    adversaries
-        Ids of the vehicles to guide against the ego in CCDiff traffic; ``()`` for nobody,
-        ``None`` to leave it as it is.
-    steps
-        Steps at most.
-    seed
-        Seed of what traffic draws from here on; by default it draws what it would have drawn.
+    Args:
+        env: An environment in the middle of an episode; it is not changed.
+        ego: Who drives the ego from here on, as :func:`~ccdiff_env.planners.built_in.ego_driver`
+            takes it; ``"replay"`` steers back to the log.
+        adversaries: Ids of the vehicles to guide against the ego in CCDiff traffic; ``()`` for
+            nobody, ``None`` to leave it as it is.
+        steps: Steps at most.
+        seed: Seed of what traffic draws from here on; by default it draws what it would have drawn.
 
-    Returns
-    -------
-    Rollout
-        From the present state on.
+    Returns:
+        Rollout: From the present state on.
 
-    Raises
-    ------
-    ResetNeededError
-        Before the first reset.
-    ConfigError
-        If the traffic takes no adversaries, or the ego cannot be driven so from outside.
+    Raises:
+        ResetNeededError: Before the first reset.
+        ConfigError: If the traffic takes no adversaries, or the ego cannot be driven so from
+            outside.
     """
     worlds = worlds_of(env)
     if not worlds.native.begun(0):
@@ -190,12 +166,9 @@ def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
     The first 45 brake or accelerate evenly, or brake and go on, each on the route and up to 2.5 m
     beside it; the rest is drawn at random.
 
-    Parameters
-    ----------
-    num_samples
-        Plans to return.
-    seed
-        For the random ones.
+    Args:
+        num_samples: Plans to return.
+        seed: For the random ones.
     """
     offsets = (0.0, 1.0, -1.0, 2.5, -2.5)
     accelerations = (0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0)
@@ -228,34 +201,23 @@ def avoidability(
     ``reactive=True`` asks for more: the least aggressive of 15 steady plans that avoids all
     collisions in ``draws`` futures is tested in as many others.
 
-    Parameters
-    ----------
-    env
-        An environment in the middle of an episode, with continuous actions and an ego driven from
-        outside; it is not changed.
-    num_samples
-        Plans to try at most.
-    horizon_s
-        How far plans are followed; to the end of the episode by default.
-    stay_on_road
-        Whether a plan must not leave the road either.
-    seed
-        For the plans.
-    batch
-        Plans that are tried together.
-    reactive
-        Whether plans are steady, last 2.1 s and must hold in other futures.
-    ego
-        Who drives after such a plan, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes it.
-    draws
-        Futures that choose among these plans: the present draw of traffic, and others.
+    Args:
+        env: An environment in the middle of an episode, with continuous actions and an ego driven
+            from outside; it is not changed.
+        num_samples: Plans to try at most.
+        horizon_s: How far plans are followed; to the end of the episode by default.
+        stay_on_road: Whether a plan must not leave the road either.
+        seed: For the plans.
+        batch: Plans that are tried together.
+        reactive: Whether plans are steady, last 2.1 s and must hold in other futures.
+        ego: Who drives after such a plan, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes
+            it.
+        draws: Futures that choose among these plans: the present draw of traffic, and others.
 
-    Raises
-    ------
-    ResetNeededError
-        Before the first reset.
-    ConfigError
-        If the ego takes no continuous actions from outside, or traffic that shall react does not.
+    Raises:
+        ResetNeededError: Before the first reset.
+        ConfigError: If the ego takes no continuous actions from outside, or traffic that shall
+            react does not.
     """
     worlds = worlds_of(env)
     config, native = worlds.config, worlds.native
@@ -366,22 +328,15 @@ def rollout_avoidability(
 ) -> Avoidability | None:
     """Ask whether a recorded ego's first collision was avoidable, the others doing as recorded.
 
-    Parameters
-    ----------
-    rollout
-        A recorded episode.
-    before_s
-        How long before the collision the ego may begin to do otherwise.
-    after_s
-        How long after the recorded collision plans are followed. Where the recording ends
-        earlier, the others go on at constant velocity.
-    **options
-        As for :func:`avoidability`.
+    Args:
+        rollout: A recorded episode.
+        before_s: How long before the collision the ego may begin to do otherwise.
+        after_s: How long after the recorded collision plans are followed. Where the recording ends
+            earlier, the others go on at constant velocity.
+        **options: As for :func:`avoidability`.
 
-    Returns
-    -------
-    Avoidability or None
-        ``None`` if the ego does not collide.
+    Returns:
+        Avoidability or None: ``None`` if the ego does not collide.
     """
     hits = rollout.collisions("ego")
     if not hits:
@@ -421,21 +376,14 @@ def attribute(
 ) -> Attribution:
     """Ask who a collision of the ego comes from, from the present moment of an environment on.
 
-    Parameters
-    ----------
-    env
-        An environment in CCDiff traffic in the middle of an episode; it is not changed.
-    ego
-        Who drives the ego as things are.
-    reference
-        Who drives it instead.
-    steps
-        Steps to look ahead at most.
+    Args:
+        env: An environment in CCDiff traffic in the middle of an episode; it is not changed.
+        ego: Who drives the ego as things are.
+        reference: Who drives it instead.
+        steps: Steps to look ahead at most.
 
-    Raises
-    ------
-    ConfigError
-        If the traffic takes no adversaries.
+    Raises:
+        ConfigError: If the traffic takes no adversaries.
     """
     factual = branch(env, ego=ego, steps=steps)
     calm = branch(env, ego=ego, adversaries=(), steps=steps)

@@ -29,12 +29,9 @@ _LEAST, _MEANINGS = ("wheelbase_share",), ("delta_mps2", "offset_m")
 class Step(NamedTuple):
     """One step of a batch of E worlds."""
 
-    #: Worlds that took it [E]; those that the caller clears take no further one.
-    running: Bool
-    #: Actions that led to it [E, C, W].
-    actions: F32
-    #: What came of it; the next step overwrites the arrays.
-    out: StepArrays
+    running: Bool  #: Worlds that took it [E]; those that the caller clears take no further one.
+    actions: F32  #: Actions that led to it [E, C, W].
+    out: StepArrays  #: What came of it; the next step overwrites the arrays.
 
 
 def world_of_seat(
@@ -42,22 +39,15 @@ def world_of_seat(
 ) -> WorldConfig:
     """Return the configuration of an episode: what is fixed, and what a planner chooses.
 
-    Parameters
-    ----------
-    world
-        What is fixed.
-    seat
-        The planner; ``None`` for a driver of the world.
-    who, fixed_by
-        What errors call the planner, and what fixes the rest.
-    dt_s
-        Seconds of a step of the scenes.
+    Args:
+        world: What is fixed.
+        seat: The planner; ``None`` for a driver of the world.
+        who, fixed_by: What errors call the planner, and what fixes the rest.
+        dt_s: Seconds of a step of the scenes.
 
-    Raises
-    ------
-    ConfigError
-        If the planner asks for anything else, or for wider limits of its model of motion than the
-        default ones; names it.
+    Raises:
+        ConfigError: If the planner asks for anything else, or for wider limits of its model of
+            motion than the default ones; names it.
     """
     world = world.with_options(dt_s=dt_s)
     if seat is None:
@@ -120,18 +110,14 @@ def play(
 ) -> Iterator[Step]:
     """Play the present episodes of all worlds to their ends; yields after every step.
 
-    Parameters
-    ----------
-    worlds
-        Worlds in episodes, without autoreset.
-    act
-        From the observations of the first slots [E, D] and the worlds that go on [E] to actions of
-        E·C·W numbers, or indices; for example a :class:`~ccdiff_env.planners.built_in.Seat` that
-        has begun. ``None``: nobody is driven from outside.
-    recorders
-        Recorders by world, which are stepped here.
-    most
-        Steps at most.
+    Args:
+        worlds: Worlds in episodes, without autoreset.
+        act: From the observations of the first slots [E, D] and the worlds that go on [E] to
+            actions of E·C·W numbers, or indices; for example a
+            :class:`~ccdiff_env.planners.built_in.Seat` that has begun. ``None``: nobody is driven
+            from outside.
+        recorders: Recorders by world, which are stepped here.
+        most: Steps at most.
     """
     native, out = worlds.native, worlds.last
     if out is None:  # the worlds were restored

@@ -49,40 +49,32 @@ class Recorder:
     Made after a reset, it has started; before one, :meth:`start` comes after it. A step may be
     recorded twice. Environments of adversary selection call :meth:`step` themselves.
 
-    Parameters
-    ----------
-    env
-        An environment of this package, a wrapper of one, or native worlds by themselves.
-    world_idx
-        World to record.
-    **meta
-        Entries of :attr:`Rollout.meta` beside seed, configuration, traffic and source, such as
-        ``planner="idm"``.
+    Args:
+        env: An environment of this package, a wrapper of one, or native worlds by themselves.
+        world_idx: World to record.
+        **meta: Entries of :attr:`Rollout.meta` beside seed, configuration, traffic and source, such
+            as ``planner="idm"``.
 
-    Raises
-    ------
-    ConfigError
-        If the worlds hold actions for several steps.
+    Raises:
+        ConfigError: If the worlds hold actions for several steps.
 
-    Notes
-    -----
-    An ego that is drawn is ``"ego"`` in the recording, and ``meta["ego"]`` its id in the scene.
+    Notes:
+        An ego that is drawn is ``"ego"`` in the recording, and ``meta["ego"]`` its id in the scene.
 
-    In autoreset mode SAME_STEP the last state of an episode is never seen from outside, so that it
-    is missing; NEXT_STEP and DISABLED show it.
+        In autoreset mode SAME_STEP the last state of an episode is never seen from outside, so that
+        it is missing; NEXT_STEP and DISABLED show it.
 
-    Examples
-    --------
-    >>> import ccdiff_env
-    >>> env = ccdiff_env.EgoEnv(traffic="idm", driver="idm")
-    >>> _ = env.reset(seed=0)
-    >>> recorder = Recorder(env, planner="idm")
-    >>> done = False
-    >>> while not done:
-    ...     _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-    ...     _ = recorder.step()
-    ...     done = terminated or truncated
-    >>> rollout = recorder.rollout()
+    Examples:
+        >>> import ccdiff_env
+        >>> env = ccdiff_env.EgoEnv(traffic="idm", driver="idm")
+        >>> _ = env.reset(seed=0)
+        >>> recorder = Recorder(env, planner="idm")
+        >>> done = False
+        >>> while not done:
+        ...     _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        ...     _ = recorder.step()
+        ...     done = terminated or truncated
+        >>> rollout = recorder.rollout()
     """
 
     def __init__(self, env: HasWorlds | Worlds, *, world_idx: int = 0, **meta: Any) -> None:
@@ -123,8 +115,7 @@ class Recorder:
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
         self._plans: list[TrafficPlan] = []
-        #: Step of the newest plan of each driver that plans.
-        self._kept: dict[str, int] = {}
+        self._kept: dict[str, int] = {}  #: Step of the newest plan of each driver that plans.
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
         self._slot = self._ego_slot()
@@ -145,10 +136,8 @@ class Recorder:
 
         Once the world has begun another episode, nothing more is recorded.
 
-        Raises
-        ------
-        ResetNeededError
-            Before :meth:`start`.
+        Raises:
+            ResetNeededError: Before :meth:`start`.
         """
         if self._episode is None:
             raise ResetNeededError("recorder: step before start(), which comes after a reset")
@@ -215,10 +204,8 @@ class Recorder:
     def rollout(self) -> Rollout:
         """Return what was recorded so far.
 
-        Raises
-        ------
-        ResetNeededError
-            Before :meth:`start`, or if no step has been recorded since.
+        Raises:
+            ResetNeededError: Before :meth:`start`, or if no step has been recorded since.
         """
         if self._episode is None:
             raise ResetNeededError("recorder: rollout before start")

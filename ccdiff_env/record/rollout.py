@@ -44,19 +44,13 @@ FORMAT = "ccdiff-env rollout 2"
 class RolloutEvent:
     """Something that happened.
 
-    Parameters
-    ----------
-    step
-        Recorded step at which it is seen first: 0 is the start of the episode.
-    agent_id
-        The agent that it is about.
-    partner_id
-        The other agent of a collision.
-    kind
-        One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the
-        agent that is hit; ``static`` is a collision with a static obstacle.
-    at_fault
-        Whether a collision counts against this agent.
+    Args:
+        step: Recorded step at which it is seen first: 0 is the start of the episode.
+        agent_id: The agent that it is about.
+        partner_id: The other agent of a collision.
+        kind: One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the
+            agent that is hit; ``static`` is a collision with a static obstacle.
+        at_fault: Whether a collision counts against this agent.
     """
 
     step: int
@@ -70,36 +64,25 @@ class RolloutEvent:
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps.
 
-    Parameters
-    ----------
-    scene
-        The scene that was played.
-    start_step
-        Step of the log at which the recording starts.
-    dt_s
-        Seconds between steps.
-    agent_ids
-        All agents, in the order of the scene.
-    position, heading, velocity
-        [A, T, 2] metres, [A, T] radians, [A, T, 2] m/s in the scene frame; zero where not valid.
-        The state at ``start_step`` comes first.
-    valid
-        Whether an agent is in the world [A, T].
-    drivers
-        Who drives each agent [A]: indices of ``driver_table``.
-    driver_table
-        Name and kind of each driver: those under names of their own are of another kind's.
-    events
-        What happened, by step.
-    info
-        Info columns of the ego (else of the first controlled agent) of each step [T - 1], by name.
-    plans
-        Plans of the background, by the recorded step ``made_at`` from whose states each was made:
-        sample pose h is at ``made_at + h + 1``. Empty where it makes none.
-    meta
-        Seed, configuration, traffic, planner, source: what JSON can hold.
-    elevation_m
-        Elevation of the ground below each agent [A, T], metres, in a scene with levels.
+    Args:
+        scene: The scene that was played.
+        start_step: Step of the log at which the recording starts.
+        dt_s: Seconds between steps.
+        agent_ids: All agents, in the order of the scene.
+        position, heading, velocity: [A, T, 2] metres, [A, T] radians, [A, T, 2] m/s in the scene
+            frame; zero where not valid. The state at ``start_step`` comes first.
+        valid: Whether an agent is in the world [A, T].
+        drivers: Who drives each agent [A]: indices of ``driver_table``.
+        driver_table: Name and kind of each driver: those under names of their own are of another
+            kind's.
+        events: What happened, by step.
+        info: Info columns of the ego (else of the first controlled agent) of each step [T - 1], by
+            name.
+        plans: Plans of the background, by the recorded step ``made_at`` from whose states each was
+            made: sample pose h is at ``made_at + h + 1``. Empty where it makes none.
+        meta: Seed, configuration, traffic, planner, source: what JSON can hold.
+        elevation_m: Elevation of the ground below each agent [A, T], metres, in a scene with
+            levels.
     """
 
     scene: Scene
@@ -191,16 +174,12 @@ class Rollout:
     def to_scene(self, name: str | None = None) -> Scene:
         """Return a scene whose log is the log before ``start_step``, then this episode.
 
-        Parameters
-        ----------
-        name
-            Its name; ``"<name of the scene> rollout"`` by default.
+        Args:
+            name: Its name; ``"<name of the scene> rollout"`` by default.
 
-        Returns
-        -------
-        Scene
-            Of ``start_step + T`` steps, with the agents that are there at one step at least. An
-            environment starts it where this episode started.
+        Returns:
+            Scene: Of ``start_step + T`` steps, with the agents that are there at one step at least.
+                An environment starts it where this episode started.
         """
         log = self.scene.tracks()
         before = slice(0, self.start_step)
@@ -269,12 +248,9 @@ class Rollout:
     def load(cls, path: str | os.PathLike[str]) -> Rollout:
         """Read what :meth:`save` wrote; nothing in the file is run.
 
-        Raises
-        ------
-        DatasetNotFoundError
-            If there is no such file.
-        DatasetError
-            If it is damaged or of another format.
+        Raises:
+            DatasetNotFoundError: If there is no such file.
+            DatasetError: If it is damaged or of another format.
         """
         with reading("rollout", path):
             data = read_bytes(path)

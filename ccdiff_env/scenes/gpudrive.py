@@ -19,8 +19,7 @@ from ccdiff_env.system.progress import shown
 
 __all__ = ["SOURCE", "SceneFiles", "load_gpudrive", "scene_files"]
 
-_AT_ONCE = 16  #: Scenes that are read at once, and scenes that are kept.
-_KEPT = 64
+_AT_ONCE, _KEPT = 16, 64  #: Scenes that are read at once, and scenes that are kept.
 
 
 def scene_files(path: str | os.PathLike[str]) -> list[str]:

@@ -13,8 +13,7 @@ from ccdiff_env.interop.nuplan.settings import Settings
 
 __all__ = ["PREFIX", "Settings", "nuplan_planner"]
 
-#: What names of nuPlan's planners begin with.
-PREFIX = "nuplan:"
+PREFIX = "nuplan:"  #: What names of nuPlan's planners begin with.
 
 
 def nuplan_planner(name: str) -> Any:
@@ -23,12 +22,10 @@ def nuplan_planner(name: str) -> Any:
     ``nuplan:package.module.Class``, ``nuplan:`` and the name of a planner's settings, as nuPlan's
     ``planner=`` takes it, or their file (``.yaml``); ``?option=value&option=value`` may follow.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such planner or option, or the planner asks for what scenes do not have.
-    MissingFeatureError
-        If there is no nuplan-devkit, or a package that it needs is missing.
+    Raises:
+        ConfigError: If there is no such planner or option, or the planner asks for what scenes do
+            not have.
+        MissingFeatureError: If there is no nuplan-devkit, or a package that it needs is missing.
     """
     find_devkit()
     settings = Settings.of(name)

@@ -77,12 +77,9 @@ def checkouts() -> list[Path]:
 def find_devkit() -> None:
     """Make nuplan-devkit importable: from the checkouts that are named, else as installed.
 
-    Raises
-    ------
-    DatasetNotFoundError
-        If a folder that is named is not there.
-    MissingFeatureError
-        If the devkit, or a package that it needs, is missing; names it.
+    Raises:
+        DatasetNotFoundError: If a folder that is named is not there.
+        MissingFeatureError: If the devkit, or a package that it needs, is missing; names it.
     """
     named = [str(folder.resolve()) for folder in checkouts()]
     sys.path[:0] = [folder for folder in named if folder not in sys.path]

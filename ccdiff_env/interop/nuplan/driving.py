@@ -14,10 +14,7 @@ from nuplan.planning.simulation.controller.motion_model.kinematic_bicycle import
 )
 from nuplan.planning.simulation.history.simulation_history_buffer import SimulationHistoryBuffer
 from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
-from nuplan.planning.simulation.planner.abstract_planner import (
-    PlannerInitialization,
-    PlannerInput,
-)
+from nuplan.planning.simulation.planner.abstract_planner import PlannerInitialization, PlannerInput
 from nuplan.planning.simulation.simulation_time_controller.simulation_iteration import (
     SimulationIteration,
 )
@@ -32,8 +29,7 @@ from ccdiff_env.worlds.worlds_view import behind
 
 #: Seconds of the history, and samples that nuPlan's simulation has beyond: the present and one.
 _HISTORY_S, _HISTORY_MORE = 2.0, 2
-#: How far the world may have put the ego from where the controller did, m.
-_FOLLOWED_M = 0.02
+_FOLLOWED_M = 0.02  #: How far the world may have put the ego from where the controller did, m.
 
 
 class Drive:
@@ -143,10 +139,8 @@ class NuPlanPlanner:
     def __call__(self, obs: object) -> npt.NDArray[np.float32]:
         """Return the actions [E, 3] of all worlds; zeros where nobody drives.
 
-        Raises
-        ------
-        PolicyError
-            If the planner raises; names the scene and the step.
+        Raises:
+            PolicyError: If the planner raises; names the scene and the step.
         """
         assert self._worlds is not None, "reset comes first"
         native = self._worlds.native

@@ -30,8 +30,7 @@ SAMPLE_M, REACH_M, ALONG_COS = 2.0, 6.0, 0.7
 GAP_M, PIECE_M = 10.0, 30.0
 #: Costs of a route's way from lane to lane, m²: to one that follows, to one beside, to any other.
 FOLLOW_COST, BESIDE_COST, JUMP_COST = 0.1, 4.0, 400.0
-#: Road blocks at most between two of a route that do not follow one another.
-MOST_LINKS = 6
+MOST_LINKS = 6  #: Road blocks at most between two of a route that do not follow one another.
 
 
 def wrap(angle_rad: float) -> float:
@@ -61,8 +60,7 @@ class Centreline:
         given = np.asarray(points, np.float64)
         apart = np.ones(len(given), np.bool_)
         apart[1:] = np.linalg.norm(np.diff(given, axis=0), axis=1) > 1e-3
-        #: Points [P, 2], none twice.
-        self.points: F64 = given[apart]
+        self.points: F64 = given[apart]  #: Points [P, 2], none twice.
         if len(self.points) < 2:
             self.points = np.stack([given[0], given[0] + (1e-2, 0.0)])
         steps = np.diff(self.points, axis=0)
@@ -140,8 +138,7 @@ class RoadGraph:
         self._tree = STRtree([road.surface for road in self.roads])
         #: Numbers of the roads of each block, from left to right.
         self.blocks: list[list[int]] = []
-        #: Block of each road.
-        self.block_of: list[int] = [-1] * len(self.roads)
+        self.block_of: list[int] = [-1] * len(self.roads)  #: Block of each road.
         self._add_blocks(self._beside())
         self._add_blocks(self._between())
 

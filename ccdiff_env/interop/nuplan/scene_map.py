@@ -32,8 +32,7 @@ from shapely import Point, Polygon, STRtree
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.interop.nuplan.roads import Centreline, RoadGraph, lanes_of_route, surface, wrap
 
-#: Metres before and after a place over which the curvature of a line is taken.
-_CURVATURE_M = 2.0
+_CURVATURE_M = 2.0  #: Metres before and after a place over which the curvature of a line is taken.
 #: Turns of connectors, rad: up to the first they go straight on, from the second on they turn back.
 _STRAIGHT_RAD, _BACK_RAD = np.pi / 6, 0.9 * np.pi
 
