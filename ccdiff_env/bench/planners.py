@@ -307,9 +307,8 @@ def drive(
     :class:`~ccdiff_env.config.WorldConfig`.
 
     Returns:
-        list of dict: Figures and score of each scene, see :meth:`.Judge.row`; its actions and its
-            digest, see :class:`~ccdiff_env.bench.tape.Tape`.
-        dict: The recorded episodes by name of the scene.
+        tuple: Figures and score of each scene, see :meth:`.Judge.row`; its actions and its digest,
+            see :class:`~ccdiff_env.bench.tape.Tape`; the recorded episodes by name of the scene.
     """
     driver, seat = ego_driver(planner)
     who = driver if seat is None else seat.name

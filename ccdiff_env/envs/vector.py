@@ -185,9 +185,8 @@ class EgoVectorEnv(FollowsTraining, AsVector):
                 one per world, ``None`` for no choice. ``reset_mask``: worlds [E] to reset.
 
         Returns:
-            obs: Observations [E, ...].
-            infos: ``scene``, ``scene_token``, ``seed``, ``episode_idx`` of the worlds that were
-                reset; where they are drawn ``ego``, ``ego_idx``, ``start_step``.
+            obs, infos: Observations [E, ...]; ``scene``, ``scene_token``, ``seed``, ``episode_idx``
+                of the worlds that were reset, and where drawn ``ego``, ``ego_idx``, ``start_step``.
         """
         given = reset_options(options, (*EGO_OPTIONS, "reset_mask"))
         named, *rest, drivers = (self._per_world(name, given.get(name)) for name in EGO_OPTIONS)
