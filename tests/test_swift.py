@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -14,6 +17,7 @@ from ccdiff_env.models import shipped_weights
 from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import SWIFT, NamedDriver
 from ccdiff_env.worlds import Worlds
+from ccdiff_env_cli import main
 
 
 @pytest.fixture(scope="module")
@@ -133,36 +137,76 @@ def test_what_it_cannot_do_is_refused(scenes, options, text):
         played(scenes, 1, **options)
 
 
-def test_damaged_files_are_named(scenes, tmp_path):
-    tensors, _ = read_tensors(shipped_weights(SWIFT))
-    file = tmp_path / "own.safetensors"
-    distil.save(file, tensors, [[0.0, 0.0], [1.0, 3.0]], {})
-    assert len(played(scenes, 1, ccdiff={"weights": str(file)})[1]) == 1
-    distil.save(file, {**tensors, "by_speed": tensors["by_speed"][1:]}, [[0.0, 0.0]], {})
-    with pytest.raises(CheckpointError, match="by_speed"):
-        played(scenes, 1, ccdiff={"weights": str(file)})
-    tensors["speed.bias"][0] = np.nan
-    distil.save(file, tensors, [[0.0, 0.0]], {})
-    with pytest.raises(CheckpointError, match="finite"):
-        played(scenes, 1, ccdiff={"weights": str(file)})
+DIAL = [[0.0, 0.0], [1.0, 2.0], [2.0, 5.0]]
+
+
+def written(file, dial=DIAL, **changed):
+    """Options of the shipped network with another dial and other tensors."""
+    distil.save(file, read_tensors(shipped_weights(SWIFT))[0] | changed, dial, {})
+    return {"weights": str(file)}
+
+
+@pytest.mark.parametrize(("criticality", "strength"), [(0.5, 1.0), (1.5, 3.5), (4.0, 11.0)])
+def test_the_dial_goes_through_its_pairs_and_on(scenes, tmp_path, criticality, strength):
+    same_strength = [[0.0, 0.0], [criticality, strength]]
+    own = [
+        played(scenes, 10, ccdiff={**written(tmp_path / "x.st", dial), "criticality": criticality})[
+            1
+        ]
+        for dial in (DIAL, same_strength, [[0.0, 0.0], [criticality, strength + 3.0]])
+    ]
+    assert same(own[0], own[1])
+    assert not same(own[0], own[2])
+
+
+def test_only_guided_vehicles_are_told_of_the_ego(scenes, tmp_path):
+    layer = read_tensors(shipped_weights(SWIFT))[0]["trunk.0.weight"].copy()
+    layer[:, distil.OWN : distil.OWN + 2 * distil.EGO + 1] += 0.1
+    options = [written(tmp_path / "a.st"), written(tmp_path / "b.st", **{"trunk.0.weight": layer})]
+    for criticality in (0.0, 2.0):
+        own = [played(scenes, 10, ccdiff={**o, "criticality": criticality})[1] for o in options]
+        assert same(*own) == (criticality == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"by_speed": np.zeros((20, 64), np.float32)}, "by_speed"),
+        ({"speed.bias": np.full(21, np.nan, np.float32)}, "finite"),
+        ({"more": np.zeros(1, np.float32)}, "more"),
+        ({"dial": [[0.0, 0.0], [1.0, -1.0]]}, "dial"),
+        ({"dial": [[1.0, 1.0]]}, "dial"),
+        ({"dial": "x"}, "dial"),
+    ],
+)
+def test_damaged_files_are_named(scenes, tmp_path, changes, text):
+    with pytest.raises(CheckpointError, match=text):
+        played(scenes, 1, ccdiff=written(tmp_path / "own.safetensors", **changes))
+
+
+def test_a_learned_choice_guides_it_and_who_chooses_at_a_cost_is_refused(scenes):
+    """The shift of a plan in standard deviations is of networks that denoise."""
+    played(scenes, 10, ccdiff={"criticality": 1.0, "adversary_policy": "learned"})
+    env = ccdiff_env.envs.AdversarySelectionVectorEnv(1, scenes=scenes, traffic=SWIFT)
+    env.reset(seed=0)
+    assert env.action_masks()[0, 0]
+    with pytest.raises(ConfigError, match="denoises"):
+        env.step([0])
+    env.close()
 
 
 def test_labels_are_what_the_teacher_does(scenes):
-    """A vehicle that follows the bins of its labels is where CCDiff's is half a second later."""
-    pytest.importorskip("torch")
+    """They are sound, at all strengths, and who drives on straight has the middle bin."""
     labels = distil.collect(
         scenes, {"criticality": 4.0, "denoising_steps": 1}, episodes=8, seed=1, worlds=8
     )
-    n = len(labels["bins"])
-    assert n > 200
-    assert {len(array) for array in labels.values()} == {n}
-    assert labels["bins"].min() >= 0
-    assert labels["bins"].max() < distil.BINS
-    assert (labels["c"] > 0).any()
-    assert (labels["c"] == 0).any()
-    assert all(np.isfinite(array).all() for array in labels.values())
-    # who drives on at its speed has the middle bin
-    assert np.median(labels["bins"][:, 1]) == distil.BINS // 2
+    assert len(labels) > 200
+    assert np.isfinite(labels).all()
+    told, bins = labels[:, distil.ROW], labels[:, -2:]
+    assert bins.min() >= 0
+    assert bins.max() < distil.BINS
+    assert 0 < (told > 0).mean() < 1
+    assert np.median(bins[:, 1]) == distil.BINS // 2
 
 
 def test_bins_are_mirrored_with_the_world():
@@ -172,22 +216,39 @@ def test_bins_are_mirrored_with_the_world():
     assert (bins[0::2, 0] == bins[1::2, 0]).all()
 
 
-def test_a_network_learns_what_is_told(scenes, tmp_path):
-    """On labels that turn left where the route does, more updates mean fewer nats."""
+def test_the_command_makes_traffic_and_goes_on(tmp_path, monkeypatch, capsys):
+    """Rounds of teacher and student, trainings, dial; what a run has is not made again."""
     pytest.importorskip("torch")
-    labels = distil.collect(
-        scenes, {"criticality": 1.0, "denoising_steps": 1}, episodes=12, seed=2, worlds=12
-    )
-    labels["scene"] = np.arange(len(labels["scene"])) % 12
-    _, before = distil.train([labels], 1, width=32, batch=64)
-    tensors, after = distil.train([labels], 150, width=32, batch=64)
-    assert after < 0.8 * before
-    file = tmp_path / "own.safetensors"
-    distil.save(file, tensors, [[0.0, 0.0], [1.0, 3.0]], {}, temperature=0.5)
+    monkeypatch.setattr(distil, "FITTED", (1.0,))
+    monkeypatch.setattr(distil, "TRIED", (0.0, 4.0))
+    words = ["distil", "--scenes", "embedded/val", "--fit-scenes", "embedded/val", "--out"]
+    words += [str(tmp_path), "--rounds", "2", "--episodes", "8", "--updates", "40", "--seeds", "2"]
+    words += ["--teacher", '{"denoising_steps": 1}']
+    assert main(words) == 0
+    file = Path(capsys.readouterr().out.strip())
+    assert json.loads(read_tensors(file)[1]["ccdiff_env"])["dial"][0] == [0.0, 0.0]
+    log = (tmp_path / "log.txt").read_text().splitlines()
+    assert sum("nats" in line for line in log) == 3
+    first = file.read_bytes()
+    file.unlink()
+    assert main(words) == 0
+    assert file.read_bytes() == first
+    assert len((tmp_path / "log.txt").read_text().splitlines()) == len(log) + 1
     policies = {"own": NamedDriver(SWIFT, CcdiffConfig(weights=str(file)))}
-    env = ccdiff_env.make_vec(2, scenes=scenes, traffic="own", named_drivers=policies)
+    env = ccdiff_env.make_vec(2, scenes="embedded/val", traffic="own", named_drivers=policies)
     env.reset(seed=0)
     env.close()
+
+
+def test_a_network_learns_what_is_told():
+    """On labels that turn where the route does, more updates mean fewer nats."""
+    pytest.importorskip("torch")
+    rng = np.random.default_rng(0)
+    labels = rng.normal(size=(512, distil.ROW + 3)).astype(np.float32)
+    labels[:, distil.ROW - 1 : -2], labels[:, -2] = 0.0, distil.BINS // 2
+    labels[:, -1] = distil.BINS // 2 + np.sign(labels[:, distil.OWN_MIRRORED[-1]])
+    nats = [distil.train(labels, labels, n, width=32, batch=64)[1] for n in (1, 200)]
+    assert nats[1] < 0.3 * nats[0]
 
 
 def test_a_dial_is_fitted_on_enough_scenes(scenes):

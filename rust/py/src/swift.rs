@@ -1,4 +1,4 @@
-//! Swift traffic: the policy, and what it sees as arrays, for training.
+//! Swift traffic: the policy, and what it sees as rows, for training.
 
 use crate::drivers::path_of;
 use ccdiff_bridge::errors::{from_model, from_sim, py};
@@ -7,9 +7,9 @@ use ccdiff_nets::networks::tokens::token_of;
 use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
 use ccdiff_sim::options;
 use ccdiff_sim::policy::WorldView;
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyCapsule, PyDict};
+use pyo3::types::PyCapsule;
 use std::path::Path;
 
 /// Adds the function of this file to the module.
@@ -37,12 +37,12 @@ pub(crate) fn policy<'py>(
     policy_capsule(py, contained(Box::new(made.map_err(from_model)?)))
 }
 
-/// What it would see of some vehicles.
+/// What it would see of some vehicles, a row of each: itself and its route, the ego, [`NEIGHBOURS`] others, and how many they are.
 pub(crate) fn rows<'py>(
     py: Python<'py>,
     world: &WorldView<'_>,
     agents: &[usize],
-) -> PyResult<Bound<'py, PyDict>> {
+) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let count = world.states.len();
     let Some(history) = world.history.filter(|h| h.len() >= STATES) else {
         let message = format!("swift_rows: expected a driver that looks back at {STATES} states or more");
@@ -55,17 +55,14 @@ pub(crate) fn rows<'py>(
     }
     let (mut rows, egos) = (Rows::default(), egos_of(world));
     agents.iter().for_each(|a| rows.add(world, history, *a, &egos));
-    let (n, mut at) = (agents.len(), 0);
-    let mut others = vec![0.0; n * NEIGHBOURS * OTHER];
-    for (to, seen) in others.chunks_exact_mut(NEIGHBOURS * OTHER).zip(&rows.seen) {
-        to[..seen * OTHER].copy_from_slice(&rows.others[at..at + seen * OTHER]);
-        at += seen * OTHER;
+    const ROW: usize = OWN + EGO + NEIGHBOURS * OTHER + 1;
+    let (mut all, mut others) = (Vec::with_capacity(agents.len() * ROW), rows.others.as_slice());
+    for (i, seen) in rows.seen.iter().enumerate() {
+        let (these, rest) = others.split_at(seen * OTHER);
+        others = rest;
+        all.extend(rows.own[i * OWN..][..OWN].iter().chain(&rows.ego[i * EGO..][..EGO]).chain(these));
+        all.resize((i + 1) * ROW - 1, 0.0);
+        all.push(*seen as f32);
     }
-    let dict = PyDict::new(py);
-    dict.set_item("own", PyArray1::from_vec(py, rows.own).reshape([n, OWN])?)?;
-    dict.set_item("ego", PyArray1::from_vec(py, rows.ego).reshape([n, EGO])?)?;
-    dict.set_item("others", PyArray1::from_vec(py, others).reshape([n, NEIGHBOURS, OTHER])?)?;
-    let seen: Vec<i64> = rows.seen.iter().map(|seen| *seen as i64).collect();
-    dict.set_item("seen", PyArray1::from_vec(py, seen))?;
-    Ok(dict)
+    PyArray1::from_vec(py, all).reshape([agents.len(), ROW])
 }

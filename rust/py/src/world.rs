@@ -369,13 +369,13 @@ impl PyVecWorld {
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
-    /// What swift traffic would see of vehicles of a world: arrays `own`, `ego`, `others` [n, K, F] and `seen` [n].
+    /// What swift traffic would see of vehicles of a world, rows [n, F] (`ccdiff_env.envs.distil`).
     fn swift_rows<'py>(
         &self,
         py: Python<'py>,
         world_idx: usize,
         agents: Vec<usize>,
-    ) -> PyResult<Bound<'py, PyDict>> {
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let me = self.lock()?;
         swift::rows(py, &me.world.view(world_idx).map_err(from_sim)?, &agents)
     }

@@ -214,16 +214,23 @@ impl Swift {
                 continue;
             }
             let mut gentlest = motions[i];
+            let mut clear = false;
             for draw in 1..CAREFUL_DRAWS {
                 let motion = drawn(i, draw);
                 watch.put(world, *a, motion);
                 if !watch.touches(world, *a, minds) {
                     gentlest = motion;
+                    clear = true;
                     break;
                 }
                 if motion[0] < gentlest[0] {
                     gentlest = motion;
                 }
+            }
+            if !clear && watch::v() & 2 == 2 {
+                let brake = [(-4.0_f32).max(-world.states.speed_mps[*a] / 0.5).min(gentlest[0]), gentlest[1]];
+                watch.put(world, *a, brake);
+                if watch::v() & 8 == 8 || !watch.touches(world, *a, minds) { gentlest = brake; }
             }
             motions[i] = gentlest;
             watch.put(world, *a, gentlest);

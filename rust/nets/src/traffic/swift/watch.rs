@@ -5,7 +5,8 @@ use ccdiff_sim::policy::WorldView;
 
 /// Moments that are looked at, seconds apart; how many hold the drawn motion. Then speeds are kept, and half of the yaw rate.
 const APART_S: Real = 0.25;
-const MOMENTS: usize = 6;
+const MOMENTS: usize = 10;
+pub(super) fn v() -> u32 { static V: std::sync::OnceLock<u32> = std::sync::OnceLock::new(); *V.get_or_init(|| std::env::var("SWIFT_V").ok().and_then(|v| v.parse().ok()).unwrap_or(0)) }
 const HELD: usize = 2;
 const KEPT: Real = 0.5;
 /// Room that a vehicle wants on every side, metres.
@@ -26,14 +27,14 @@ struct Way {
 }
 
 impl Way {
-    fn of(world: &WorldView<'_>, a: usize, [acceleration, yaw_rate]: [Real; 2]) -> Self {
+    fn of(world: &WorldView<'_>, a: usize, [acceleration, yaw_rate]: [Real; 2], held: usize) -> Self {
         let (states, footprint) = (world.states, &world.scene.footprints[a]);
         let now = states.oriented_box(a, footprint);
         let (mut boxes, mut last) = ([now; MOMENTS + 1], now);
         let (mut speed, mut heading) = (states.speed_mps[a], states.heading_rad[a]);
         for (k, at) in boxes[1..].iter_mut().enumerate() {
             let (acceleration, turn) =
-                if k < HELD { (acceleration, yaw_rate * APART_S) } else { (0.0, KEPT * yaw_rate * APART_S) };
+                if k < held { (acceleration, yaw_rate * APART_S) } else { (0.0, KEPT * yaw_rate * APART_S) };
             let after = (speed + acceleration * APART_S).max(0.0);
             let way_m = 0.5 * (speed + after) * APART_S;
             let (mut sin, mut cos) = (last.sin, last.cos);
@@ -65,13 +66,17 @@ impl Watch {
         let mut drawn = agents.iter().zip(motions).peekable();
         for a in 0..states.len() {
             let own = drawn.next_if(|(agent, _)| **agent == a).map(|(_, motion)| *motion);
-            self.ways.push(Way::of(world, a, own.unwrap_or([0.0, states.yaw_rate_radps[a]])));
+            self.ways.push(match own {
+                Some(own) => Way::of(world, a, own, HELD),
+                None if v() & 1 == 1 => Way::of(world, a, [states.acceleration_mps2[a].min(0.0), states.yaw_rate_radps[a]], MOMENTS),
+                None => Way::of(world, a, [0.0, states.yaw_rate_radps[a]], HELD),
+            });
         }
     }
 
     /// Gives an agent another acceleration and yaw rate.
     pub(super) fn put(&mut self, world: &WorldView<'_>, a: usize, motion: [Real; 2]) {
-        self.ways[a] = Way::of(world, a, motion);
+        self.ways[a] = Way::of(world, a, motion, HELD);
     }
 
     /// Whether an agent comes close to one whom it minds. Who is close already does not count.
@@ -90,7 +95,7 @@ impl Watch {
             if *j == a || !is_near || !meet() {
                 return false;
             }
-            let pairs = own.boxes.iter().zip(&other.boxes);
+            let m = if v() & 4 == 4 { MOMENTS } else { 6 }; let pairs = own.boxes[..=m].iter().zip(&other.boxes);
             if own.boxes[0].overlaps(&other.boxes[0]) {
                 false
             } else if wide(&own.boxes[0]).overlaps(&other.boxes[0]) {
