@@ -9,7 +9,7 @@ mod watch;
 
 pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
 
-use crate::compute::weights::{parse, read};
+use crate::compute::weights::{Entry, parse, read};
 use crate::error::{ModelError, Result};
 use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
@@ -29,6 +29,7 @@ use ccdiff_sim::world::Candidates;
 use network::{Hidden, Network};
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::Path;
 use watch::Watch;
 
@@ -54,6 +55,9 @@ const TAKEN: [&str; 7] = [
 ];
 /// Step of the worlds, seconds, as trained.
 pub const DT_S: Real = 0.1;
+/// Seconds for which a draw is held, and how a vehicle brakes that has no draw without a contact.
+const HELD_S: Real = TOKEN_STEPS as Real * DT_S;
+const BRAKING_MPS2: Real = 4.0;
 /// Metres before the end of its route at which a vehicle leaves.
 const END_M: Real = 0.5;
 
@@ -94,8 +98,7 @@ impl Swift {
     /// [`ModelError::Io`], [`ModelError::Checkpoint`] for the files, [`ModelError::Config`] and [`ModelError::Sim`] for options.
     pub fn load(config: CcdiffConfig, weights: &Path, dt_s: Real, num_threads: usize) -> Result<Self> {
         let pool = if num_threads > 1 { Some(planning_pool(num_threads)?) } else { None };
-        let (header, tensors) = read(weights)?;
-        Self::of(config, Network::new(weights, &header, tensors)?, dt_s, pool)
+        Self::of(config, weights, read(weights)?, dt_s, pool)
     }
 
     /// The same of the bytes of a file, on the caller's thread; errors name `name`.
@@ -103,12 +106,17 @@ impl Swift {
     /// # Errors
     /// [`ModelError::Checkpoint`], [`ModelError::Config`], [`ModelError::Sim`].
     pub fn from_bytes(config: CcdiffConfig, name: &str, bytes: &[u8], dt_s: Real) -> Result<Self> {
-        let path = Path::new(name);
-        let (header, tensors) = parse(path, bytes)?;
-        Self::of(config, Network::new(path, &header, tensors)?, dt_s, None)
+        Self::of(config, Path::new(name), parse(Path::new(name), bytes)?, dt_s, None)
     }
 
-    fn of(config: CcdiffConfig, network: Network, dt_s: Real, pool: Option<ThreadPool>) -> Result<Self> {
+    fn of(
+        config: CcdiffConfig,
+        path: &Path,
+        (header, tensors): (serde_json::Value, BTreeMap<String, Entry>),
+        dt_s: Real,
+        pool: Option<ThreadPool>,
+    ) -> Result<Self> {
+        let network = Network::new(path, &header, tensors)?;
         options::check("ccdiff", &config)?;
         if (dt_s - DT_S).abs() > 1e-6 {
             let expected = "0.1: what swift traffic was trained with";
@@ -194,8 +202,8 @@ impl Swift {
         Ok(plans.collect())
     }
 
-    /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it touches nobody in
-    /// the next 1.5 s, all others doing as they have drawn, else the slowest of them; guided vehicles do not mind the ego.
+    /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it drives into nobody
+    /// in the next 1.5 s, all others doing as they have drawn; without one it brakes. Guided vehicles do not mind the ego.
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
@@ -203,37 +211,21 @@ impl Swift {
             let (a, speed) = (d.agents[i], world.states.speed_mps[d.agents[i]]);
             let noise = Noise::new(world.noise_seed, a as u64);
             let [change, yaw_rate] = network.draw(first + i, noise, draw, temperature, hidden);
+            let change = if draw < CAREFUL_DRAWS { change } else { -BRAKING_MPS2 * HELD_S };
             let [end, yaw_rate] = bounded(speed, change, yaw_rate);
-            [(end - speed) / (TOKEN_STEPS as Real * DT_S), yaw_rate]
+            [(end - speed) / HELD_S, yaw_rate]
         };
         let mut motions: Vec<[Real; 2]> = (0..d.agents.len()).map(|i| drawn(i, 0)).collect();
         watch.enter(world, &d.agents, &motions);
         for (i, a) in d.agents.iter().enumerate() {
             let minds = |j: usize| !(d.guided.contains(a) && d.egos.contains(&j));
-            if !watch.touches(world, *a, minds) {
-                continue;
-            }
-            let mut gentlest = motions[i];
-            let mut clear = false;
-            for draw in 1..CAREFUL_DRAWS {
-                let motion = drawn(i, draw);
-                watch.put(world, *a, motion);
+            for draw in 1..=CAREFUL_DRAWS {
                 if !watch.touches(world, *a, minds) {
-                    gentlest = motion;
-                    clear = true;
                     break;
                 }
-                if motion[0] < gentlest[0] {
-                    gentlest = motion;
-                }
+                motions[i] = drawn(i, draw);
+                watch.put(world, *a, motions[i]);
             }
-            if !clear && watch::v() & 2 == 2 {
-                let brake = [(-4.0_f32).max(-world.states.speed_mps[*a] / 0.5).min(gentlest[0]), gentlest[1]];
-                watch.put(world, *a, brake);
-                if watch::v() & 8 == 8 || !watch.touches(world, *a, minds) { gentlest = brake; }
-            }
-            motions[i] = gentlest;
-            watch.put(world, *a, gentlest);
         }
         motions
     }

@@ -1,12 +1,12 @@
-//! Where the agents of a world will be in the next 1.5 s if they do as they have drawn, and who then touches whom.
+//! Where the agents of a world will be in the next 1.5 s: who draws as it has drawn, all others as they brake and turn now; and who
+//! then drives into whom.
 
 use ccdiff_sim::geom::{OrientedBox, Point2, Real, math};
 use ccdiff_sim::policy::WorldView;
 
-/// Moments that are looked at, seconds apart; how many hold the drawn motion. Then speeds are kept, and half of the yaw rate.
+/// Moments that are looked at, seconds apart; how many hold a drawn motion. Then speeds are kept, and half of the yaw rate.
 const APART_S: Real = 0.25;
-const MOMENTS: usize = 10;
-pub(super) fn v() -> u32 { static V: std::sync::OnceLock<u32> = std::sync::OnceLock::new(); *V.get_or_init(|| std::env::var("SWIFT_V").ok().and_then(|v| v.parse().ok()).unwrap_or(0)) }
+const MOMENTS: usize = 6;
 const HELD: usize = 2;
 const KEPT: Real = 0.5;
 /// Room that a vehicle wants on every side, metres.
@@ -54,7 +54,7 @@ impl Way {
 }
 
 impl Watch {
-    /// Takes the agents of a world, some of them with accelerations and yaw rates of their own; the others keep theirs.
+    /// Takes the agents of a world, some of them with drawn accelerations and yaw rates.
     pub(super) fn enter(&mut self, world: &WorldView<'_>, agents: &[usize], motions: &[[Real; 2]]) {
         let states = world.states;
         self.active.clear();
@@ -65,11 +65,12 @@ impl Watch {
         }
         let mut drawn = agents.iter().zip(motions).peekable();
         for a in 0..states.len() {
-            let own = drawn.next_if(|(agent, _)| **agent == a).map(|(_, motion)| *motion);
-            self.ways.push(match own {
-                Some(own) => Way::of(world, a, own, HELD),
-                None if v() & 1 == 1 => Way::of(world, a, [states.acceleration_mps2[a].min(0.0), states.yaw_rate_radps[a]], MOMENTS),
-                None => Way::of(world, a, [0.0, states.yaw_rate_radps[a]], HELD),
+            self.ways.push(match drawn.next_if(|(agent, _)| **agent == a) {
+                Some((_, motion)) => Way::of(world, a, *motion, HELD),
+                None => {
+                    let braking = states.acceleration_mps2[a].min(0.0);
+                    Way::of(world, a, [braking, states.yaw_rate_radps[a]], MOMENTS)
+                }
             });
         }
     }
@@ -79,7 +80,7 @@ impl Watch {
         self.ways[a] = Way::of(world, a, motion, HELD);
     }
 
-    /// Whether an agent comes close to one whom it minds. Who is close already does not count.
+    /// Whether an agent comes close to one whom it minds. Who touches it already does not count, nor who comes from behind.
     pub(super) fn touches(&self, world: &WorldView<'_>, a: usize, minds: impl Fn(usize) -> bool) -> bool {
         let own = &self.ways[a];
         let wide = |b: &OrientedBox| OrientedBox {
@@ -91,11 +92,14 @@ impl Watch {
             let other = &self.ways[*j];
             let reach_m = own.radius_m + other.radius_m;
             let is_near = (other.middle - own.middle).norm_squared() < reach_m * reach_m;
+            let to = other.boxes[0].centre - own.boxes[0].centre;
+            let is_behind = to.x * own.boxes[0].cos + to.y * own.boxes[0].sin < -own.boxes[0].half_length_m;
+            let is_near = is_near && !is_behind;
             let meet = || world.states.same_level(a, *j) && !world.states.hitched(a, *j) && minds(*j);
             if *j == a || !is_near || !meet() {
                 return false;
             }
-            let m = if v() & 4 == 4 { MOMENTS } else { 6 }; let pairs = own.boxes[..=m].iter().zip(&other.boxes);
+            let pairs = own.boxes.iter().zip(&other.boxes);
             if own.boxes[0].overlaps(&other.boxes[0]) {
                 false
             } else if wide(&own.boxes[0]).overlaps(&other.boxes[0]) {
