@@ -240,6 +240,7 @@ def test_what_the_world_refuses_is_said(visit):
         ("scene=pedestrians-00&traffic=idm&drive=b10e3i3a20c12", 10),
         ("scene=cut-in-04&traffic=replay&drive=b6c4d2a9", 10),
         ("scene=cut-in-04&traffic=tokens&criticality=1.5&drive=b2a8j3a30", 5),
+        ("scene=cut-in-04&traffic=swift&criticality=1.5&drive=b2a8j3a30", 5),
     ],
 )
 def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):

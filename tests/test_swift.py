@@ -254,3 +254,19 @@ def test_a_network_learns_what_is_told():
 def test_a_dial_is_fitted_on_enough_scenes(scenes):
     with pytest.raises(ConfigError, match="at least 10"):
         distil.fitted_dial(ccdiff_env.scenes.SceneSet(list(scenes)[:3]), shipped_weights(SWIFT))
+
+
+def test_egos_train_and_are_judged_in_it(scenes, tmp_path):
+    """``train-ego``, stable-baselines3 as in README.md, and the benchmark of planners."""
+    pytest.importorskip("torch")
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+
+    from ccdiff_env.envs.sb3 import SB3VecEnv
+
+    out = ["--out", str(tmp_path / "ego")]
+    assert main(["train-ego", "--smoke", "--traffic", SWIFT, "idm", "--threads", "1", *out]) == 0
+    worlds = ccdiff_env.make_vec(4, scenes=scenes, traffic=SWIFT, decision_steps=3)
+    PPO("MlpPolicy", SB3VecEnv(worlds), n_steps=8, batch_size=32, device="cpu").learn(32)
+    words = ["bench", "planners", "--planners", "idm", "--traffic", "swift,swift-1", "--limit", "2"]
+    assert main([*words, "--quiet", "--out", str(tmp_path / "bench")]) == 0

@@ -2,24 +2,37 @@
 
 Runs examples/train_ego_sb3.py with each algorithm, then drives the held-out scenes with what it
 learned and with planners that learn nothing. ``--parts`` instead trains PPO without each part of
-the defaults. Keeps the figures in docs/results and writes the tables of docs/learning.md. A
-training that has finished is not repeated.
+the defaults; ``--traffics`` trains egos in kinds of traffic and drives the test scenes in five-step
+CCDiff at criticality 1. Keeps the figures in docs/results and writes the tables of
+docs/learning.md. A training that has finished is not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import ccdiff_env
-from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.planners import TRAFFIC, play
+from ccdiff_env.scenes.arguments import (
+    add_other_scenes,
+    add_scene_arguments,
+    other_place,
+    place_from,
+)
+from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Cell, Column, Table
+from ccdiff_env.traffic import SWIFT
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "learning.md"
@@ -64,6 +77,19 @@ TRAININGS |= {
     f"part_{name}": (title, "", ["--decisions", "200000", "--option", *options])
     for name, (title, options) in PARTS.items()
 }
+#: Traffic to train in, and about how many decisions PPO makes in a second of a processor in
+#: each, for egos that begin with nothing and for those that change PDM-Closed: options of the verb.
+TRAFFICS = {
+    "from nothing": (
+        ["--dynamics", "unicycle"],
+        {"ccdiff": 1_000, SWIFT: 9_000, "bank": 11_000, "idm": 10_000},
+    ),
+    "about PDM-Closed": (
+        ["--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"],
+        {"ccdiff": 600, SWIFT: 1_200, "bank": 1_400, "idm": 1_300},
+    ),
+}
+TRAFFICS_DATA = ROOT / "docs" / "results" / "traffics.json"
 TESTED = ("idm", "ccdiff", "ccdiff-1")
 SEEDS = range(3)
 #: Planners that learn nothing: title and action.
@@ -111,12 +137,16 @@ def table(rows: list[dict[str, Any]]) -> str:
     heads: dict[str, Column | str] = {
         "title": "planner",
         "action": "action",
+        "budget": "equal",
+        "traffic": "trained in",
         "decisions": "decisions",
         "cpu_s": "CPU s",
         "success idm": Column("success, IDM"),
         "score idm": Column("score, IDM"),
         "score ccdiff": Column("score, CCDiff"),
         "score ccdiff-1": Column("score, CCDiff at criticality 1"),
+        "less live": Column("less live CCDiff", sign="+"),
+        "p": "p",
     }
     heads = {name: head for name, head in heads.items() if any(row.get(name) for row in rows)}
     forms = {"decisions": "{:,}", "cpu_s": "{:.0f}"}
@@ -129,6 +159,62 @@ def table(rows: list[dict[str, Any]]) -> str:
     return str(Table([*heads.values()], shown))
 
 
+def trained_in(
+    args: argparse.Namespace, ego: str, traffic: str, decisions: int, seed: int
+) -> dict[str, Any]:
+    """Train an ego in some traffic, unless it has been done; return CPU time and test figures."""
+    folder: Path = args.out / f"{ego.split()[-1]}-{traffic}-{decisions}-{seed}"
+    if not (folder / "figures.json").is_file():
+        words = ["train-ego", *TRAFFICS[ego][0], "--scenes", str(place_from(args)), "--traffic"]
+        words += [traffic, "--criticality", "2", "--worlds", "256", "--decisions", str(decisions)]
+        words += ["--bank", str(args.out / "bank")] if traffic == "bank" else []
+        words += ["--threads", "1", "--seed", str(seed), "--out", str(folder)]
+        begun = sum(os.times()[2:4])
+        subprocess.run([sys.executable, "-m", "ccdiff_env.cli", *words], check=True)
+        found: dict[str, Any] = {"cpu_s": sum(os.times()[2:4]) - begun}
+        policy = str(folder / "ego.safetensors")
+        found["rows"] = play(load(other_place(args)), policy, TRAFFIC["ccdiff-1"], seed=seed)
+        (folder / "figures.json").write_text(json.dumps(found, default=float), encoding="utf-8")
+    kept: dict[str, Any] = json.loads((folder / "figures.json").read_text(encoding="utf-8"))
+    return {"decisions": decisions, **kept}
+
+
+def traffics(args: argparse.Namespace) -> None:
+    """Train egos in each traffic for equal time and for equal decisions, drive, and write."""
+    ccdiff_env.record_bank(
+        load(place_from(args)), args.out / "bank", ego="idm", criticality=1.0, workers=1
+    )
+    runs: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for seed, (ego, (_, paces)) in product(range(args.seeds), TRAFFICS.items()):
+        for budget, traffic in product(("time", "decisions"), paces):
+            pace = paces["ccdiff" if budget == "decisions" else traffic]
+            run = trained_in(args, ego, traffic, args.seconds * pace, seed)
+            runs.setdefault((ego, budget, traffic), []).append(run)
+    table_rows = []
+    for (ego, budget, traffic), of in runs.items():
+        rows = [row for run in of for row in run["rows"]]
+        live = [row for run in runs[ego, budget, "ccdiff"] for row in run["rows"]]
+        own, other = ([*scene_means(some, "score").values()] for some in (rows, live))
+        less, p = difference(np.subtract(own, other))
+        if traffic == "ccdiff" and budget == "decisions":
+            continue
+        table_rows.append(
+            {
+                "title": ego,
+                "budget": budget,
+                "traffic": traffic,
+                "decisions": of[0]["decisions"],
+                "cpu_s": float(np.mean([run["cpu_s"] for run in of])),
+                "score ccdiff-1": [round(v, 4) for v in mean_interval(rows, "score")],
+                "less live": [round(v, 4) for v in less] if traffic != "ccdiff" else [],
+                "p": round(p, 4) if traffic != "ccdiff" else "",
+            }
+        )
+    kept = {"command": "python -m tools.expectations --traffics --dataroot <nuscenes>"}
+    kept |= {"scenes": str(other_place(args)), "trained_on": str(place_from(args))}
+    write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, table_rows)
+
+
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -136,7 +222,14 @@ def main() -> None:
     names = [name for name in TRAININGS if not name.startswith("part_")]
     parser.add_argument("--only", nargs="+", choices=names, default=names)
     parser.add_argument("--parts", action="store_true", help="PPO without parts of the defaults")
+    parser.add_argument("--traffics", action="store_true", help="egos trained in kinds of traffic")
+    parser.add_argument("--seconds", type=int, default=60, help="of a processor, of --traffics")
+    parser.add_argument("--seeds", type=int, default=2, help="trainings each of --traffics")
+    add_scene_arguments(parser, "train")
+    add_other_scenes(parser, "test")
     args = parser.parse_args()
+    if args.traffics:
+        return traffics(args)
     out, rows = args.out, list[dict[str, Any]]()
     test, tested, file = (
         (PARTS_TEST, TESTED[:1], PARTS_DATA) if args.parts else (TEST, TESTED, DATA)
@@ -159,6 +252,11 @@ def main() -> None:
     which = "--parts" if args.parts else f"--only {' '.join(args.only)}"
     kept = {"command": f"python -m tools.expectations {which}", "scenes": test}
     kept |= {"trained_on": TRAIN, "chosen_on": TRAIN}
+    write(file, kept, rows)
+
+
+def write(file: Path, kept: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+    """Keep the figures, and write their table into the page."""
     lines = ",\n  ".join(json.dumps(row) for row in rows)
     file.write_text(json.dumps(kept, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n')
     render(file)

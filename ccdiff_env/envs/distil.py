@@ -122,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
             say(f"{file.name}: {nats:.3f} nats on {len(judge)} labels of scenes to fit on")
         return json.loads(read_tensors(file)[1]["ccdiff_env"])["notes"]["nats"], file
 
-    judge = labels("fit", fit, 2 * len(fit), args.rounds, None)
+    judge = labels("fit", fit, len(fit), args.rounds, None)
     rounds = [labels("0", scenes, args.episodes, 0, None)]
     for i in range(1, args.rounds):
         student = trained(f"pilot-{i}", args.updates // 4, i)[1]
@@ -257,7 +257,7 @@ def _labels(
     poses = plan["samples"][plan["selected_sample"][planned], planned, :HELD_STEPS]
     heading, after = states["heading"][a], poses[:, -1, 2]
 
-    def along(way: npt.NDArray[Any], heading: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def along(way: npt.NDArray[Any], heading: npt.NDArray[Any]) -> Any:
         return way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
 
     change = along(poses[:, -1] - poses[:, -2], after) / DT_S
@@ -329,10 +329,10 @@ def train(
         nats = loss_of(other, torch.zeros(len(other), dtype=torch.bool)).item()
         # the network of the file takes numbers as they are
         first = layers["trunk.0"]
-        first.bias -= first.weight[:, :OWN] @ (mean / std)
-        first.weight[:, :OWN] /= std
+        first.bias.sub_(first.weight[:, :OWN] @ (mean / std))
+        first.weight[:, :OWN].div_(std)
         for weight in (*layers["speed"].parameters(), *layers["yaw_rate"].parameters()):
-            weight /= TEMPERATURE
+            weight.div_(TEMPERATURE)
     named = {
         f"{name}.{k}": w for name, layer in layers.items() for k, w in layer.named_parameters()
     }

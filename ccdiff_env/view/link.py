@@ -16,7 +16,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import Place
-from ccdiff_env.traffic import KINDS, NETWORKS
+from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
 __all__ = [
     "HORIZON_STEPS",
@@ -31,7 +31,7 @@ __all__ = [
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
 TRAFFIC = {
-    **{name: KINDS[name].title for name in ("ccdiff", "tokens", "idm")},
+    **{name: KINDS[name].title for name in ("ccdiff", "tokens", SWIFT, "idm")},
     "replay": "as recorded",
 }
 #: Most that the steering moves in a step: full lock in a quarter of a second.
@@ -42,8 +42,8 @@ MAX_CRITICALITY = 2.0
 def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
     """Return the configuration that the page plays with."""
     network: dict[str, Any] = {
-        "num_samples": 4 if criticality > 0.0 else 1,
         "criticality": criticality,
+        **({"num_samples": 4} if criticality > 0.0 and traffic != SWIFT else {}),
         **({"denoising_steps": 1} if KINDS[traffic].denoises else {}),
     }
     options: dict[str, Any] = {traffic: network} if traffic in NETWORKS else {}
