@@ -106,8 +106,8 @@ def test_results_of_another_package_are_kept_where_one_of_their_kind_comes_out_t
 ):
     log = tmp_path / "log"
 
-    def jobs(package, protocol="p"):
-        made_from = {"package": package, "protocol": protocol}
+    def jobs(package, rules="p"):
+        made_from = {"package": package, "rules": rules}
         return [
             Job(
                 f"{place.name}-{x}", f"{__name__}:square", {"seed": x, "log": str(place)}, made_from

@@ -13,7 +13,6 @@ from view_rollouts import planned_rollout
 
 from ccdiff_env import cli
 from ccdiff_env.bench.cross_evaluation import (
-    Realism,
     cross_jobs,
     evaluate_in_set,
     generation_jobs,
@@ -256,7 +255,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
     episodes = [*rows("idm", "idm", 1, 1, 0), *rows("idm", "pdm", 1, 0, 0)]
     episodes += [*rows(None, "idm", 1, 1, 0), *rows(None, "pdm", 0, 0, 0)]
-    sets, realism = {"idm": made}, {"idm": Realism(0.5, 1.5, 1.0, 2.0, 0.1)}
+    sets, costs = {"idm": made}, {"idm": (2.0, 0.1)}
     crossed = cross_rows(sets, episodes)
     figures_table(crossed).write_csv(tmp_path / "figures.csv")
     with (tmp_path / "figures.csv").open(encoding="utf-8") as file:
@@ -275,12 +274,10 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
         ("idm", "idm", "avoidable"): (2, 0.5),
         ("idm", "pdm", "avoidable"): (2, 0.0),
     }
-    assert sets_table(sets, realism)[1][0][0][:5] == ["idm", 3, 2, 0, 1]
-    text = document(*tables(sets, realism, crossed))
-    assert (
-        "| IDM on the log's path | 3 | 2 (0.67) | 0 (0.00) | 1 (0.50) | 0.50 | 1.50 | 1.0 | 2.0 |"
-        in text
-    )
+    figures = ["idm", 3, 2, 0, 1, 0.5, 1.5, 1.0, 2.0, 0.1]
+    assert sets_table(sets, costs).rows == [figures]
+    text = document(*tables(sets, costs, crossed))
+    assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 | 2.0 |" in text
     assert plot(crossed, tmp_path / "cross").stat().st_size > 0
 
 

@@ -100,7 +100,7 @@ def test_a_file_that_was_trained_again_is_driven_anew(tmp_path, capsys):
     assert len(set(digests)) == 4
 
 
-@pytest.mark.parametrize("name", ["version", "package", "weights", "protocol", "scenes"])
+@pytest.mark.parametrize("name", ["version", "package", "weights", "protocol", "rules", "scenes"])
 def test_what_else_has_changed_is_driven_anew(tmp_path, capsys, name):
     assert run(tmp_path, "--planners", "idm") == 0
     (raw,) = (tmp_path / "raw").iterdir()

@@ -18,7 +18,6 @@ from ccdiff_env.bench.arguments import (
 from ccdiff_env.bench.methods import PAPER_METHODS
 from ccdiff_env.bench.planner_cli import add_planner_benchmark
 from ccdiff_env.bench.run import Run
-from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
 
 
@@ -142,7 +141,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     )
     made = run.results(making)
     seconds = run.processor_seconds(making)
-    sets, realism = write_sets(making, made, seconds, weights=run.weights)
+    sets, costs = write_sets(making, made, seconds, weights=run.weights)
     run.note(digests={generator: found.digest for generator, found in sets.items()})
     for generator, found in sets.items():
         say(f"set against {generator}: {found.digest}")
@@ -151,11 +150,10 @@ def _scenarios(args: argparse.Namespace) -> int:
     avoidable = grouped((row for row in rows if row["avoidable"]), "planner", "generator")
     worst = (worst_scenes(avoidable, planner, args.replays) for planner in planners)
     pages = run.replays(row for of in worst for _, row in of)
-    heads, counted = report.sets_table(sets, realism)
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {
-            "Cross matrix": report.tables(sets, realism, rows),
+            "Cross matrix": report.tables(sets, costs, rows),
             "Worst scenarios that can be avoided": worst_table(
                 avoidable, max(args.replays, 10), pages, "made against"
             ),
@@ -164,7 +162,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         rows,
         {
             "figures.csv": report.figures_table(rows),
-            "sets.csv": Table(heads, [row for row, _ in counted]),
+            "sets.csv": report.sets_table(sets, costs),
         },
         report.plot(rows, run.folder / "cross"),
     )

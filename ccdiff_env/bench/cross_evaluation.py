@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,19 +33,9 @@ from ccdiff_env.system.version import __version__
 RECORDED = Traffic("as recorded", "replay")  #: Traffic that does as recorded in a set.
 
 Rows = list[dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Realism:
-    """Realism of the vehicles that CCDiff drives in a set, means over scenarios, and its cost."""
-
-    #: Mean total variation of guided plans, 0 to 1, and the same in standard deviations.
-    realism_cost: float
-    shift_sigmas: float
-    fde_m: float  #: Final displacement from the log, m; comfort distance from it, x 100.
-    cfd: float
-    #: Processor seconds of a scene: playing it, and the search for plans that avoid its collision.
-    seconds: float
+#: By generator: comfort distance from the log of the vehicles that CCDiff drives, x 100; processor
+#: seconds of a scene, with the search for plans that avoid its collision.
+Costs = Mapping[str, tuple[float, float]]
 
 
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
@@ -100,13 +89,13 @@ def generation_jobs(
 
 def write_sets(
     jobs: Sequence[Job], by_name: Mapping[str, Any], seconds: Mapping[str, float], *, weights: str
-) -> tuple[dict[str, ScenarioSet], dict[str, Realism]]:
-    """Write the manifests of finished :func:`generation_jobs`; return sets and their realism.
+) -> tuple[dict[str, ScenarioSet], Costs]:
+    """Write the manifests of finished :func:`generation_jobs`; return sets and their costs.
 
     ``by_name`` and ``seconds`` are results and times of the jobs, ``weights`` the SHA-256 of those
     that drove.
     """
-    sets, realism = {}, {}
+    sets, costs = {}, {}
     done = grouped([{**job.arguments, "job": job.name} for job in jobs], "generator")
     for (generator,), of in done.items():
         made, traffic = of[0], TRAFFIC[of[0]["traffic"]]
@@ -126,24 +115,10 @@ def write_sets(
             )
         )
         sets[generator] = load_scenario_set(path)
-        realism[generator] = _realism(rows, sum(seconds[job["job"]] for job in of))
-    return sets, realism
-
-
-def _realism(rows: Rows, seconds: float) -> Realism:
-    def mean(name: str) -> float:
-        values = [row["scenario"][name] for row in rows]
-        known = [value for value in values if value is not None]
-        return float(np.mean(known)) if known else float("nan")
-
-    one, log = (np.mean([row[key] for row in rows], axis=0) for key in ("comfort", "comfort_log"))
-    return Realism(
-        mean("realism_cost"),
-        mean("shift_sigmas"),
-        mean("fde_m"),
-        100 * comfort_distance(one, log).cfd,
-        seconds / len(rows),
-    )
+        one, logged = (np.mean([r[k] for r in rows], axis=0) for k in ("comfort", "comfort_log"))
+        total_s = sum(seconds[job["job"]] for job in of)
+        costs[generator] = 100 * comfort_distance(one, logged).cfd, total_s / len(rows)
+    return sets, costs
 
 
 def cross_jobs(

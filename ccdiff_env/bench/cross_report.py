@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.cross_evaluation import Realism
-from ccdiff_env.bench.intervals import LEAST_SCENES, figures, mean_interval
+from ccdiff_env.bench.cross_evaluation import Costs
+from ccdiff_env.bench.intervals import LEAST_SCENES, figures, grouped, mean_interval
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.plots import plot_matrix
 from ccdiff_env.bench.replays import write_replay
@@ -65,19 +66,13 @@ def figures_table(rows: Sequence[Row]) -> Table:
     return figures(tidy, ("generator", "planner", "scenarios"), tuple(_FIGURES))
 
 
-def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> list[Block]:
+def tables(sets: Sets, costs: Costs, rows: Sequence[Row]) -> list[Block]:
     """Return the sets, and a matrix of sets and planners for each figure."""
-    first, parts = next(iter(sets.values())), _subsets(rows)
-    counted = sets_table(sets, realism)[1]
-    shown: TableRows = [
-        [short_name(str(row[0])), row[1], *(_share(n, of) for n, of in counts), *row[5:9]]
-        for row, counts in counted
-    ]
-    columns: list[Column | str] = ["made against", "scenarios"]
-    columns += ["with a collision", "of them at fault", "of them avoidable"]
-    columns += [*_REALISM, Column("cfd", "CFD", digits=1)]
+    first, parts, counted = next(iter(sets.values())), _subsets(rows), sets_table(sets, costs)
     what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
-    blocks: list[Block] = [Table(columns, shown), what]
+    # without the time, which differs from run to run
+    shown = [[short_name(str(generator)), *row[:-1]] for generator, *row in counted.rows]
+    blocks: list[Block] = [Table(counted.heads[:-1], shown), what]
     for name, part in parts.items():
         scope = "all scenarios" if name == "all" else "avoidable scenarios only"
         blocks += [_matrix(part, f, f"{title}: {scope}") for f, title in _FIGURES.items()]
@@ -89,35 +84,23 @@ def tables(sets: Sets, realism: Mapping[str, Realism], rows: Sequence[Row]) -> l
     return [*blocks, foot]
 
 
-def _cells(rows: Iterable[Row]) -> dict[tuple[str, str], list[Row]]:
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        found.setdefault((row["generator"], row["planner"]), []).append(row)
-    return found
-
-
-def sets_table(
-    sets: Sets, realism: Mapping[str, Realism]
-) -> tuple[list[str], list[tuple[list[Any], list[tuple[int, int]]]]]:
-    """Return heads of the sets' file, and for each set its row and its counts with their bases."""
-    found = []
+def sets_table(sets: Sets, costs: Costs) -> Table:
+    """Return what there is in the sets."""
+    rows: TableRows = []
     for generator, made in sets.items():
         hit = [s for s in made.scenarios if s.collision]
-        fault, avoidable = sum(s.at_fault for s in hit), sum(s.avoidable for s in hit)
-        real, total = realism[generator], len(made.scenarios)
-        figures = [real.realism_cost, real.shift_sigmas, real.fde_m, real.cfd, real.seconds]
-        row = [generator, total, len(hit), fault, avoidable, *figures]
-        found.append((row, [(len(hit), total), (fault, len(hit)), (avoidable, len(hit))]))
-    heads = ["generator", "scenarios", "collision", "at_fault", "avoidable", "realism_cost"]
-    return [*heads, "shift_sigmas", "fde_m", "cfd", "seconds"], found
-
-
-def _share(count: int, total: int) -> str:
-    return f"{count} ({count / total:.2f})" if total else "0"
+        counts = [len(hit), sum(s.at_fault for s in hit), sum(s.avoidable for s in hit)]
+        all_of = [asdict(s) for s in made.scenarios]
+        means = [mean_interval(all_of, c.name)[0] for c in _REALISM]
+        rows.append([generator, len(all_of), *counts, *means, *costs[generator]])
+    columns = [Column("generator", "made against"), "scenarios", Column("collision")]
+    columns += [Column("at_fault", "of them at fault"), Column("avoidable", "of them avoidable")]
+    columns += [*_REALISM, Column("cfd", "CFD", digits=1), Column("seconds", "processor s")]
+    return Table(columns, rows)
 
 
 def _matrix(part: Sequence[Row], name: str, title: str) -> Table:
-    cells = _cells(part)
+    cells = grouped(part, "generator", "planner")
     planners = list(dict.fromkeys(planner for _, planner in cells))
     generators = list(dict.fromkeys(generator for generator, _ in cells))
     lines: TableRows = []
@@ -162,7 +145,7 @@ def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
 
 def plot(rows: Sequence[Row], path: Path) -> Path | None:
     """Draw collisions and scores of every planner in every set."""
-    cells = _cells(rows)
+    cells = grouped(rows, "generator", "planner")
 
     def name(generator: str) -> str:
         return "(reacting)" if generator == REACTING else short_name(generator)

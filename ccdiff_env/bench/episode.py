@@ -75,6 +75,18 @@ def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
     )
 
 
+def driven(rollout: Rollout, agents: npt.NDArray[np.int64]) -> Motion:
+    """Return the recorded motion of agents."""
+    return Motion(
+        rollout.position[agents],
+        rollout.heading[agents],
+        rollout.scene.sizes[agents][:, :2],
+        rollout.valid[agents],
+        dt_s=rollout.dt_s,
+        elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[agents],
+    )
+
+
 def drivable(scene: Scene) -> list[tuple[Any, Any]]:
     """Return the drivable area as polygons: exterior and holes."""
     return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]

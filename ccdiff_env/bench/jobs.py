@@ -20,8 +20,10 @@ from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
 
 Backend = Literal["local", "ray"]
-#: What results may follow from and mostly do not; arguments that tell jobs of a kind apart.
-INDIRECT, PLACES = ("package", "weights"), ("names", "files", "lists", "seed")
+#: What results may follow from and mostly do not: a protocol fixes the hashes of weights, too.
+INDIRECT = ("package", "weights", "protocol")
+#: Arguments that tell jobs of a kind apart.
+PLACES = ("names", "files", "lists", "seed")
 
 
 def use_one_thread() -> None:
@@ -40,7 +42,8 @@ class Job:
 
     ``function`` is ``"module:function"``; it takes ``arguments``, returns what JSON can hold, and
     depends on nothing else. ``name`` is the file of its result, without ``.json``. ``made_from``
-    are hashes of what else the result follows from: where one differs, the job is done again.
+    are hashes of what else the result follows from: where one differs, the job is done again, or,
+    of :data:`INDIRECT`, one of its kind.
     """
 
     name: str
@@ -81,9 +84,9 @@ def run_jobs(
     """Do the jobs whose results are not in the folder yet, or were made from something else.
 
     Each result is written to ``<name>.json`` once it is there, so that a killed run resumes.
-    Results do not depend on the backend or the number of workers. Where only the package or some
-    weights have changed, one job of each planner and traffic, drawn by chance, is done again: if
-    its result is the same bit for bit, the others are kept. Lines on stderr say what has changed.
+    Results do not depend on the backend or the number of workers. Where only :data:`INDIRECT`
+    have changed, one job of each planner and traffic, drawn by chance, is done again: if its
+    result is the same bit for bit, the others are kept. Lines on stderr say what has changed.
 
     Args:
         backend: ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.episode import logged, off_road
+from ccdiff_env.bench.episode import driven, logged, off_road
 from ccdiff_env.bench.planner_score import TTC_BOUND_S
 from ccdiff_env.bench.planners import HISTORY_STEPS, Traffic, drive
 from ccdiff_env.errors import UnknownNameError
@@ -159,14 +159,7 @@ def _contact(scene: Scene, rollout: Rollout) -> tuple[float, float]:
     """Whether the ego has a new contact with a vehicle, and a low time to contact."""
     vehicles = np.flatnonzero(np.array(scene.agent_types) == "vehicle")
     ego = int(np.flatnonzero(np.array(scene.agent_ids)[vehicles] == "ego")[0])
-    motion = Motion(
-        rollout.position[vehicles],
-        rollout.heading[vehicles],
-        scene.sizes[vehicles][:, :2],
-        rollout.valid[vehicles],
-        dt_s=rollout.dt_s,
-        elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[vehicles],
-    )
+    motion = driven(rollout, vehicles)
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     new = motion.collisions(log=logged(scene, vehicles, steps)).matrix("new")
     return float(new[ego].any() or new[:, ego].any()), float(motion.min_ttc()[ego] < TTC_BOUND_S)

@@ -19,13 +19,12 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ccdiff_env.bench.episode import logged
+from ccdiff_env.bench.episode import driven, logged
 from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.metrics import Motion
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
 from ccdiff_env.scenes import Scene
@@ -225,8 +224,8 @@ def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
 
 def realism(rollout: Rollout) -> dict[str, Any]:
     """Return how far the vehicles that follow plans are from the log, and what guidance cost."""
-    driven = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
-    agents = np.array([i for i in sorted(driven) if rollout.agent_ids[i] != "ego"], np.int64)
+    moved = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
+    agents = np.array([i for i in sorted(moved) if rollout.agent_ids[i] != "ego"], np.int64)
     guided = [plan for plan in rollout.plans if plan.guided.any()]
 
     def mean(name: str) -> float | None:
@@ -234,13 +233,7 @@ def realism(rollout: Rollout) -> dict[str, Any]:
         found = np.concatenate(values).mean() if values else np.nan
         return float(found) if np.isfinite(found) else None
 
-    simulated = Motion(
-        rollout.position[agents],
-        rollout.heading[agents],
-        rollout.scene.sizes[agents][:, :2],
-        rollout.valid[agents],
-        dt_s=rollout.dt_s,
-    )
+    simulated = driven(rollout, agents)
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     log = logged(rollout.scene, agents, steps)
     fde = simulated.displacement(log).mean()[1]
