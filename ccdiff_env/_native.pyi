@@ -101,48 +101,30 @@ class Scene:
 
     def _mended(self) -> tuple[Scene, list[int], list[str]]: ...
     @staticmethod
-    def from_bytes(data: bytes) -> Scene:
-        """Read what ``to_bytes`` wrote."""
-
+    def from_bytes(data: bytes) -> Scene: """Read what ``to_bytes`` wrote."""
     def to_bytes(self) -> bytes:
         """Return the whole scene as bytes; equal scenes give equal bytes."""
 
     @property
-    def name(self) -> str:
-        """Name, such as ``scene-0061``."""
-
+    def name(self) -> str: """Name, such as ``scene-0061``."""
     @property
-    def token(self) -> str:
-        """Token of the data set."""
-
+    def token(self) -> str: """Token of the data set."""
     @property
-    def location(self) -> str:
-        """Map location, such as ``boston-seaport``."""
-
+    def location(self) -> str: """Map location, such as ``boston-seaport``."""
     @property
-    def source(self) -> str:
-        """Data set and version, or file."""
-
+    def source(self) -> str: """Data set and version, or file."""
     @property
     def origin(self) -> tuple[float, float]:
         """Global x, y of the scene frame's origin, metres: global = origin + scene frame."""
 
     @property
-    def dt(self) -> float:
-        """Seconds between steps."""
-
+    def dt(self) -> float: """Seconds between steps."""
     @property
-    def num_steps(self) -> int:
-        """Logged steps T."""
-
+    def num_steps(self) -> int: """Logged steps T."""
     @property
-    def num_agents(self) -> int:
-        """Agents A."""
-
+    def num_agents(self) -> int: """Agents A."""
     @property
-    def agent_ids(self) -> list[str]:
-        """Instance tokens; the ego is ``"ego"`` and comes first."""
-
+    def agent_ids(self) -> list[str]: """Instance tokens; the ego is ``"ego"`` and comes first."""
     @property
     def agent_types(self) -> list[str]:
         """``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle`` or ``static`` for each agent."""
@@ -162,25 +144,17 @@ class Scene:
         """
 
     @property
-    def agent_categories(self) -> list[str]:
-        """The data set's own category of each agent."""
-
+    def agent_categories(self) -> list[str]: """The data set's own category of each agent."""
     @property
     def has_road(self) -> bool:
         """Whether the map has a drivable area; else figures that need a road are not there."""
 
     @property
-    def has_lanes(self) -> bool:
-        """Whether the map has lanes."""
-
+    def has_lanes(self) -> bool: """Whether the map has lanes."""
     @property
-    def sizes(self) -> F32:
-        """Length, width, height [A, 3], metres."""
-
+    def sizes(self) -> F32: """Length, width, height [A, 3], metres."""
     @property
-    def hash(self) -> str:
-        """Content hash, 32 hexadecimal digits, the same on every machine."""
-
+    def hash(self) -> str: """Content hash, 32 hexadecimal digits, the same on every machine."""
     def tracks(self) -> TrackArrays:
         """Return new arrays in the scene frame; rows that are not valid are zero.
 
