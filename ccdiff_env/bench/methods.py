@@ -17,23 +17,16 @@ _T = TypeVar("_T")
 class Method:
     """A way to drive the vehicles of the control set.
 
-    Parameters
-    ----------
-    label
-        Name in tables.
-    driver
-        Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
-    ranking
-        ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control set. With
-        ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan. With
-        ``listed``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
-    ccdiff
-        Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-    num_guided
-        Vehicles of the control set that guidance moves (the paper's mask of the top K); all of it
-        for ``None``.
-    guidance
-        What differs from the preset that ``ccdiff`` names.
+    Args:
+        label: Name in tables.
+        driver: Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
+        ranking: ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control
+            set. With ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
+            With ``listed``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
+        ccdiff: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
+        num_guided: Vehicles of the control set that guidance moves (the paper's mask of the top K);
+            all of it for ``None``.
+        guidance: What differs from the preset that ``ccdiff`` names.
     """
 
     label: str
@@ -46,10 +39,8 @@ class Method:
     def with_weights(self, weights: Mapping[str, str]) -> Method:
         """Return the method with weights of a file, where one is given for its network.
 
-        Parameters
-        ----------
-        weights
-            Weight files by driver. A method that names its own weights keeps them.
+        Args:
+            weights: Weight files by driver. A method that names its own weights keeps them.
         """
         if self.driver not in weights or "weights" in self.ccdiff:
             return self
@@ -81,8 +72,7 @@ _OVER_SPEED = [
     {"kind": "map_collision", "weight": 1.0},
 ]
 
-#: Rankings that only a planning network can make.
-OWN_RANKINGS = ("greedy", "gradient")
+OWN_RANKINGS = ("greedy", "gradient")  #: Rankings that only a planning network can make.
 
 
 class NamedDrivers(dict[str, _T]):
@@ -168,9 +158,7 @@ METHODS: dict[str, Method] = NamedDrivers(
 # the same guidance, less and more of it: ``ccdiff`` has criticality 1
 for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
     METHODS[f"ccdiff-{_strength:g}"] = Method(
-        f"CCDiff, criticality {_strength:g}",
-        "ccdiff",
-        ccdiff={**_GUIDED, "criticality": _strength},
+        f"CCDiff, criticality {_strength:g}", "ccdiff", ccdiff={**_GUIDED, "criticality": _strength}
     )
 
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.

@@ -43,8 +43,8 @@ class EgoPlan:
     offset_m: float
 
 
-#: How long a steady plan lasts, and the steady plans, least aggressive first.
-HOLD_S = 2.1
+HOLD_S = 2.1  #: How long a steady plan lasts.
+#: Steady plans, least aggressive first.
 STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2, 2, -4, -6))
 
 
