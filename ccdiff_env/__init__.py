@@ -42,37 +42,13 @@ from ccdiff_env.system.version import __version__
 from ccdiff_env.view import notebook
 
 __all__ = [
-    "AdversarySelectionEnv",
-    "AdversarySelectionVectorEnv",
-    "AgentVectorEnv",
-    "Certificate",
-    "EgoEnv",
-    "EgoVectorEnv",
-    "Recorder",
-    "Rollout",
-    "RolloutEvent",
-    "Scene",
-    "SceneSet",
-    "WorldConfig",
-    "__version__",
-    "aec_env",
-    "causal",
-    "config",
-    "counterfactual",
-    "embedded_scenes",
-    "errors",
-    "load",
-    "load_bank",
-    "load_gpudrive",
-    "load_nuscenes",
-    "load_scenarionet",
-    "make_vec",
-    "map_queries",
-    "metrics",
-    "parallel_env",
-    "record_bank",
+    "AdversarySelectionEnv", "AdversarySelectionVectorEnv", "AgentVectorEnv", "Certificate",
+    "EgoEnv", "EgoVectorEnv", "Recorder", "Rollout", "RolloutEvent", "Scene", "SceneSet",
+    "WorldConfig", "__version__", "aec_env", "causal", "config", "counterfactual",
+    "embedded_scenes", "errors", "load", "load_bank", "load_gpudrive", "load_nuscenes",
+    "load_scenarionet", "make_vec", "map_queries", "metrics", "parallel_env", "record_bank",
     "replay",
-]
+]  # fmt: skip
 
 register()
 notebook.install()

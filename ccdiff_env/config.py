@@ -54,21 +54,10 @@ if TYPE_CHECKING:
     from ccdiff_env.traffic.keywords import WorldKeywords
 
 __all__ = [
-    "ActionConfig",
-    "ActionGrid",
-    "AssistedLimits",
-    "BevConfig",
-    "BicycleLimits",
-    "CcdiffConfig",
-    "DeltaPoseLimits",
-    "EgosConfig",
-    "IdmConfig",
-    "ObservationConfig",
-    "Randomization",
-    "RewardConfig",
-    "UnicycleLimits",
-    "WorldConfig",
-]
+    "ActionConfig", "ActionGrid", "AssistedLimits", "BevConfig", "BicycleLimits", "CcdiffConfig",
+    "DeltaPoseLimits", "EgosConfig", "IdmConfig", "ObservationConfig", "Randomization",
+    "RewardConfig", "UnicycleLimits", "WorldConfig",
+]  # fmt: skip
 
 Traffic: TypeAlias = str | Mapping[str, float]  #: A driver by name, or shares of drivers by name.
 

@@ -217,22 +217,9 @@ def test_no_python_module_is_in_a_circle():
 
 #: Rooms of the package; each may use those before it. The face, ``__init__``, is not one of them.
 ROOMS = [
-    "errors",
-    "system",
-    "scenes",
-    "metrics",
-    "traffic",
-    "config",
-    "models",
-    "worlds",
-    "interop",
-    "planners",
-    "record",
-    "envs",
-    "view",
-    "bench",
-    "cli",
-]
+    "errors", "system", "scenes", "metrics", "traffic", "config", "models", "worlds", "interop",
+    "planners", "record", "envs", "view", "bench", "cli",
+]  # fmt: skip
 
 
 def test_rooms_of_the_package_use_those_before_them():

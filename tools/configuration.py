@@ -25,13 +25,8 @@ ROOT = Path(__file__).resolve().parents[1]
 COMMAND = "python -m tools.configuration"
 #: Tables that Python has as dictionaries alone, or as a class written by hand.
 PLAIN = (
-    "GuidanceConfig",
-    "MapConfig",
-    "ModelConfig",
-    "Normalisation",
-    "SampleOptions",
-    "TrainConfig",
-)
+    "GuidanceConfig", "MapConfig", "ModelConfig", "Normalisation", "SampleOptions", "TrainConfig",
+)  # fmt: skip
 #: Sizes stored with weights, which the page leaves to the source.
 SIZES = ("MapConfig", "ModelConfig", "Normalisation")
 #: Fields that classes of Python have in another form.

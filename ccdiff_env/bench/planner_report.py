@@ -32,18 +32,9 @@ Row = Mapping[str, Any]
 Results = Mapping[tuple[str, str], Sequence[Row]]
 
 _PARTS = (
-    "score",
-    "no_at_fault_collision",
-    "collision",
-    "on_road",
-    "makes_progress",
-    "right_way",
-    "progress",
-    "ttc",
-    "comfort",
-    "speed_limit",
-    "success",
-)
+    "score", "no_at_fault_collision", "collision", "on_road", "makes_progress", "right_way",
+    "progress", "ttc", "comfort", "speed_limit", "success",
+)  # fmt: skip
 NUPLAN = "nuplan_score"  #: nuPlan's own score of an episode, where it was asked for.
 _REASONS = {
     "no_at_fault_collision": "collision at fault",

@@ -27,15 +27,8 @@ OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "
 MARKERS = "osD^vPX*"  #: No hue tells methods apart alone.
 #: Methods and planners that look the same in every plot, by their place in this list.
 USUAL = (
-    "ccdiff_unguided",
-    "ccdiff",
-    "idm",
-    "pdm",
-    "lane_idm",
-    "ego",
-    "replay",
-    "constant_velocity",
-)
+    "ccdiff_unguided", "ccdiff", "idm", "pdm", "lane_idm", "ego", "replay", "constant_velocity",
+)  # fmt: skip
 
 
 def styles_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:

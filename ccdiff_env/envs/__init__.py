@@ -13,18 +13,9 @@ from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import MissingFeatureError
 
 __all__ = [
-    "EGO_ID",
-    "SELECTION_ID",
-    "AdversarySelectionEnv",
-    "AdversarySelectionVectorEnv",
-    "AgentVectorEnv",
-    "EgoEnv",
-    "EgoVectorEnv",
-    "aec_env",
-    "make_vec",
-    "parallel_env",
-    "register",
-]
+    "EGO_ID", "SELECTION_ID", "AdversarySelectionEnv", "AdversarySelectionVectorEnv",
+    "AgentVectorEnv", "EgoEnv", "EgoVectorEnv", "aec_env", "make_vec", "parallel_env", "register",
+]  # fmt: skip
 
 EGO_ID = "ccdiff_env/Ego-v0"  #: Id of the ego environment in Gymnasium's registry.
 #: Id of the selection of adversaries in Gymnasium's registry.

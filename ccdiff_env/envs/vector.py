@@ -35,16 +35,9 @@ Info = dict[str, Any]
 
 #: What a copy has besides: who has begun, generators, spaces with theirs.
 _OWN = (
-    "_begun",
-    "_seeded",
-    "_np_random",
-    "_np_random_seed",
-    "spec",
-    "single_observation_space",
-    "single_action_space",
-    "observation_space",
-    "action_space",
-)
+    "_begun", "_seeded", "_np_random", "_np_random_seed", "spec", "single_observation_space",
+    "single_action_space", "observation_space", "action_space",
+)  # fmt: skip
 
 _AUTORESET: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next_step",

@@ -18,15 +18,6 @@ from ccdiff_env.metrics.statistics import (
 )
 
 __all__ = [
-    "PAPER_BOUNDS",
-    "VARIANTS",
-    "Collisions",
-    "ComfortDistance",
-    "Displacement",
-    "Motion",
-    "OffRoad",
-    "comfort_distance",
-    "generational_distance",
-    "scores",
-    "speed_limit",
-]
+    "PAPER_BOUNDS", "VARIANTS", "Collisions", "ComfortDistance", "Displacement", "Motion",
+    "OffRoad", "comfort_distance", "generational_distance", "scores", "speed_limit",
+]  # fmt: skip

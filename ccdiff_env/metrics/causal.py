@@ -24,26 +24,10 @@ NODE_LIMIT = 20_000  #: Cliques that a search visits per step at most, by defaul
 GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
 
 __all__ = [
-    "DISTANCE_CAP_M",
-    "GRAPH_DISTANCE_M",
-    "GRAPH_TTC_S",
-    "NODE_LIMIT",
-    "TTC_CAP_S",
-    "CliqueCounts",
-    "Graph",
-    "Ranking",
-    "apart",
-    "clique_counts",
-    "distance",
-    "graph",
-    "normalise_distance",
-    "normalise_ttc",
-    "rank",
-    "rank_cliques",
-    "rank_distance",
-    "rank_greedy",
-    "ttc",
-]
+    "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "CliqueCounts",
+    "Graph", "Ranking", "apart", "clique_counts", "distance", "graph", "normalise_distance",
+    "normalise_ttc", "rank", "rank_cliques", "rank_distance", "rank_greedy", "ttc",
+]  # fmt: skip
 
 
 def _history(

@@ -15,14 +15,6 @@ from ccdiff_env.models.weights import (
 )
 
 __all__ = [
-    "TORCH",
-    "ScenePlan",
-    "TrajectoryModel",
-    "guidance_preset",
-    "needs_torch",
-    "require_networks",
-    "shipped_weights",
-    "train",
-    "weight_files",
-    "weights_path",
-]
+    "TORCH", "ScenePlan", "TrajectoryModel", "guidance_preset", "needs_torch", "require_networks",
+    "shipped_weights", "train", "weight_files", "weights_path",
+]  # fmt: skip

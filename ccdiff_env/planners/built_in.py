@@ -45,16 +45,9 @@ from ccdiff_env.worlds.spaces import Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = [
-    "EGO_HELP",
-    "Act",
-    "Ego",
-    "Planner",
-    "Seat",
-    "ego_driver",
-    "is_of_package",
-    "load_sb3",
+    "EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "is_of_package", "load_sb3",
     "seated",
-]
+]  # fmt: skip
 
 F32 = npt.NDArray[np.float32]
 #: Planners of the package by name, without weights of their own.

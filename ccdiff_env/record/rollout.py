@@ -29,14 +29,9 @@ Bool = npt.NDArray[np.bool_]
 DRIVER_NAMES = ("external", *driver_names())
 #: Kinds of events.
 EVENT_KINDS = (
-    "collision_front",
-    "collision_rear",
-    "collision_side",
-    "static",
-    "off_road",
-    "goal",
+    "collision_front", "collision_rear", "collision_side", "static", "off_road", "goal",
     "time_limit",
-)
+)  # fmt: skip
 FORMAT = "ccdiff-env rollout 2"
 
 

@@ -21,19 +21,9 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.scenes.load_report import LoadReport
 
 __all__ = [
-    "EgoReference",
-    "LoadReport",
-    "Scene",
-    "SceneSet",
-    "cache_directory",
-    "cache_folder",
-    "load_nuscenes",
-    "load_scenarionet",
-    "of_kinds",
-    "splits",
-    "warn_without_road",
-    "with_tracks",
-]
+    "EgoReference", "LoadReport", "Scene", "SceneSet", "cache_directory", "cache_folder",
+    "load_nuscenes", "load_scenarionet", "of_kinds", "splits", "warn_without_road", "with_tracks",
+]  # fmt: skip
 
 _TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
 

@@ -35,14 +35,9 @@ from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
 
 __all__ = [
-    "LINE_KINDS",
-    "LaneAhead",
-    "NearLines",
-    "in_frame",
-    "lane_ahead",
-    "nearest_lines",
+    "LINE_KINDS", "LaneAhead", "NearLines", "in_frame", "lane_ahead", "nearest_lines",
     "road_distance",
-]
+]  # fmt: skip
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]

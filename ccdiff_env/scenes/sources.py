@@ -30,17 +30,9 @@ from ccdiff_env.scenes.source_record import Place, Source
 from ccdiff_env.system.files import reading
 
 __all__ = [
-    "DEFAULT",
-    "SOURCES",
-    "Place",
-    "Source",
-    "coverage",
-    "load",
-    "parse",
-    "settled",
-    "split_names",
+    "DEFAULT", "SOURCES", "Place", "Source", "coverage", "load", "parse", "settled", "split_names",
     "title",
-]
+]  # fmt: skip
 
 
 def _options(place: Place) -> dict[str, Any]:

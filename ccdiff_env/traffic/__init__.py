@@ -17,21 +17,7 @@ from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 
 __all__ = [
-    "EGOS",
-    "KINDS",
-    "NETWORKS",
-    "PAPER_PROTOCOL",
-    "SWIFT",
-    "CcdiffConfig",
-    "EgosConfig",
-    "IdmConfig",
-    "Kind",
-    "LoggedFuture",
-    "NamedDriver",
-    "PythonTraffic",
-    "TrafficBatch",
-    "TrafficPlan",
-    "driver_names",
-    "driver_titles",
-    "read_ranking",
-]
+    "EGOS", "KINDS", "NETWORKS", "PAPER_PROTOCOL", "SWIFT", "CcdiffConfig", "EgosConfig",
+    "IdmConfig", "Kind", "LoggedFuture", "NamedDriver", "PythonTraffic", "TrafficBatch",
+    "TrafficPlan", "driver_names", "driver_titles", "read_ranking",
+]  # fmt: skip

@@ -21,13 +21,9 @@ if TYPE_CHECKING:
     from ccdiff_env.scenes import Scene, SceneSet
 
 __all__ = [
-    "AGENT_KINDS",
-    "ROUTE_SPACING_M",
-    "BoundTraffic",
-    "LoggedFuture",
-    "PythonTraffic",
+    "AGENT_KINDS", "ROUTE_SPACING_M", "BoundTraffic", "LoggedFuture", "PythonTraffic",
     "TrafficBatch",
-]
+]  # fmt: skip
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]

@@ -19,14 +19,9 @@ from ccdiff_env.scenes.sources import Place
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
 __all__ = [
-    "HORIZON_STEPS",
-    "Drive",
-    "is_drive",
-    "play_drive",
-    "read_drive",
-    "top_speed_mps",
+    "HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "top_speed_mps",
     "world_config",
-]
+]  # fmt: skip
 
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.

@@ -14,12 +14,6 @@ from ccdiff_env.worlds.step_arrays import StepArrays
 from ccdiff_env.worlds.worlds import Worlds
 
 __all__ = [
-    "SceneChoice",
-    "Scenes",
-    "StepArrays",
-    "Worlds",
-    "network_policies",
-    "normalize_seed",
-    "scene_set",
-    "world_config",
-]
+    "SceneChoice", "Scenes", "StepArrays", "Worlds", "network_policies", "normalize_seed",
+    "scene_set", "world_config",
+]  # fmt: skip

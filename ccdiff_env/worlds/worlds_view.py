@@ -14,63 +14,29 @@ __all__ = ["behind", "worlds_view"]
 #: of a call. Nothing tells which scene it is, by which seed it is played, or who drives the others:
 #: so that nobody can look the episode up, or play it beforehand.
 _SCENE = dict.fromkeys(("dt", "location", "agent_types", "agent_categories", "sizes", "map_layers"))
-_CONFIG = dict.fromkeys(
-    (
-        "action",
-        "decision_steps",
-        "dt_s",
-        "history_steps",
-        "horizon_steps",
-        "num_slots",
-        "observation",
-        "on_collision",
-        "on_off_road",
-        "reward",
-        "speed_limit_mps",
-        "style",
-        "success_completion",
-        "terminate_at_goal",
-    )
-)
+_CONFIG = dict.fromkeys((
+    "action", "decision_steps", "dt_s", "history_steps", "horizon_steps", "num_slots",
+    "observation", "on_collision", "on_off_road", "reward", "speed_limit_mps", "style",
+    "success_completion", "terminate_at_goal",
+))  # fmt: skip
 _STATUS = dict.fromkeys(("scene_idx", "step_idx", "elapsed_steps", "ego_idx"))
 _NATIVE: dict[str, Any] = {
-    **dict.fromkeys(
-        (
-            "action_bounds",
-            "action_width",
-            "begun",
-            "contacts",
-            "layout_json",
-            "num_actions",
-            "num_worlds",
-            "off_road",
-            "planner_actions",
-            "route",
-            "slot_agents",
-            "slot_alive",
-            "states",
-        )
-    ),
+    **dict.fromkeys((
+        "action_bounds", "action_width", "begun", "contacts", "layout_json", "num_actions",
+        "num_worlds", "off_road", "planner_actions", "route", "slot_agents", "slot_alive",
+        "states",
+    )),
     "status": _STATUS,
-}
+}  # fmt: skip
 _WORLDS: dict[str, Any] = {
-    **dict.fromkeys(
-        (
-            "action_space",
-            "column_names",
-            "columns",
-            "layout",
-            "metric_names",
-            "num_slots",
-            "num_worlds",
-            "observation_space",
-            "observe",
-        )
-    ),
+    **dict.fromkeys((
+        "action_space", "column_names", "columns", "layout", "metric_names", "num_slots",
+        "num_worlds", "observation_space", "observe",
+    )),
     "config": _CONFIG,
     "native": _NATIVE,
     "scenes": _SCENE,
-}
+}  # fmt: skip
 
 
 class _View:
