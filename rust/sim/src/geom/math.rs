@@ -1,12 +1,24 @@
 //! Scalar functions with the same bits everywhere (pure Rust `libm`), and angle arithmetic.
 
-use super::Real;
+use super::{Real, Vector2};
 use std::f32::consts::{PI, TAU};
 
 /// Sine and cosine of an angle in radians.
 #[inline]
 pub fn sin_cos(angle_rad: Real) -> (Real, Real) {
     libm::sincosf(angle_rad)
+}
+
+/// A direction turned by an angle in radians; small angles by their series, to the last bits.
+#[inline]
+pub(crate) fn turned(direction: Vector2, angle_rad: Real) -> Vector2 {
+    let square = angle_rad * angle_rad;
+    let (sin, cos) = if square < 0.01 {
+        (angle_rad * (1.0 - square / 6.0 * (1.0 - square / 20.0)), 1.0 - 0.5 * square * (1.0 - square / 12.0))
+    } else {
+        sin_cos(angle_rad)
+    };
+    Vector2::new(direction.x * cos - direction.y * sin, direction.y * cos + direction.x * sin)
 }
 
 /// Angle of the vector (x, y), radians in (−π, π].
@@ -80,6 +92,14 @@ mod tests {
             let (s0, c0) = (f64::from(a).sin(), f64::from(a).cos());
             let (s1, c1) = sin_cos(w);
             prop_assert!((s0 - f64::from(s1)).abs() < 2e-3 && (c0 - f64::from(c1)).abs() < 2e-3);
+        }
+
+        #[test]
+        fn turned_directions_are_those_of_the_sum_of_the_angles(a in -3f32..3.0, by in -0.3f32..0.3) {
+            let (sin, cos) = sin_cos(a);
+            let found = turned(Vector2::new(cos, sin), by);
+            let (s0, c0) = (f64::from(a) + f64::from(by)).sin_cos();
+            prop_assert!((s0 - f64::from(found.y)).abs() < 2e-7 && (c0 - f64::from(found.x)).abs() < 2e-7);
         }
     }
 }

@@ -35,7 +35,7 @@ pub(super) struct Other {
 }
 
 /// A box beside the centre line.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Beside {
     pub s_m: Real,
     pub lateral_m: Real,

@@ -10,11 +10,11 @@ mod score;
 mod tests;
 
 use crate::dynamics::KinState;
-use crate::geom::{Point2, Pose2, Projection, Real};
+use crate::geom::{Point2, Pose2, Projection, Real, Vector2};
 use crate::stage::{CentreLine, Ground, PreparedScene};
 use crate::state::{AgentStates, Footprint};
 use forecast::Forecast;
-use proposals::{BesideLine, Proposal, Rollout, roll};
+use proposals::{BesideLine, Rollout, roll};
 
 pub(crate) use proposals::steering;
 
@@ -48,7 +48,7 @@ impl<'a> Scene<'a> {
     pub(crate) fn yaw_rate(&self, offset_m: Real) -> Real {
         let state = self.present();
         let before_radps = self.states.yaw_rate_radps[self.ego];
-        let beside = BesideLine::new(self.line, self.place.s_m, &state);
+        let beside = BesideLine::new(self.line, self.place.s_m, &state, self.heading());
         beside.yaw_rate(state.speed_mps, offset_m, before_radps, self.dt_s)
     }
 
@@ -64,6 +64,11 @@ impl<'a> Scene<'a> {
 
     pub(crate) fn footprint(&self, agent_idx: usize) -> &Footprint {
         &self.prepared.footprints[agent_idx]
+    }
+
+    /// Cosine and sine of the ego's heading now.
+    fn heading(&self) -> Vector2 {
+        Vector2::new(self.states.cos[self.ego], self.states.sin[self.ego])
     }
 
     /// State of the unicycle at the ego's present.
@@ -90,13 +95,12 @@ pub(crate) fn plan(
     num_futures: usize,
     path: impl Fn(usize, usize) -> Option<Vec<Pose2>>,
 ) -> Plan {
-    let proposals = Proposal::all();
     let futures: Vec<(Forecast, Vec<Rollout>)> = (0..num_futures)
         .map(|future| {
             let forecast = Forecast::new(scene, |agent| path(future, agent));
-            let rollouts = roll(scene, &forecast, &proposals);
+            let rollouts = roll(scene, &forecast);
             (forecast, rollouts)
         })
         .collect();
-    score::best(scene, &proposals, &futures)
+    score::best(scene, &futures)
 }

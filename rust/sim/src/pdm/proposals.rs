@@ -50,21 +50,13 @@ pub(super) struct Rollout {
     pub actions: Vec<[Real; 2]>,
     /// Way along the line, metres.
     pub progress_m: Real,
+    /// Distance from the line that it drives to, left positive, metres.
+    pub offset_m: Real,
 }
 
-/// Yaw rate that follows a curve, critically damped in the distance from it.
-pub(crate) fn steering(
-    limits: &UnicycleLimits,
-    speed_mps: Real,
-    curvature_1pm: Real,
-    heading_error_rad: Real,
-    lateral_m: Real,
-) -> Real {
-    curve(limits, speed_mps, curvature_1pm, math::sin_cos(heading_error_rad).0, lateral_m)
-}
-
+/// Yaw rate that follows a curve, critically damped in the distance from it. `error_sin`: of the heading from the curve's.
 #[inline]
-fn curve(
+pub(crate) fn steering(
     limits: &UnicycleLimits,
     speed_mps: Real,
     curvature_1pm: Real,
@@ -81,56 +73,95 @@ fn curve(
 
 /// Where a state is beside the line near an arc length.
 pub(super) struct BesideLine {
-    at: Place,
+    curvature_1pm: Real,
     /// Along the line from there, and left of it, metres.
     ahead_m: Real,
     lateral_m: Real,
-    heading_error_rad: Real,
+    /// Cosine and sine of the heading from the line's.
+    error: Vector2,
 }
 
 impl BesideLine {
     #[inline]
-    pub(super) fn new(line: &CentreLine, s_m: Real, state: &KinState) -> Self {
-        let at = line.at(s_m);
-        let (sin, cos) = math::sin_cos(at.heading_rad);
-        let (dx, dy) = (state.x - at.position.x, state.y - at.position.y);
-        let (ahead_m, lateral_m) = (dx * cos + dy * sin, dy * cos - dx * sin);
-        let heading_error_rad =
-            math::wrap_angle(state.heading_rad - at.heading_rad - at.curvature_1pm * ahead_m);
-        Self { at, ahead_m, lateral_m, heading_error_rad }
+    pub(super) fn new(line: &CentreLine, s_m: Real, state: &KinState, heading: Vector2) -> Self {
+        let Place { position, direction, curvature_1pm, .. } = line.at(s_m);
+        let (dx, dy) = (state.x - position.x, state.y - position.y);
+        let ahead_m = dx * direction.x + dy * direction.y;
+        let lateral_m = dy * direction.x - dx * direction.y;
+        let error = Vector2::new(direction.dot(&heading), direction.x * heading.y - direction.y * heading.x);
+        Self { curvature_1pm, ahead_m, lateral_m, error: math::turned(error, -curvature_1pm * ahead_m) }
     }
 
     /// Yaw rate that leads to a distance from the line, after a yaw rate in the step before.
-    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real, before_radps: Real, dt_s: Real) -> Real {
-        self.steered(speed_mps, offset_m, before_radps, dt_s, math::sin_cos(self.heading_error_rad).0)
-    }
-
-    /// The same with the sine of the heading error.
     #[inline]
-    fn steered(
-        &self,
-        speed_mps: Real,
-        offset_m: Real,
-        before_radps: Real,
-        dt_s: Real,
-        error_sin: Real,
-    ) -> Real {
-        let (curvature_1pm, lateral_m) = (self.at.curvature_1pm, self.lateral_m - offset_m);
-        let limits = UnicycleLimits::default();
-        let wanted = curve(&limits, speed_mps, curvature_1pm, error_sin, lateral_m);
+    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real, before_radps: Real, dt_s: Real) -> Real {
+        let (limits, lateral_m) = (UnicycleLimits::default(), self.lateral_m - offset_m);
+        let wanted = steering(&limits, speed_mps, self.curvature_1pm, self.error.y, lateral_m);
         let change = YAW_ACCELERATION_RADPS2 * dt_s;
         wanted.clamp(before_radps - change, before_radps + change)
     }
 }
 
+/// Boxes in the way at a distance from the centre line, step after step.
+#[derive(PartialEq)]
+struct Way {
+    boxes: Vec<Beside>,
+    ends: Vec<usize>,
+}
+
+impl Way {
+    fn new(forecast: &Forecast, offset_m: Real, half_width_m: Real) -> Self {
+        let mut found = Self { boxes: Vec::new(), ends: Vec::with_capacity(forecast.num_steps) };
+        let is_in_way = |b: &&Beside| (b.lateral_m - offset_m).abs() < b.half_across_m + half_width_m;
+        for t in 0..forecast.num_steps {
+            found.boxes.extend(forecast.beside(t).iter().filter(is_in_way));
+            found.ends.push(found.boxes.len());
+        }
+        found
+    }
+
+    /// Gap to and speed of the nearest box ahead at a step.
+    #[inline]
+    fn leader(&self, step: usize, s_m: Real, half_length_m: Real) -> Option<(Real, Real)> {
+        let first = if step == 0 { 0 } else { self.ends[step - 1] };
+        let mut best: Option<(Real, Real)> = None;
+        for b in &self.boxes[first..self.ends[step]] {
+            let gap_m = b.s_m - s_m - b.half_along_m - half_length_m;
+            if b.s_m > s_m && best.is_none_or(|(least, _)| gap_m < least) {
+                best = Some((gap_m, b.speed_mps));
+            }
+        }
+        best
+    }
+
+    /// Speeds that IDM plans along the line for each share of the limit, m/s: now, after each step, and `more` steps further.
+    fn speeds(&self, scene: &Scene<'_>, more: usize) -> [Vec<Real>; SHARES.len()] {
+        let (line, half_length_m) = (scene.line, scene.footprint(scene.ego).half_length_m);
+        let last = self.ends.len() - 1;
+        let mut speeds = SHARES.map(|_| Vec::with_capacity(last + more + 2));
+        let mut now = [(scene.place.s_m, scene.present().speed_mps); SHARES.len()];
+        speeds.iter_mut().zip(&now).for_each(|(speeds, (_, speed))| speeds.push(*speed));
+        for t in 0..=last + more {
+            for ((share, speeds), (s_m, speed)) in SHARES.iter().zip(&mut speeds).zip(&mut now) {
+                let limit = line.at(*s_m).limit_mps.min(scene.speed_limit_mps);
+                let wanted = (limit * share).min(line.at(*s_m + 0.5 * *speed).curve_speed_mps);
+                let leader = self.leader(t.min(last), *s_m, half_length_m);
+                let acceleration = idm_with(&IDM, *speed, leader, tenth_power(share_of(*speed, wanted)));
+                *s_m += *speed * scene.dt_s;
+                *speed = (*speed + acceleration * scene.dt_s).max(0.0);
+                speeds.push(*speed);
+            }
+        }
+        speeds
+    }
+}
+
 /// A proposal on its way.
 struct Drive<'a> {
-    proposal: &'a Proposal,
-    /// Speeds that IDM plans, m/s: now, after each step, and some steps further.
-    planned_mps: Vec<Real>,
+    /// Speeds of [`Way::speeds`].
+    planned_mps: &'a [Real],
     state: KinState,
-    cos: Real,
-    sin: Real,
+    heading: Vector2,
     s_m: Real,
     /// Acceleration and yaw rate of the last step.
     last: [Real; 2],
@@ -138,9 +169,8 @@ struct Drive<'a> {
 }
 
 impl<'a> Drive<'a> {
-    fn new(scene: &Scene<'_>, forecast: &Forecast, proposal: &'a Proposal, look: usize) -> Self {
-        let (state, s_m, num_steps) = (scene.present(), scene.place.s_m, forecast.num_steps);
-        let (sin, cos) = math::sin_cos(state.heading_rad);
+    fn new(scene: &Scene<'_>, offset_m: Real, planned_mps: &'a [Real], num_steps: usize) -> Self {
+        let (state, heading) = (scene.present(), scene.heading());
         let acceleration = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
         let last = [acceleration, scene.states.yaw_rate_radps[scene.ego]];
         let mut out = Rollout {
@@ -148,38 +178,51 @@ impl<'a> Drive<'a> {
             directions: Vec::with_capacity(num_steps + 1),
             actions: Vec::with_capacity(num_steps),
             progress_m: 0.0,
+            offset_m,
         };
         out.states.push(state);
-        out.directions.push(Vector2::new(cos, sin));
-        let planned_mps = proposal.speeds(scene, forecast, look);
-        Self { proposal, planned_mps, state, cos, sin, s_m, last, out }
+        out.directions.push(heading);
+        Self { planned_mps, state, heading, s_m: scene.place.s_m, last, out }
     }
 
     /// One step towards the speed planned `look` steps ahead.
     #[inline]
     fn go(&mut self, scene: &Scene<'_>, look: usize, own: &Footprint) {
-        let (dt_s, speed, [last, last_yaw_rate]) = (scene.dt_s, self.state.speed_mps, self.last);
-        let beside = BesideLine::new(scene.line, self.s_m, &self.state);
+        let (dt_s, before, [last, last_yaw_rate]) = (scene.dt_s, self.state, self.last);
+        let (speed, beside) =
+            (before.speed_mps, BesideLine::new(scene.line, self.s_m, &before, self.heading));
         let planned_mps = self.planned_mps[self.out.actions.len() + look];
         let wanted = SHARE * (planned_mps - speed) / (look as Real * dt_s);
         let acceleration = last + dt_s / (dt_s + LAG_S) * (wanted - last);
-        let (error_sin, error_cos) = math::sin_cos(beside.heading_error_rad);
-        let yaw_rate = beside.steered(speed, self.proposal.offset_m, last_yaw_rate, dt_s, error_sin);
-        self.last = [acceleration, yaw_rate];
-        let action = [acceleration, yaw_rate, 0.0];
-        Dynamics::default().advance(&mut self.state, self.cos, self.sin, action, dt_s, own);
-        self.s_m += beside.ahead_m + 0.5 * (speed + self.state.speed_mps) * dt_s * error_cos;
-        (self.sin, self.cos) = math::sin_cos(self.state.heading_rad);
+        self.last = [acceleration, beside.yaw_rate(speed, self.out.offset_m, last_yaw_rate, dt_s)];
+        let action = [acceleration, self.last[1], 0.0];
+        Dynamics::default().advance(&mut self.state, self.heading.x, self.heading.y, action, dt_s, own);
+        self.s_m += beside.ahead_m + 0.5 * (speed + self.state.speed_mps) * dt_s * beside.error.x;
+        self.heading = math::turned(self.heading, self.state.heading_rad - before.heading_rad);
         self.out.states.push(self.state);
-        self.out.directions.push(Vector2::new(self.cos, self.sin));
+        self.out.directions.push(self.heading);
         self.out.actions.push(self.last);
     }
 }
 
-/// Drives proposals against the forecast.
-pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast, proposals: &[Proposal]) -> Vec<Rollout> {
+/// Drives [`Proposal::all`] against the forecast. The speeds planned for two distances from the line are the same where the
+/// same boxes are in the way.
+pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
     let (own, look) = (scene.footprint(scene.ego), (LOOK_S / scene.dt_s).round().max(1.0) as usize);
-    let mut drives: Vec<_> = proposals.iter().map(|p| Drive::new(scene, forecast, p, look)).collect();
+    let mut planned: Vec<(Way, [Vec<Real>; SHARES.len()])> = Vec::with_capacity(OFFSETS_M.len());
+    let of_offset = OFFSETS_M.map(|offset_m| {
+        let way = Way::new(forecast, offset_m, own.half_width_m);
+        planned.iter().position(|(known, _)| *known == way).unwrap_or_else(|| {
+            let speeds = way.speeds(scene, look);
+            planned.push((way, speeds));
+            planned.len() - 1
+        })
+    });
+    let speeds = of_offset.iter().flat_map(|i| &planned[*i].1);
+    let mut drives: Vec<_> = Proposal::all()
+        .zip(speeds)
+        .map(|(p, speeds)| Drive::new(scene, p.offset_m, speeds, forecast.num_steps))
+        .collect();
     for _ in 0..forecast.num_steps {
         for drive in &mut drives {
             drive.go(scene, look, own);
@@ -199,44 +242,7 @@ fn tenth_power(x: Real) -> Real {
 
 impl Proposal {
     /// All of them.
-    pub(super) fn all() -> Vec<Self> {
-        OFFSETS_M
-            .iter()
-            .flat_map(|offset_m| SHARES.map(|share| Self { share, offset_m: *offset_m }))
-            .collect()
-    }
-
-    /// Speeds that IDM plans along the line, m/s: now, after each step, and `more` steps further.
-    fn speeds(&self, scene: &Scene<'_>, forecast: &Forecast, more: usize) -> Vec<Real> {
-        let (line, own) = (scene.line, scene.footprint(scene.ego));
-        let (mut s_m, mut speed) = (scene.place.s_m, scene.present().speed_mps);
-        let mut speeds = vec![speed];
-        for t in 0..forecast.num_steps + more {
-            let boxes = forecast.beside(t.min(forecast.num_steps - 1));
-            let limit = line.at(s_m).limit_mps.min(scene.speed_limit_mps);
-            let wanted = (limit * self.share).min(line.at(s_m + 0.5 * speed).curve_speed_mps);
-            let power = tenth_power(share_of(speed, wanted));
-            let acceleration = idm_with(&IDM, speed, self.leader(boxes, s_m, own), power);
-            s_m += speed * scene.dt_s;
-            speed = (speed + acceleration * scene.dt_s).max(0.0);
-            speeds.push(speed);
-        }
-        speeds
-    }
-
-    /// Gap to and speed of the nearest of some boxes in the way.
-    #[inline]
-    fn leader(&self, boxes: &[Beside], s_m: Real, own: &Footprint) -> Option<(Real, Real)> {
-        let mut best: Option<(Real, Real)> = None;
-        for b in boxes {
-            if b.s_m <= s_m || (b.lateral_m - self.offset_m).abs() >= b.half_across_m + own.half_width_m {
-                continue;
-            }
-            let gap_m = b.s_m - s_m - b.half_along_m - own.half_length_m;
-            if best.is_none_or(|(least, _)| gap_m < least) {
-                best = Some((gap_m, b.speed_mps));
-            }
-        }
-        best
+    pub(super) fn all() -> impl Iterator<Item = Self> {
+        OFFSETS_M.into_iter().flat_map(|offset_m| SHARES.map(|share| Self { share, offset_m }))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::comfort::is_calm;
 use super::forecast::{AHEAD_S, Forecast, Other};
-use super::proposals::{Proposal, Rollout};
+use super::proposals::Rollout;
 use super::{Plan, Scene};
 use crate::events::REAR_AXLE_SHARE;
 use crate::events::limits::{ACCELERATION_MPS2, AHEAD_COS, STANDING_MPS, STOPPED_MPS};
@@ -29,12 +29,13 @@ const SLOW_MPS: Real = 5.0;
 
 /// What the proposal does that is best in the mean over futures, or an emergency brake where most of them have a contact.
 /// Of equals the first. Proposals whose progress cannot make up for the best so far are not looked at.
-pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Forecast, Vec<Rollout>)]) -> Plan {
+pub(super) fn best(scene: &Scene<'_>, futures: &[(Forecast, Vec<Rollout>)]) -> Plan {
     let futures: Vec<Future<'_>> =
         futures.iter().map(|(forecast, rollouts)| Future::new(scene, forecast, rollouts)).collect();
     let mean =
         |of: &dyn Fn(&Future<'_>) -> Real| futures.iter().map(of).sum::<Real>() / futures.len() as Real;
-    let mut order: Vec<(usize, Real)> = (0..proposals.len()).map(|i| (i, mean(&|f| f.bound(i)))).collect();
+    let mut order: Vec<(usize, Real)> =
+        (0..futures[0].rollouts.len()).map(|i| (i, mean(&|f| f.bound(i)))).collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut best = (0, Real::NEG_INFINITY);
     for (i, bound) in order {
@@ -60,7 +61,7 @@ pub(super) fn best(scene: &Scene<'_>, proposals: &[Proposal], futures: &[(Foreca
         true => BRAKE_MPS2,
         false => first.actions[0][0],
     };
-    Plan { offset_m: proposals[best.0].offset_m, acceleration_mps2 }
+    Plan { offset_m: first.offset_m, acceleration_mps2 }
 }
 
 /// Proposals in one future.

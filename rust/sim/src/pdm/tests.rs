@@ -1,5 +1,6 @@
 //! Rules of PDM-Closed by hand, on a straight two-way road along x: lanes of 3.5 m at y = -1.75 (ahead) and 1.75 (back).
 
+use super::proposals::Proposal;
 use super::*;
 use crate::geom::{Point2, Vector2};
 use crate::scene::synthetic::GridCity;
@@ -68,9 +69,8 @@ fn forecast(scene: &Scene<'_>) -> Forecast {
 /// The proposal at a share of the limit and a distance from the line.
 fn rolled(world: &World, share: Real, offset_m: Real) -> Rollout {
     let scene = world.scene();
-    let all = Proposal::all();
-    let proposal = all.iter().position(|p| p.share == share && p.offset_m == offset_m).unwrap();
-    roll(&scene, &forecast(&scene), &all).swap_remove(proposal)
+    let proposal = Proposal::all().position(|p| p == Proposal { share, offset_m }).unwrap();
+    roll(&scene, &forecast(&scene)).swap_remove(proposal)
 }
 
 /// A rollout with these accelerations and yaw rates from a speed, at the ego's place.
@@ -85,7 +85,7 @@ fn made(world: &World, speed_mps: Real, actions: Vec<[Real; 2]>) -> Rollout {
         states.push(state);
         directions.push(Vector2::new(state.heading_rad.cos(), state.heading_rad.sin()));
     }
-    Rollout { states, directions, actions, progress_m: 0.0 }
+    Rollout { states, directions, actions, progress_m: 0.0, offset_m: 0.0 }
 }
 
 #[test]

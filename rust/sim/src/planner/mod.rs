@@ -146,9 +146,6 @@ fn idm(asked: &Asked<'_>) -> [Real; 2] {
     let footprints = &scene.prepared.footprints;
     let ahead = leader(states, footprints, line.polyline(), place.s_m, ego, idm.anticipation_s);
     let acceleration = idm_towards(idm, speed, wanted, ahead.map(|l| (l.gap_m, l.speed_mps)));
-    let heading_error = math::wrap_angle(states.heading_rad[ego] - now.heading_rad);
-    [
-        acceleration,
-        steering(&UnicycleLimits::default(), speed, now.curvature_1pm, heading_error, place.lateral_m),
-    ]
+    let (error_sin, _) = math::sin_cos(math::wrap_angle(states.heading_rad[ego] - now.heading_rad));
+    [acceleration, steering(&UnicycleLimits::default(), speed, now.curvature_1pm, error_sin, place.lateral_m)]
 }

@@ -29,6 +29,8 @@ pub struct Place {
     pub position: Point2,
     /// Heading, radians, not wrapped.
     pub heading_rad: Real,
+    /// Its cosine and sine.
+    pub direction: Vector2,
     /// Curvature, left positive.
     pub curvature_1pm: Real,
     /// Greatest speed that the curves here and ahead allow, m/s.
@@ -93,6 +95,7 @@ impl CentreLine {
         Place {
             position: a.position + (b.position - a.position) * w,
             heading_rad: mix(a.heading_rad, b.heading_rad),
+            direction: math::turned(a.direction, w * (b.heading_rad - a.heading_rad)),
             curvature_1pm: mix(a.curvature_1pm, b.curvature_1pm),
             curve_speed_mps: mix(a.curve_speed_mps, b.curve_speed_mps),
             limit_mps: a.limit_mps,
@@ -205,9 +208,11 @@ fn places(line: &Polyline, limit: impl Fn(Real) -> Real) -> Vec<Place> {
         .map(|i| {
             let (a, b) = (i.saturating_sub(3), (i + 3).min(n - 1));
             let curvature_1pm = (headings[b] - headings[a]) / (s_of(b) - s_of(a)).max(STEP_M);
+            let (sin, cos) = math::sin_cos(headings[i]);
             Place {
                 position: points[i],
                 heading_rad: headings[i],
+                direction: Vector2::new(cos, sin),
                 curvature_1pm,
                 curve_speed_mps: (CURVE_MPS2 / curvature_1pm.abs().max(1e-4)).sqrt().max(2.0),
                 limit_mps: limit(s_of(i)),
