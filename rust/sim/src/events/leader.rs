@@ -105,16 +105,16 @@ fn bounds(window: &[Point2]) -> [Real; 4] {
 /// Nearest place of the route ahead of `s_m` to a point: position along the route and pose; `None` when the point lies
 /// abreast or behind.
 fn nearest_ahead(route: &Polyline, s_m: Real, window: &[Point2], x: Real, y: Real) -> Option<(Real, Pose2)> {
-    let mut best = (Real::MAX, 0);
+    let (mut least, mut best) = (Real::MAX, 0);
     for (k, samples) in window.chunks(COARSE).enumerate() {
         let (dx, dy) = (x - samples[0].x, y - samples[0].y);
         let d2 = dx * dx + dy * dy;
-        if d2 < best.0 {
-            best = (d2, k * COARSE);
-        }
+        // one instruction each: no branch to guess
+        best = if d2 < least { k } else { best };
+        least = if d2 < least { d2 } else { least };
     }
     // two steps of projection on the local tangent
-    let mut at_s = s_m.floor() + best.1 as Real;
+    let mut at_s = (s_m as usize + best * COARSE) as Real;
     let mut at = route.at(at_s);
     for _ in 0..2 {
         let ahead = (x - at.position.x) * at.cos + (y - at.position.y) * at.sin;

@@ -1,7 +1,7 @@
 //! Lines of points: arc length, points along, projection onto.
 
 use super::{Point2, Pose2, Real, Vector2, math};
-use crate::simd_dispatch::simd_dispatch;
+use crate::simd_dispatch::{pick, simd_dispatch};
 
 /// Points nearer to each other than this count as one, metres.
 const MIN_SPACING_M: Real = 1e-3;
@@ -15,14 +15,27 @@ pub struct Polyline {
     points: Vec<Point2>,
     /// Arc length at each point, metres [P].
     s_m: Vec<Real>,
-    /// Unit direction and heading of each segment [P - 1].
-    directions: Vec<(Vector2, Real)>,
+    length_m: Real,
+    /// The segments one by one, for places along the line [P - 1].
+    parts: Vec<Part>,
     /// The segments once more, for searches.
     segments: Segments,
     /// Segment at each multiple of `bin_m` along the line, so that a position is found without a search.
     bins: Vec<u32>,
     /// Spacing of `bins`, metres.
     bin_m: Real,
+}
+
+/// A segment, all of it in one line of the cache.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(align(32))]
+struct Part {
+    start: Point2,
+    direction: Vector2,
+    heading_rad: Real,
+    /// Arc length at the start, and up to which the segment goes: for ever for the last one.
+    s_m: Real,
+    end_s_m: Real,
 }
 
 /// Segments as columns of numbers [P - 1]: start, unit direction, length.
@@ -36,14 +49,14 @@ struct Segments {
 }
 
 impl Segments {
-    fn new(points: &[Point2], s_m: &[Real], directions: &[(Vector2, Real)]) -> Self {
-        let column = |of: &dyn Fn(usize) -> Real| (0..directions.len()).map(of).collect();
+    fn new(parts: &[Part], s_m: &[Real]) -> Self {
+        let column = |of: fn(&Part) -> Real| parts.iter().map(of).collect();
         Self {
-            x: column(&|i| points[i].x),
-            y: column(&|i| points[i].y),
-            cos: column(&|i| directions[i].0.x),
-            sin: column(&|i| directions[i].0.y),
-            length_m: column(&|i| s_m[i + 1] - s_m[i]),
+            x: column(|part| part.start.x),
+            y: column(|part| part.start.y),
+            cos: column(|part| part.direction.x),
+            sin: column(|part| part.direction.y),
+            length_m: s_m.windows(2).map(|ends| ends[1] - ends[0]).collect(),
         }
     }
 }
@@ -69,45 +82,53 @@ struct Nearest {
 /// Segments that are looked at together.
 const LANES: usize = 8;
 
-/// Puts the nearest of some segments in the place of `best` if it is nearer; the first of those equally near.
+/// The nearest of some segments; the first of those equally near.
 #[inline(always)]
-fn nearest_of(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
+fn nearest_of(segments: &Segments, first: usize, end: usize, point: Point2) -> Nearest {
     let [x, y, cos, sin, length_m] =
         [&segments.x, &segments.y, &segments.cos, &segments.sin, &segments.length_m]
-            .map(|column| column[first..end].as_chunks::<LANES>().0);
-    let mut distance_sq = [best.distance_sq; LANES];
-    let (mut along_m, mut blocks) = ([0.0; LANES], [0u32; LANES]);
-    for block in 0..x.len() {
+            .map(|column| &column[first..end]);
+    let num_segments = x.len();
+    let mut best = Nearest { distance_sq: Real::INFINITY, segment_idx: first, along_m: 0.0 };
+    if num_segments < LANES {
+        for i in 0..num_segments {
+            let (d, along_m) = nearest_on(point.x - x[i], point.y - y[i], cos[i], sin[i], length_m[i]);
+            if d < best.distance_sq {
+                best = Nearest { distance_sq: d, segment_idx: first + i, along_m };
+            }
+        }
+        return best;
+    }
+    let (mut distance_sq, mut along_m) = ([Real::INFINITY; LANES], [0.0; LANES]);
+    let mut froms = [0u32; LANES];
+    for block in 0..num_segments.div_ceil(LANES) {
+        // the last eight overlap those before
+        let from = (block * LANES).min(num_segments - LANES);
+        let (x, y, cos) = (&x[from..][..LANES], &y[from..][..LANES], &cos[from..][..LANES]);
+        let (sin, length_m) = (&sin[from..][..LANES], &length_m[from..][..LANES]);
         for lane in 0..LANES {
-            let (x, y) = (point.x - x[block][lane], point.y - y[block][lane]);
-            let (d, along) = nearest_on(x, y, cos[block][lane], sin[block][lane], length_m[block][lane]);
-            let nearer = d < distance_sq[lane];
-            distance_sq[lane] = if nearer { d } else { distance_sq[lane] };
-            along_m[lane] = if nearer { along } else { along_m[lane] };
-            blocks[lane] = if nearer { block as u32 } else { blocks[lane] };
+            let (x, y) = (point.x - x[lane], point.y - y[lane]);
+            let (d, along) = nearest_on(x, y, cos[lane], sin[lane], length_m[lane]);
+            let nearer = u32::from(d < distance_sq[lane]).wrapping_neg();
+            distance_sq[lane] = pick(nearer, d, distance_sq[lane]);
+            along_m[lane] = pick(nearer, along, along_m[lane]);
+            froms[lane] = from as u32 & nearer | froms[lane] & !nearer;
         }
     }
-    for lane in 0..LANES {
-        let segment_idx = first + blocks[lane] as usize * LANES + lane;
-        let d = distance_sq[lane];
-        if d < best.distance_sq || (d == best.distance_sq && segment_idx < best.segment_idx) {
-            *best = Nearest { distance_sq: d, segment_idx, along_m: along_m[lane] };
-        }
-    }
-    for segment_idx in first + x.len() * LANES..end {
-        let (x, y) = (point.x - segments.x[segment_idx], point.y - segments.y[segment_idx]);
-        let (cos, sin) = (segments.cos[segment_idx], segments.sin[segment_idx]);
-        let (d, along_m) = nearest_on(x, y, cos, sin, segments.length_m[segment_idx]);
-        if d < best.distance_sq {
-            *best = Nearest { distance_sq: d, segment_idx, along_m };
-        }
-    }
+    // distances are not negative, so their bits sort as they do
+    let key = |lane: usize| {
+        let at = u64::from(froms[lane]) + lane as u64;
+        u64::from(distance_sq[lane].to_bits()) << 32 | at << 3 | lane as u64
+    };
+    let least = (0..LANES).map(key).fold(u64::MAX, u64::min);
+    let (distance_sq, at) = (Real::from_bits((least >> 32) as u32), least as u32 as usize);
+    Nearest { distance_sq, segment_idx: first + (at >> 3), along_m: along_m[at % LANES] }
 }
 
 simd_dispatch! {
     /// See [`nearest_of`].
     fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
-        nearest_of(segments, first, end, point, best);
+        *best = nearest_of(segments, first, end, point);
     }
 
     /// The nearest segment to each of up to eight places among those next to the nearest of every fourth point from the
@@ -126,16 +147,15 @@ simd_dispatch! {
             for lane in 0..LANES {
                 let (dx, dy) = (x[lane] - at_x, y[lane] - at_y);
                 let d = dx * dx + dy * dy;
-                let nearer = d < least_sq[lane];
-                least_sq[lane] = if nearer { d } else { least_sq[lane] };
-                best[lane] = if nearer { k as u32 } else { best[lane] };
+                let nearer = u32::from(d < least_sq[lane]).wrapping_neg();
+                least_sq[lane] = pick(nearer, d, least_sq[lane]);
+                best[lane] = k as u32 & nearer | best[lane] & !nearer;
             }
         }
         for (lane, (place, nearest)) in places.iter().zip(nearest).enumerate() {
             let at = first + best[lane] as usize * SPARSE;
             let from = at.saturating_sub(SPARSE).max(first);
-            *nearest = Nearest { distance_sq: Real::INFINITY, segment_idx: from, along_m: 0.0 };
-            nearest_of(segments, from, (at + SPARSE - 1).min(last) + 1, *place, nearest);
+            *nearest = nearest_of(segments, from, (at + SPARSE - 1).min(last) + 1, *place);
         }
     }
 }
@@ -185,8 +205,24 @@ impl Polyline {
             }
             bins.push(segment as u32);
         }
-        let segments = Segments::new(&points, &s_m, &directions);
-        Some(Self { points, s_m, directions, segments, bins, bin_m })
+        Some(Self::of(points, s_m, &directions, bins, bin_m))
+    }
+
+    fn of(
+        points: Vec<Point2>,
+        s_m: Vec<Real>,
+        directions: &[(Vector2, Real)],
+        bins: Vec<u32>,
+        bin_m: Real,
+    ) -> Self {
+        let part = |(i, (direction, heading_rad)): (usize, &(Vector2, Real))| {
+            let end_s_m = if i + 1 < directions.len() { s_m[i + 1] } else { Real::INFINITY };
+            let (direction, heading_rad) = (*direction, *heading_rad);
+            Part { start: points[i], direction, heading_rad, s_m: s_m[i], end_s_m }
+        };
+        let parts: Vec<Part> = directions.iter().enumerate().map(part).collect();
+        let (segments, length_m) = (Segments::new(&parts, &s_m), s_m[directions.len()]);
+        Self { points, s_m, length_m, parts, segments, bins, bin_m }
     }
 
     /// Straight line from a pose along its heading, at least a metre long.
@@ -194,15 +230,14 @@ impl Polyline {
         let length_m = if length_m.is_finite() { length_m.max(1.0) } else { 1.0 };
         let direction = Vector2::new(pose.cos, pose.sin);
         let points = vec![pose.position, pose.position + direction * length_m];
-        let (s_m, directions) = (vec![0.0, length_m], vec![(direction, pose.heading_rad)]);
-        let segments = Segments::new(&points, &s_m, &directions);
-        Self { points, s_m, directions, segments, bins: vec![0, 0], bin_m: 0.5 * length_m }
+        let s_m = vec![0.0, length_m];
+        Self::of(points, s_m, &[(direction, pose.heading_rad)], vec![0, 0], 0.5 * length_m)
     }
 
     /// Length, metres.
     #[inline]
     pub fn length_m(&self) -> Real {
-        self.s_m.last().copied().unwrap_or(0.0)
+        self.length_m
     }
 
     /// The distinct points.
@@ -221,31 +256,33 @@ impl Polyline {
         // a NaN or negative arc length becomes bin 0
         let bin = ((s_m / self.bin_m) as u32 as usize).min(self.bins.len() - 1);
         let first = self.bins[bin] as usize;
-        let ends = &self.s_m[first + 1..self.directions.len()];
-        first + ends.iter().take_while(|end| **end < s_m).count()
+        // it is hardly ever more than one: no branch to guess
+        let mut segment = first + usize::from(self.parts[first].end_s_m < s_m);
+        while self.parts[segment].end_s_m < s_m {
+            segment += 1;
+        }
+        segment
     }
 
     /// Point and direction at an arc length, clamped to the ends. The heading lies in (−π, π].
     #[inline]
     pub fn at(&self, s_m: Real) -> Pose2 {
-        let length_m = self.length_m();
         let s_m = if s_m < 0.0 { 0.0 } else { s_m };
-        let s_m = if s_m > length_m { length_m } else { s_m };
-        let segment = self.segment_at(s_m);
-        let (direction, heading_rad) = self.directions[segment];
-        let position = self.points[segment] + direction * (s_m - self.s_m[segment]);
+        let s_m = if s_m > self.length_m { self.length_m } else { s_m };
+        let Part { start, direction, heading_rad, s_m: start_s_m, .. } = self.parts[self.segment_at(s_m)];
+        let position = start + direction * (s_m - start_s_m);
         Pose2 { position, heading_rad, cos: direction.x, sin: direction.y }
     }
 
     /// Unit direction at an arc length, clamped to the ends.
     #[inline]
     pub fn tangent_at(&self, s_m: Real) -> Vector2 {
-        self.directions[self.segment_at(s_m)].0
+        self.parts[self.segment_at(s_m)].direction
     }
 
     /// Nearest point of the whole line; the earliest one where several are equally near. Linear in P.
     pub fn project(&self, point: Point2) -> Projection {
-        self.project_onto(point, 0, self.directions.len() - 1)
+        self.project_onto(point, 0, self.parts.len() - 1)
     }
 
     /// Nearest point among the segments that touch [hint − window, hint + window], metres of arc length.
@@ -287,10 +324,10 @@ impl Polyline {
 
     #[inline]
     fn projection(&self, point: Point2, best: &Nearest) -> Projection {
-        let direction = self.directions[best.segment_idx].0;
-        let offset = point - self.points[best.segment_idx];
+        let Part { start, direction, s_m, .. } = self.parts[best.segment_idx];
+        let offset = point - start;
         Projection {
-            s_m: self.s_m[best.segment_idx] + best.along_m,
+            s_m: s_m + best.along_m,
             lateral_m: direction.x * offset.y - direction.y * offset.x,
             distance_m: best.distance_sq.sqrt(),
             segment_idx: best.segment_idx,

@@ -24,6 +24,11 @@ impl Parts {
         parts
     }
 
+    /// Parts of which the surface may hold some, a bit each.
+    pub(super) fn held(&self) -> u64 {
+        !self.outside
+    }
+
     /// Whether the surface holds a part; `None` where its border goes through it.
     #[inline]
     pub(super) fn at(&self, part: u32) -> Option<bool> {

@@ -8,7 +8,8 @@ use super::cell_border::{Border, Parts};
 use super::road_area::HALF_LANE_M;
 use super::{LaneKind, Map};
 use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
-use crate::simd_dispatch::simd_dispatch;
+use crate::simd_dispatch::{pick, simd_dispatch};
+use std::f32::consts::FRAC_1_SQRT_2;
 use std::sync::OnceLock;
 
 /// Side of a cell, metres.
@@ -68,7 +69,15 @@ pub struct LaneIndex {
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Cell {
     segments: OnceLock<Box<[Block]>>,
-    surfaces: OnceLock<Box<[Surface]>>,
+    surfaces: OnceLock<Box<Surfaces>>,
+}
+
+/// The lanes whose surfaces reach into a cell.
+#[derive(Debug, Clone, PartialEq)]
+struct Surfaces {
+    /// Parts of the cell where a lane may be that does not agree for certain with all headings of an [`octant`], a bit each.
+    in_doubt: [u64; 8],
+    all: Box<[Surface]>,
 }
 
 /// A lane whose surface reaches into a cell.
@@ -158,8 +167,10 @@ impl LaneIndex {
 
     /// Lanes and connectors whose surface holds a point, in the order of the map. A lane without a polygon is 3.5 m wide.
     pub fn holding<'a>(&'a self, map: &'a Map, point: Point2) -> impl Iterator<Item = usize> + 'a {
-        let list =
-            self.grid.cell(point).map(|c| &**self.cells[c].surfaces.get_or_init(|| self.surfaces_in(map, c)));
+        let list = self
+            .grid
+            .cell(point)
+            .map(|c| &*self.cells[c].surfaces.get_or_init(|| self.surfaces_in(map, c)).all);
         let holds = move |s: &&Surface| self.surface_holds(map, s, point);
         list.into_iter().flatten().filter(holds).map(|s| s.lane_idx as usize)
     }
@@ -219,8 +230,7 @@ impl LaneIndex {
         self.of_lane(lane_idx).iter().map(|s| s.distance_sq(point)).fold(Real::INFINITY, Real::min)
     }
 
-    /// The lanes whose surfaces reach into a cell.
-    fn surfaces_in(&self, map: &Map, cell: usize) -> Box<[Surface]> {
+    fn surfaces_in(&self, map: &Map, cell: usize) -> Box<Surfaces> {
         let (centre, half_m) = self.middle(cell);
         let (low, high) = (centre - Vector2::new(half_m, half_m), centre + Vector2::new(half_m, half_m));
         let meets = |lane_idx: usize| {
@@ -254,7 +264,17 @@ impl LaneIndex {
             let parts = Parts::new(centre, self.grid.cell_m, look);
             Surface { lane_idx: lane_idx as u32, is_lane, direction, agrees_above, parts, border }
         };
-        found.map(surface).collect()
+        let all: Box<[Surface]> = found.map(surface).collect();
+        let in_doubt = std::array::from_fn(|octant| {
+            let sign = |bit: usize| if octant >> bit & 1 == 1 { -1.0 } else { 1.0 };
+            let (x, y) = (sign(1), sign(2));
+            let ends =
+                [if octant & 1 == 1 { [0.0, y] } else { [x, 0.0] }, [x * FRAC_1_SQRT_2, y * FRAC_1_SQRT_2]];
+            let agrees = |s: &Surface, [cos, sin]: [Real; 2]| s.along(cos, sin) > s.agrees_above + 1e-3;
+            let in_doubt = all.iter().filter(|s| s.is_lane && !ends.iter().all(|end| agrees(s, *end)));
+            in_doubt.fold(0, |parts, s| parts | s.parts.held())
+        });
+        Box::new(Surfaces { in_doubt, all })
     }
 
     /// Whether the surface of a lane holds a point, and all lanes whose surface does run against a direction; `agrees` tells
@@ -267,14 +287,16 @@ impl LaneIndex {
         agrees: impl Fn(usize) -> bool,
     ) -> bool {
         let Some(cell) = self.grid.cell(point) else { return false };
-        let list = self.cells[cell].surfaces.get_or_init(|| self.surfaces_in(map, cell));
-        let along = |s: &Surface| s.direction.x * cos + s.direction.y * sin;
-        let agrees_surely = |s: &&Surface| along(s) > s.agrees_above;
+        let surfaces = self.cells[cell].surfaces.get_or_init(|| self.surfaces_in(map, cell));
+        if surfaces.in_doubt[octant(cos, sin)] >> self.grid.part(point) & 1 == 0 {
+            return false;
+        }
+        let agrees_surely = |s: &&Surface| s.along(cos, sin) > s.agrees_above;
         let holds = |s: &Surface| self.surface_holds(map, s, point);
-        let lanes = || list.iter().filter(|s| s.is_lane);
+        let lanes = || surfaces.all.iter().filter(|s| s.is_lane);
         let mut is_held = false;
         for s in lanes().filter(|s| !agrees_surely(s) && holds(s)) {
-            if along(s) > -s.agrees_above && agrees(s.lane_idx as usize) {
+            if s.along(cos, sin) > -s.agrees_above && agrees(s.lane_idx as usize) {
                 return false;
             }
             is_held = true;
@@ -408,14 +430,14 @@ simd_dispatch! {
                 let along = if along > 0.0 { along } else { 0.0 };
                 let (ox, oy) = (dx - along * cos, dy - along * sin);
                 let distance_sq = ox * ox + oy * oy;
-                let nearer = distance_sq < any_sq[lane];
-                any_sq[lane] = if nearer { distance_sq } else { any_sq[lane] };
-                any[lane] = if nearer { k as u32 } else { any[lane] };
+                let nearer = u32::from(distance_sq < any_sq[lane]).wrapping_neg();
+                any_sq[lane] = pick(nearer, distance_sq, any_sq[lane]);
+                any[lane] = k as u32 & nearer | any[lane] & !nearer;
                 let agrees = cos * direction[0] + sin * direction[1] >= 0.0;
                 let distance_sq = if agrees { distance_sq } else { Real::INFINITY };
-                let nearer = distance_sq < agreeing_sq[lane];
-                agreeing_sq[lane] = if nearer { distance_sq } else { agreeing_sq[lane] };
-                agreeing[lane] = if nearer { k as u32 } else { agreeing[lane] };
+                let nearer = u32::from(distance_sq < agreeing_sq[lane]).wrapping_neg();
+                agreeing_sq[lane] = pick(nearer, distance_sq, agreeing_sq[lane]);
+                agreeing[lane] = k as u32 & nearer | agreeing[lane] & !nearer;
             }
         }
         *keys = [(any_sq, any), (agreeing_sq, agreeing)].map(|(distance_sq, blocks)| {
@@ -425,6 +447,18 @@ simd_dispatch! {
             };
             (0..LANES).map(key).fold(u64::MAX, u64::min)
         });
+    }
+}
+
+/// The eighth of all directions that a heading is in: where its sine is negative, its cosine, and which is the greater one.
+fn octant(cos: Real, sin: Real) -> usize {
+    usize::from(sin < 0.0) << 2 | usize::from(cos < 0.0) << 1 | usize::from(sin.abs() > cos.abs())
+}
+
+impl Surface {
+    /// Cosine between the lane's mean direction and a heading.
+    fn along(&self, cos: Real, sin: Real) -> Real {
+        self.direction.x * cos + self.direction.y * sin
     }
 }
 
