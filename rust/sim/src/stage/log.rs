@@ -2,7 +2,7 @@
 
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::scene::Scene;
-use crate::simd_dispatch::simd_dispatch;
+use crate::simd_dispatch::{pick, simd_dispatch};
 use crate::stage::route::Route;
 use crate::state::{AgentStates, Height};
 use std::sync::OnceLock;
@@ -66,9 +66,15 @@ impl Log {
         step_idx < self.end_step[agent_idx]
     }
 
+    /// Whether the log has an agent at a step.
+    #[inline]
+    pub(crate) fn has(&self, agent_idx: usize, step_idx: usize) -> bool {
+        self.valid.get(step_idx * self.num_agents + agent_idx).is_some_and(|valid| *valid)
+    }
+
     /// Whether the log has an agent again at a step, which it had last at most some steps ago.
     pub(crate) fn has_again(&self, agent_idx: usize, step_idx: usize, steps: usize) -> bool {
-        let has = |t: usize| self.position(agent_idx, t).is_some();
+        let has = |t: usize| self.has(agent_idx, t);
         let first = step_idx.saturating_sub(steps);
         has(step_idx) && step_idx > first && !has(step_idx - 1) && (first..step_idx).any(has)
     }
@@ -124,8 +130,7 @@ impl Log {
     #[inline]
     pub(crate) fn position(&self, agent_idx: usize, step_idx: usize) -> Option<Point2> {
         let at = step_idx * self.num_agents + agent_idx;
-        let is_logged = self.valid.get(at).is_some_and(|valid| *valid);
-        is_logged.then(|| [self.columns[0][at], self.columns[1][at]].into())
+        self.has(agent_idx, step_idx).then(|| [self.columns[0][at], self.columns[1][at]].into())
     }
 
     /// Moves the agents of `follow` [A] to a step, as one step of `dt_s` moves them; those that are not logged there
@@ -215,12 +220,6 @@ pub fn apart_in_log(scene: &Scene, step_idx: usize, agents: &[usize]) -> Vec<boo
     }
     states.heights = (0..scene.num_agents()).map(|a| height(scene, a, step_idx)).collect();
     states.apart(agents)
-}
-
-/// A number, or another one where all bits of a mask are set.
-#[inline(always)]
-fn pick(mask: u32, chosen: Real, other: Real) -> Real {
-    Real::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)
 }
 
 simd_dispatch! {

@@ -85,16 +85,21 @@ impl ActionDecoder {
         let mut physical = [0.0; 3];
         for (i, value) in action.iter().enumerate() {
             let v = value.clamp(-1.0, 1.0);
-            physical[i] = if v >= 0.0 { v * self.high[i] } else { -v * self.low[i] };
+            physical[i] = v * self.range(i, v);
         }
         physical
+    }
+
+    /// How far a column goes to the side of a number; no branch to guess.
+    #[inline]
+    fn range(&self, column: usize, number: Real) -> Real {
+        [-self.low[column], self.high[column]][usize::from(number >= 0.0)]
     }
 
     /// Normalised form of a physical action, clipped to [-1, 1]; zero where a column has no range.
     pub fn normalise(&self, physical: &Action) -> Action {
         std::array::from_fn(|i| {
-            let v = physical[i];
-            let scale = if v >= 0.0 { self.high[i] } else { -self.low[i] };
+            let (v, scale) = (physical[i], self.range(i, physical[i]));
             if scale > 0.0 { (v / scale).clamp(-1.0, 1.0) } else { 0.0 }
         })
     }

@@ -19,7 +19,7 @@ const AT_LOG_M: Real = 0.01;
 /// Lets those in whom the log has at the present step and who may come. Contacts in which an agent appears are given.
 pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfig) {
     for a in 0..e.states.len() {
-        if e.states.active[a] || !scene.scene.is_valid(a, e.step_idx) {
+        if e.states.active[a] || !scene.log.has(a, e.step_idx) {
             continue;
         }
         if e.drivers[a] == Driver::Towed {

@@ -290,8 +290,8 @@ impl Episode {
         velocity: Vector2,
         dt_s: Real,
     ) {
-        let (now, before) = (scene.log.position(a, self.step_idx), scene.log.position(a, self.step_idx - 1));
-        if before.is_none() && now == Some(pose.position) {
+        let log = &scene.log;
+        if !log.has(a, self.step_idx - 1) && log.position(a, self.step_idx) == Some(pose.position) {
             self.enter(scene, a, dt_s);
         } else {
             self.set_pose(a, pose, velocity, dt_s);
