@@ -58,13 +58,18 @@ impl<T> TokenIndex<T> {
         Some(&self.entries[self.place(token)?].1)
     }
 
-    /// [`Self::get`] with a look first at the entry after the one that was found last: lists of tokens often name entries
+    /// [`Self::place`] with a look first at the entry after the one that was found last: lists of tokens often name entries
     /// one after the other. The outcome is the same whatever `next` says.
-    pub(crate) fn get_from(&self, next: &mut usize, token: Token) -> Option<&T> {
+    pub(crate) fn place_from(&self, next: &mut usize, token: Token) -> Option<usize> {
         let follows = self.entries.get(*next).is_some_and(|(t, _)| *t == token);
         let found = if follows { *next } else { self.place(token)? };
         *next = found + 1;
-        Some(&self.entries[found].1)
+        Some(found)
+    }
+
+    /// [`Self::get`] as [`Self::place_from`] does it.
+    pub(crate) fn get_from(&self, next: &mut usize, token: Token) -> Option<&T> {
+        Some(&self.entries[self.place_from(next, token)?].1)
     }
 
     /// All entries in the order they were given.

@@ -4,7 +4,7 @@ use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::index::TokenIndex;
-use crate::record::{Record, Source, Text, elements, members, parse, string};
+use crate::record::{Record, Source, Text, elements, members, parse, token};
 use crate::report::MapReport;
 use crate::stream::BYTE_ORDER_MARK;
 use crate::token::Token;
@@ -263,7 +263,7 @@ impl<'a> Assembler<'a> {
         let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
         let mut next = 0;
         for text in tokens {
-            let token = Token::from_bytes(&string(text)?);
+            let token = token(text)?;
             let point = self.nodes.get_from(&mut next, token);
             points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
         }

@@ -149,10 +149,14 @@ impl<'a, const N: usize> Record<'a, N> {
     pub(crate) fn new(text: &'a [u8], names: &'static [&'static str; N], source: Source<'a>) -> Result<Self> {
         let (mut values, mut likely) = ([None; N], 0);
         walk_members((text, source), |name, value| {
-            let key = string(name)?;
-            let is = |field: usize| names[field].as_bytes() == &*key;
+            let is = |key: &[u8], field: usize| names[field].as_bytes() == key;
             // fields come in one order in most records
-            let field = if is(likely) { Some(likely) } else { (0..N).find(|field| is(*field)) };
+            let field = if is(&name.0[1..name.0.len() - 1], likely) {
+                Some(likely)
+            } else {
+                let key = string(name)?;
+                (0..N).find(|field| is(&key, *field))
+            };
             if let Some(field) = field {
                 values[field].get_or_insert(value);
                 likely = (field + 1) % N;
@@ -187,8 +191,8 @@ impl<'a, const N: usize> Record<'a, N> {
 
     /// A token.
     pub(crate) fn token(&self, field: usize) -> Result<Token> {
-        match plain_string(self.raw(field)?.0) {
-            Some(bytes) => Ok(Token::from_bytes(bytes)),
+        match plain_token(self.raw(field)?.0) {
+            Some(token) => Ok(token),
             None => Ok(Token::from_text(&self.parse::<String>(field)?)),
         }
     }
@@ -205,8 +209,19 @@ pub(crate) fn plain_string(text: &[u8]) -> Option<&[u8]> {
     memchr(b'\\', inner).is_none().then_some(inner)
 }
 
+/// The token that a string without escapes is.
+fn plain_token(text: &[u8]) -> Option<Token> {
+    let inner = text.strip_prefix(b"\"")?.strip_suffix(b"\"")?;
+    Token::from_digits(inner).or_else(|| plain_string(text).map(Token::from_bytes))
+}
+
+/// The token that a string is.
+pub(crate) fn token(of: Text<'_>) -> Result<Token> {
+    plain_token(of.0).map_or_else(|| Ok(Token::from_bytes(&string(of)?)), Ok)
+}
+
 /// The bytes of a string.
-pub(crate) fn string(of: Text<'_>) -> Result<Cow<'_, [u8]>> {
+fn string(of: Text<'_>) -> Result<Cow<'_, [u8]>> {
     plain_string(of.0).map_or_else(|| Ok(parse::<String>(of)?.into_bytes().into()), |bytes| Ok(bytes.into()))
 }
 

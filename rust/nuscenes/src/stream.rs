@@ -21,7 +21,7 @@ pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 const RECORDS_PER_TASK: usize = 256;
 
 /// Finds the fields of these names in every record of a table and keeps what `keep` makes of them, in the order of the
-/// file.
+/// file. The number that `keep` is given passes from one record to the next of a task: see `TokenIndex::place_from`.
 ///
 /// # Errors
 /// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
@@ -33,7 +33,7 @@ pub(crate) fn read_table<Kept, F, const N: usize>(
 ) -> Result<Vec<Kept>>
 where
     Kept: Send,
-    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let file = file::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
     read_records(file, path, BLOCK_BYTES, names, &keep)
@@ -50,7 +50,7 @@ fn read_records<R, Kept, F, const N: usize>(
 where
     R: Read + Send,
     Kept: Send,
-    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
@@ -85,13 +85,13 @@ fn parse_block<Kept, F, const N: usize>(
 ) -> Result<Vec<Vec<Kept>>>
 where
     Kept: Send,
-    F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
+    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
 {
     let parse = |records: &[Range<usize>]| {
-        let mut kept = Vec::with_capacity(records.len());
+        let (mut kept, mut next) = (Vec::with_capacity(records.len()), 0);
         for range in records {
             let source = Source { path, offset: block.offset + range.start as u64 };
-            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?)?);
+            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?, &mut next)?);
         }
         Ok(kept)
     };
@@ -207,7 +207,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        let keep = |row: &Record<'_, 2>| Ok(Some((row.parse(0)?, row.text(1)?)));
+        let keep = |row: &Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
         read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
     }
 

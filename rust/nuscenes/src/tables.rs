@@ -95,7 +95,7 @@ impl Tables {
     ) -> Result<Vec<Kept>>
     where
         Kept: Send,
-        F: Fn(&Record<'_, N>) -> Result<Option<Kept>> + Sync,
+        F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
     {
         read_table(&self.path(table), &format!("table {table}"), names, keep)
     }
@@ -122,9 +122,9 @@ impl Tables {
     /// The scene table, in its order, with the location of each scene.
     pub(crate) fn read_scenes(&self) -> Result<Vec<SceneEntry>> {
         let locations =
-            self.read("log", &["token", "location"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("log", &["token", "location"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let locations = self.index("log", locations)?;
-        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row| {
+        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row, _| {
             let (token, log) = (row.text(0)?, row.token(2)?);
             let location = locations
                 .get(log)
@@ -177,10 +177,10 @@ impl Tables {
         }
         let tokens = scenes.iter().map(|s| Token::from_text(&s.token));
         let slots = self.index("scene", tokens.zip(slots).collect())?;
-        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row| {
+        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row, next| {
             let (token, scene) = (row.token(0)?, row.token(2)?);
             let slot = *slots
-                .get(scene)
+                .get_from(next, scene)
                 .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene, "scene"))?;
             Ok(Some(Sample { slot, timestamp_us: row.parse(1)?, token, frame: 0 }))
         })?;
@@ -208,9 +208,9 @@ impl Tables {
         const TABLE: &str = "sample_annotation";
         let path = self.path(TABLE);
         let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
-        let rows = self.read(TABLE, names, |row| {
+        let rows = self.read(TABLE, names, |row, next| {
             let (token, of) = (row.token(0)?, row.token(1)?);
-            let place = samples.by_token.place(of);
+            let place = samples.by_token.place_from(next, of);
             let place = place.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
             let sample = &samples.list[place];
             let Some(slot) = sample.slot else { return Ok(None) };
@@ -228,13 +228,13 @@ impl Tables {
     /// Id and category of the instances that are annotated.
     fn read_instances(&self, rows: &[Annotation]) -> Result<TokenIndex<(String, String)>> {
         let categories =
-            self.read("category", &["token", "name"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("category", &["token", "name"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let categories = self.index("category", categories)?;
         let runs = rows.chunk_by(|a, b| a.instance == b.instance);
         let mut used: Vec<Token> = runs.map(|run| run[0].instance).collect();
         used.par_sort_unstable();
         used.dedup();
-        let rows = self.read("instance", &["token", "category_token"], |row| {
+        let rows = self.read("instance", &["token", "category_token"], |row, _| {
             let token = row.token(0)?;
             if used.binary_search(&token).is_err() {
                 return Ok(None);
@@ -308,9 +308,9 @@ impl Tables {
         };
         let path = self.path("ego_pose");
         let names = &["token", "timestamp", "translation", "rotation"];
-        let poses = self.read("ego_pose", names, |row| {
+        let poses = self.read("ego_pose", names, |row, next| {
             let token = row.token(0)?;
-            let Some(place) = wanted.place(token) else { return Ok(None) };
+            let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
             let sample = &samples.list[wanted.entries()[place].1 as usize];
             let (translation, rotation) = (row.parse(2)?, row.parse(3)?);
             let timestamp_us: i64 = row.parse(1)?;
@@ -350,7 +350,7 @@ impl Tables {
     /// Channel names, most wanted first, and the key-frame sample_data of the wanted scenes.
     fn read_key_frame_data(&self, samples: &Samples) -> Result<(Vec<String>, Vec<KeyFrameData>)> {
         let sensors =
-            self.read("sensor", &["token", "channel"], |row| Ok(Some((row.token(0)?, row.text(1)?))))?;
+            self.read("sensor", &["token", "channel"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
         let rank = |channel: &str| match channel {
             "LIDAR_TOP" => 0,
             "CAM_FRONT" => 1,
@@ -360,7 +360,7 @@ impl Tables {
         channels.sort_by(|a, b| (rank(a), a).cmp(&(rank(b), b)));
         channels.dedup();
         let sensors = self.index("sensor", sensors)?;
-        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row| {
+        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row, _| {
             let (token, of) = (row.token(0)?, row.token(1)?);
             let channel = sensors
                 .get(of)
@@ -370,12 +370,12 @@ impl Tables {
         let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
         let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
-        let rows = self.read(TABLE, names, |row| {
+        let rows = self.read(TABLE, names, |row, next| {
             if !row.parse::<bool>(0)? {
                 return Ok(None);
             }
             let of = row.token(2)?;
-            let sample = samples.by_token.place(of).ok_or_else(|| {
+            let sample = samples.by_token.place_from(next, of).ok_or_else(|| {
                 self.dangling((TABLE, "sample_token"), row.token(1).unwrap_or_default(), of, "sample")
             })?;
             if samples.list[sample].slot.is_none() {

@@ -20,7 +20,12 @@ impl Token {
 
     /// [`Self::from_text`] without a look at the encoding.
     pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
-        Self(hex_value(bytes).unwrap_or_else(|| xxh3_128(bytes)))
+        Self::from_digits(bytes).unwrap_or_else(|| Self(xxh3_128(bytes)))
+    }
+
+    /// The token of 32 lower-case hexadecimal digits.
+    pub(crate) fn from_digits(bytes: &[u8]) -> Option<Self> {
+        hex_value(bytes).map(Self)
     }
 }
 

@@ -212,20 +212,28 @@ impl Scene {
 
     /// The first field of elevations that has not as many as there are entries, or one that is no height on Earth.
     fn height_fault(&self) -> Option<(String, String)> {
-        let fault = |field: String, heights: &[Real], entries: usize, counts: &dyn Fn(usize) -> bool| {
+        let fault = |field: &dyn Fn() -> String,
+                     heights: &[Real],
+                     entries: usize,
+                     counts: &dyn Fn(usize) -> bool| {
             if !heights.is_empty() && heights.len() != entries {
-                return Some((field, format!("{} entries for {entries}", heights.len())));
+                return Some((field(), format!("{} entries for {entries}", heights.len())));
             }
             let bad =
                 heights.iter().enumerate().find(|(i, z)| counts(*i) && (z.is_nan() || z.abs() > HIGHEST_M));
-            bad.map(|(i, z)| (format!("{field}[{i}]"), z.to_string()))
+            bad.map(|(i, z)| (format!("{}[{i}]", field()), z.to_string()))
         };
         let (tracks, map, ranges) = (&self.tracks, &self.map, &self.map.elevation_m);
         let counts = |i: usize| tracks.valid[i];
         let of_lane = |(i, lane): (usize, &Lane)| {
-            fault(format!("map.lanes[{i}].elevation_m"), &lane.elevation_m, lane.centreline.len(), &|_| true)
+            fault(
+                &|| format!("map.lanes[{i}].elevation_m"),
+                &lane.elevation_m,
+                lane.centreline.len(),
+                &|_| true,
+            )
         };
-        fault("tracks.elevation_m".into(), &tracks.elevation_m, tracks.valid.len(), &counts)
+        fault(&|| "tracks.elevation_m".into(), &tracks.elevation_m, tracks.valid.len(), &counts)
             .or_else(|| map.lanes.iter().enumerate().find_map(of_lane))
             .or_else(|| {
                 let entries = [
@@ -238,8 +246,8 @@ impl Scene {
                     map.carpark_areas.len(),
                 ];
                 ranges.layers().into_iter().zip(entries).find_map(|((name, ranges), entries)| {
-                    let field = format!("map.elevation_m.{name}");
-                    fault(field, ranges.as_flattened(), 2 * entries, &|_| true)
+                    let field = || format!("map.elevation_m.{name}");
+                    fault(&field, ranges.as_flattened(), 2 * entries, &|_| true)
                 })
             })
     }
