@@ -153,7 +153,9 @@ def table(rows: list[dict[str, Any]]) -> str:
 
     def cell(row: dict[str, Any], name: str) -> Cell:
         value = row.get(name, "")
-        return tuple(value) if " " in name else forms.get(name, "{}").format(value) if value else ""
+        if not value:
+            return ""
+        return tuple(value) if " " in name else forms.get(name, "{}").format(value)
 
     shown = [[cell(row, name) for name in heads] for row in rows]
     return str(Table([*heads.values()], shown))
@@ -190,26 +192,22 @@ def traffics(args: argparse.Namespace) -> None:
             pace = paces["ccdiff" if budget == "decisions" else traffic]
             run = trained_in(args, ego, traffic, args.seconds * pace, seed)
             runs.setdefault((ego, budget, traffic), []).append(run)
-    table_rows = []
+    table_rows: list[dict[str, Any]] = []
     for (ego, budget, traffic), of in runs.items():
-        rows = [row for run in of for row in run["rows"]]
-        live = [row for run in runs[ego, budget, "ccdiff"] for row in run["rows"]]
-        own, other = ([*scene_means(some, "score").values()] for some in (rows, live))
-        less, p = difference(np.subtract(own, other))
-        if traffic == "ccdiff" and budget == "decisions":
+        if traffic == "ccdiff" and budget == "decisions":  # the same as for equal time
             continue
-        table_rows.append(
-            {
-                "title": ego,
-                "budget": budget,
-                "traffic": traffic,
-                "decisions": of[0]["decisions"],
-                "cpu_s": float(np.mean([run["cpu_s"] for run in of])),
-                "score ccdiff-1": [round(v, 4) for v in mean_interval(rows, "score")],
-                "less live": [round(v, 4) for v in less] if traffic != "ccdiff" else [],
-                "p": round(p, 4) if traffic != "ccdiff" else "",
-            }
+        some, live = (
+            [row for run in each for row in run["rows"]]
+            for each in (of, runs[ego, budget, "ccdiff"])
         )
+        own, other = ([*scene_means(rows, "score").values()] for rows in (some, live))
+        less, p = difference(np.subtract(own, other))
+        row: dict[str, Any] = {"title": ego, "budget": budget, "traffic": traffic}
+        row |= {"decisions": of[0]["decisions"], "cpu_s": np.mean([run["cpu_s"] for run in of])}
+        row |= {"score ccdiff-1": [round(v, 4) for v in mean_interval(some, "score")]}
+        if traffic != "ccdiff":
+            row |= {"less live": [round(v, 4) for v in less], "p": round(p, 4)}
+        table_rows.append(row)
     kept = {"command": "python -m tools.expectations --traffics --dataroot <nuscenes>"}
     kept |= {"scenes": str(other_place(args)), "trained_on": str(place_from(args))}
     write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, table_rows)
