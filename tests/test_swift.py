@@ -251,9 +251,10 @@ def test_a_network_learns_what_is_told():
     assert nats[1] < 0.3 * nats[0]
 
 
-def test_a_dial_is_fitted_on_enough_scenes(scenes):
-    with pytest.raises(ConfigError, match="at least 10"):
-        distil.fitted_dial(ccdiff_env.scenes.SceneSet(list(scenes)[:3]), shipped_weights(SWIFT))
+def test_a_dial_is_fitted_on_enough_scenes(tmp_path, capsys):
+    words = ["--scenes", "embedded/val", "--fit-scenes", "embedded/val?limit=3"]
+    assert main(["distil", *words, "--out", str(tmp_path)]) == 2
+    assert "at least 10" in capsys.readouterr().err
 
 
 def test_egos_train_and_are_judged_in_it(scenes, tmp_path):

@@ -96,7 +96,9 @@ def run(args: argparse.Namespace) -> int:
     if not isinstance(args.teacher, Mapping):
         raise ConfigError(f"--teacher is {args.teacher!r}, expected an object of JSON")
     teacher, scenes = {**TEACHER, **args.teacher}, scenes_from(args)
-    fit = _enough(scenes_from(args, other=True))
+    fit = scenes_from(args, other=True)
+    if len(fit) < 10:
+        raise ConfigError(f"--fit-scenes: {len(fit)} scenes, expected at least 10")
     args.out.mkdir(parents=True, exist_ok=True)
     began = time.process_time()
 
@@ -109,7 +111,9 @@ def run(args: argparse.Namespace) -> int:
     def labels(name: str, of: SceneSet, episodes: int, seed: int, student: Path | None) -> F32:
         file: Path = args.out / f"labels-{name}.npy"
         if not file.exists():
-            np.save(file, collect(of, teacher, episodes, seed=seed, student=student))
+            part = file.with_suffix(".part.npy")
+            np.save(part, collect(of, teacher, episodes, seed=seed, student=student))
+            part.replace(file)
             say(f"{file.name}: {episodes} episodes")
         rows: F32 = np.load(file)
         return rows
@@ -145,12 +149,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _enough(scenes: SceneSet) -> SceneSet:
-    if len(scenes) < 10:
-        raise ConfigError(f"--fit-scenes: {len(scenes)} scenes, expected at least 10")
-    return scenes
-
-
 # what the teacher does
 
 
@@ -163,22 +161,10 @@ def collect(
     student: Path | None = None,
     worlds: int = 48,
 ) -> F32:
-    """Return labels [n, ROW + 3] of what vehicles saw and did where CCDiff drove.
+    """Return labels [n, ROW + 3] of episodes in scenes that are drawn evenly.
 
-    Parameters
-    ----------
-    scenes
-        The scenes, drawn evenly.
-    teacher
-        Options of CCDiff; up to ``criticality`` strengths are drawn.
-    episodes
-        How many episodes are played.
-    seed
-        Of all that is drawn.
-    student
-        Weights of swift traffic that drives half of the vehicles, so that its states are met.
-    worlds
-        Episodes that are played side by side.
+    CCDiff drives with the options of a teacher, at strengths up to its criticality. A student, the
+    weights of swift traffic, drives half of the vehicles, so that its own states are met.
     """
     rng, listed, found = np.random.default_rng(seed), list(scenes), list[F32]()
     for first in range(0, episodes, worlds):
@@ -345,18 +331,10 @@ def save(
     dial: Sequence[Sequence[float]],
     notes: Mapping[str, Any],
 ) -> None:
-    """Write weights as swift traffic reads them.
+    """Write tensors of :func:`train` as swift traffic reads them.
 
-    Parameters
-    ----------
-    path
-        A ``.safetensors``.
-    tensors
-        As :func:`train` returns them.
-    dial
-        Pairs of a criticality and the strength of the network that belongs to it, both rising.
-    notes
-        What the file was made from.
+    A dial is pairs of a criticality and the strength of the network that belongs to it, both
+    rising from 0, 0.
     """
     header = {"format": 1, "kind": SWIFT, "dial": dial, "notes": notes}
     write_tensors(path, dict(tensors), {"ccdiff_env": json.dumps(header)})
@@ -386,17 +364,12 @@ def fitted_dial(
 
     IDM collides in their traffic as often as in that of five steps at 0.5, 1 and 2 on these scenes;
     beyond, strengths go on evenly.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer scenes than a share can be told from.
     """
 
     def shares(driver: str, own: Mapping[str, Any], levels: Sequence[float], draws: range) -> Any:
         """Of collisions at some levels of criticality."""
         found = ({"traffic": driver, "ccdiff": {**own, "criticality": c}} for c in levels)
-        return [collisions(_enough(scenes), options, draws) for options in found]
+        return [collisions(scenes, options, draws) for options in found]
 
     wanted = shares("ccdiff", {}, FITTED, range(seeds // 2))
     had = shares(SWIFT, {"weights": str(weights)}, TRIED, range(10, 10 + 2 * seeds))
