@@ -92,11 +92,12 @@ impl Watch {
             let other = &self.ways[*j];
             let reach_m = own.radius_m + other.radius_m;
             let is_near = (other.middle - own.middle).norm_squared() < reach_m * reach_m;
-            let to = other.boxes[0].centre - own.boxes[0].centre;
-            let is_behind = to.x * own.boxes[0].cos + to.y * own.boxes[0].sin < -own.boxes[0].half_length_m;
-            let is_near = is_near && !is_behind;
+            let is_behind = || {
+                let (to, now) = (other.boxes[0].centre - own.boxes[0].centre, &own.boxes[0]);
+                to.x * now.cos + to.y * now.sin < -now.half_length_m
+            };
             let meet = || world.states.same_level(a, *j) && !world.states.hitched(a, *j) && minds(*j);
-            if *j == a || !is_near || !meet() {
+            if *j == a || !is_near || is_behind() || !meet() {
                 return false;
             }
             let pairs = own.boxes.iter().zip(&other.boxes);
