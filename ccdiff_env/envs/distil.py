@@ -137,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     say(f"IDM collides at {FITTED} with the teacher, at {TRIED} with {best.name}: {rates}")
     place = place_from(args)
     notes = {
-        "teacher": teacher,
+        "teacher": {k: v for k, v in teacher.items() if k != "weights"},
         "data": title(place, coverage(place, len(scenes))),
         "labels": [len(rows) for rows in rounds],
         "nats": [nats for nats, _ in networks],
