@@ -257,8 +257,8 @@ def test_a_dial_is_fitted_on_enough_scenes(tmp_path, capsys):
     assert "at least 10" in capsys.readouterr().err
 
 
-def test_egos_train_and_are_judged_in_it(scenes, tmp_path):
-    """``train-ego``, stable-baselines3 as in README.md, and the benchmark of planners."""
+def test_egos_train_are_judged_and_shown_in_it(scenes, tmp_path):
+    """``train-ego``, stable-baselines3 as in README.md, the benchmark of planners, pages."""
     pytest.importorskip("torch")
     pytest.importorskip("stable_baselines3")
     from stable_baselines3 import PPO
@@ -271,3 +271,5 @@ def test_egos_train_and_are_judged_in_it(scenes, tmp_path):
     PPO("MlpPolicy", SB3VecEnv(worlds), n_steps=8, batch_size=32, device="cpu").learn(32)
     words = ["bench", "planners", "--planners", "idm", "--traffic", "swift,swift-1", "--limit", "2"]
     assert main([*words, "--quiet", "--out", str(tmp_path / "bench")]) == 0
+    words = ["view", scenes[0].name, "--traffic", SWIFT, "--criticality", "2"]
+    assert main([*words, "--out", str(tmp_path / "page.html")]) == 0

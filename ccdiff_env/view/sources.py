@@ -13,7 +13,7 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.record.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import DEFAULT, Place, load
-from ccdiff_env.traffic import NETWORKS
+from ccdiff_env.traffic import NETWORKS, SWIFT
 from ccdiff_env.view.contacts import overlaps
 from ccdiff_env.view.link import is_drive, play_drive
 
@@ -84,7 +84,7 @@ def play_scene(
     if seat is not None:
         options["config"] = seat.config.with_options(decision_steps=1)
     settings = dict(ccdiff or {})
-    if {traffic, name} & set(NETWORKS):
+    if {traffic, name} & {*NETWORKS} - {SWIFT}:
         settings = {"num_samples": SAMPLES, **settings}
     env = EgoEnv(scenes=scene, traffic=traffic, driver=name, ccdiff=settings, **options)
     env.reset(seed=seed)

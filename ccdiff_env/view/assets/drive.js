@@ -138,7 +138,7 @@ class Drive {
     const config = this.settings.configs[name], { network } = this;
     if (!network) return JSON.stringify(config);
     const criticality = +$("criticality").value, usual = config.named_drivers[network][network];
-    const options = { ...usual, criticality, num_samples: criticality > 0 ? 4 : 1 };
+    const options = { ...usual, criticality, num_samples: criticality > 0 ? usual.num_samples : 1 };
     return JSON.stringify({ ...config, named_drivers: { [network]: { [network]: options } } });
   }
 
