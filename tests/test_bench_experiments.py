@@ -101,29 +101,29 @@ def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
 
 
 def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys):
-    of = {name: models.shipped_weights(name) for name in ("ccdiff", "ccdiff_equal", "ctg")}
+    routes, tokens = models.shipped_weights(routes=True), models.shipped_weights("tokens")
     command = ["bench", "traffic", "--quiet", "--k", "2", "--limit", "2"]
 
     def rows(folder, *more):
-        given = ["--out", str(tmp_path / folder), "--methods", "ccdiff,ccdiff_equal,ctg", *more]
+        given = ["--out", str(tmp_path / folder), "--methods", "ccdiff,tokens", *more]
         assert cli.main([*command, *given]) == 0
         raw = (tmp_path / folder / "raw").glob("*-K2-*.json")
         return {f.name.split("-")[0]: json.loads(f.read_text())["result"] for f in raw}
 
     shipped = rows("shipped")
-    own = rows("own", "--weights", f"ccdiff={of['ccdiff_equal']}")
-    assert own["ccdiff"] == shipped["ccdiff_equal"] != shipped["ccdiff"]
-    assert own["ctg"] == shipped["ctg"]
+    own = rows("own", "--weights", f"ccdiff={routes}")
+    assert own["ccdiff"] != shipped["ccdiff"]
+    assert own["tokens"] == shipped["tokens"]
     capsys.readouterr()
     for text, said in (
-        (f"ccdiff={of['ctg']}", "another run|other settings: own_weights"),
+        (f"ccdiff={tokens}", "another run|other settings: own_weights"),
         ("ccdiff", "NETWORK=FILE"),
-        (f"idm={of['ctg']}", "NETWORK=FILE"),
+        (f"idm={tokens}", "NETWORK=FILE"),
         (f"ccdiff={tmp_path}/no", "no weights for ccdiff"),
     ):
         given = ["--out", str(tmp_path / "own"), "--methods", "ccdiff", "--weights", text]
         assert cli.main([*command, *given]) == 2
         assert re.search(said, capsys.readouterr().err), text
     given = ["--out", str(tmp_path / "kind"), "--methods", "ccdiff"]
-    assert cli.main([*command, *given, "--weights", f"ccdiff={of['ctg']}"]) == 2
-    assert "ctg" in capsys.readouterr().err
+    assert cli.main([*command, *given, "--weights", f"ccdiff={tokens}"]) == 2
+    assert "tokens" in capsys.readouterr().err

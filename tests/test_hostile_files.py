@@ -383,9 +383,7 @@ DAMAGES = {
     **{
         f"weights {entry[-1]}={value}": (weights(None, "model", *entry, value=value), entry[-1])
         for entry, value in (
-            *((("map", "bitmap_px_per_m"), x) for x in (1e30, 1e5)),
-            (("map", "metres_per_px"), 1e6),
-            (("map", "size_px"), 4096),
+            (("map", "feature_width"), 2**40),
             *(((name,), 0) for name in ("edge_width", "feed_forward")),
             *(((name,), -1.0) for name in ("agents_within_m", "ttc_threshold_s")),
             (("diffusion_steps",), 10**12),

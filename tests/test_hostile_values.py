@@ -172,14 +172,10 @@ def test_a_line_of_a_thousand_kilometres_costs_little():
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB
 
 
-def test_agents_too_far_apart_for_the_map_of_a_network():
-    """A bitmap round both would take terabytes; rules drive among them."""
+def test_a_network_plans_for_agents_a_thousand_kilometres_apart():
     scene = array_scene(agent("ego", np.arange(STEPS) * 1.0), agent("other", 9e5), name="far")
-    EgoEnv(scenes=scene, traffic="idm").reset(seed=0)
-    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
-        EgoEnv(scenes=scene, traffic="ccdiff")
-    with pytest.raises(errors.SceneError, match=r"far.*pixels"):
-        TrajectoryModel(shipped_weights()).plan([scene], [40])
+    (plan,) = TrajectoryModel(shipped_weights()).plan([scene], [40])
+    assert np.isfinite(plan.states).all()
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])

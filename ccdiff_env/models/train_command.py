@@ -40,11 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="CCDiff may know where vehicles go; in training it knows it of half of them",
     )
-    parser.add_argument(
-        "--polylines",
-        action="store_true",
-        help="the network reads the map as lines, not as a raster (not bits, strive; preset fast)",
-    )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument("--steps", type=int, help="training steps in all")
     length.add_argument("--minutes", type=float, help="minutes of this call")
@@ -89,8 +84,6 @@ def run(args: argparse.Namespace) -> int:
         "seed": args.seed,
     }
     network: dict[str, Any] = {}
-    if args.polylines:
-        network["map"] = {"encoder": "polylines"}
     if args.routes:
         network["route_points_m"] = ROUTE_POINTS_M
         settings["drop_route"] = 0.5

@@ -58,7 +58,7 @@ def train(
         settings: Training settings that differ from the preset's, such as ``{"batch_scenes": 8,
             "seed": 1}``.
         network: Parts of the network that differ from the preset's, such as ``{"width": 128}`` or
-            ``{"map": {"encoder": "polylines"}}``; the names are those of the weight file's header.
+            ``{"map": {"feature_width": 32}}``; the names are those of the weight file's header.
         teacher: Weights of a denoising network. The run begins with them and learns to make its
             plans in one denoising step instead of ``settings["teacher_steps"]`` (5): for
             ``denoising_steps=1``. Preset and network are the teacher's. A resumed run needs it

@@ -69,7 +69,7 @@ def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bo
     network which was taught both.
 
     Those of CCDiff's rivals are in a package of their own (``ccdiff-env[rivals]``), and the path
-    may be of no file where it is absent.
+    is of no file where it is absent or holds none of this network.
 
     Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
@@ -93,11 +93,11 @@ def _rivals() -> Path:
 
 
 def _require_rivals(weights: Path) -> None:
-    """Refuse weights of a package that is not there."""
+    """Refuse weights of a rival that are not there."""
     if weights.parent == _rivals() and not weights.is_file():
         raise MissingFeatureError(
-            f"weights {weights.stem} are in a package of their own: "
-            "pip install 'ccdiff-env[rivals]'"
+            f"weights {weights.stem} are not there: pip install 'ccdiff-env[rivals]', or train "
+            f"them with ccdiff-env train --model {weights.stem.split('_')[0]}"
         )
 
 

@@ -1,7 +1,7 @@
 //! Time of plans on own kernels beside those on torch, one thread, in turns: the shipped networks, without guidance.
 //!
 //! `cargo bench -p ccdiff-models --bench networks` prints microseconds per vehicle and plan, the least of some runs: all
-//! that a plan takes (`plan`), and without features and rasters (`network`).
+//! that a plan takes (`plan`), and without features (`network`).
 
 #![allow(clippy::unwrap_used, clippy::print_stdout, missing_docs, reason = "a benchmark")]
 
@@ -52,10 +52,10 @@ fn main() {
         // one world below the number from which features take more threads
         for (worlds, num_vehicles) in [(1, 1), (1, 4), (3, 10), (3, 46)] {
             let (window, scene) = window(num_vehicles);
-            let bitmap = own.bitmap(&scene).unwrap();
-            let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 3, guide: None };
+            let map = own.map(&scene);
+            let view = PlanInput { window: &window, map: map.as_ref(), seed: 3, guide: None };
             let views = vec![view; worlds];
-            let built = features::build(&window, bitmap.as_ref(), own.config()).unwrap();
+            let built = features::build(&window, map.as_ref(), own.config()).unwrap();
             let scenes: Vec<&SceneFeatures> = vec![&built; worlds];
             let seeds = vec![3; worlds];
             let mut least = [[f64::MAX; 2]; 2];

@@ -1,12 +1,14 @@
 //! Scenes' features joined into tensors: rows of all agents of all worlds, without padding between scenes.
 
-use crate::config::{MapEncoder, ModelConfig};
+use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, HISTORY_FEATURES, SceneFeatures, row_offsets};
 use crate::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use ccdiff_nets::inputs::features::TokenInputs;
 use ccdiff_nets::inputs::tokens::{NEAR, NEAR_NUMBERS, near_columns, own_columns};
 use ccdiff_nets::sampling::sampler::Rows;
+use ccdiff_sim::geom::Region;
+use std::sync::Arc;
 use tch::{Device, Kind, Tensor};
 
 /// Inputs of R agents of several scenes. Neighbour indices count rows of the batch.
@@ -26,8 +28,10 @@ pub struct Batch {
     pub is_edge: Tensor,
     /// Edges [R, K, tokens, 9].
     pub edges: Tensor,
-    /// Rasters [R, channels, size, size], bytes, or lines [R, segments, numbers]; `None` for a map-blind network.
-    pub image: Option<Tensor>,
+    /// Lines of the map [R, segments, numbers]; `None` for a map-blind network.
+    pub lines: Option<Tensor>,
+    /// The road of each scene, for a loss that asks for it; else empty.
+    pub roads: Vec<Option<Arc<Region>>>,
     /// Routes ahead [R, 1 + 2 P], see [`SceneFeatures::route`]; `None` for a network that knows none.
     pub route: Option<Tensor>,
     /// Inputs of a network of tokens; empty for others.
@@ -122,12 +126,11 @@ impl Batch {
         let mut neighbours = vec![0i64; rows * slots];
         let mut is_edge = vec![0u8; rows * slots];
         let mut edges = vec![0f32; rows * slots * edge];
-        let (mut image, mut segments, mut route) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut segments, mut route) = (Vec::new(), Vec::new());
         for (scene, offset) in scenes.iter().zip(row_offsets(&scene_sizes)) {
             history.extend_from_slice(&scene.history);
             poses.extend(scene.poses.iter().flat_map(|p| [p.position.x, p.position.y, p.heading_rad]));
             speed.extend_from_slice(&scene.speed_mps);
-            image.extend_from_slice(&scene.image);
             segments.extend_from_slice(&scene.segments);
             route.extend_from_slice(&scene.route);
             let own = scene.num_slots;
@@ -146,15 +149,7 @@ impl Batch {
         }
         let (r, k) = (rows as i64, slots as i64);
         let put = |t: Tensor, size: &[i64]| t.view(size).to_device(device);
-        let image = config.map.as_ref().map(|map| {
-            if map.encoder == MapEncoder::Polylines {
-                let size = [r, NUM_SEGMENTS as i64, SEGMENT_FEATURES as i64];
-                return put(Tensor::from_slice(&segments), &size);
-            }
-            let side = map.size_px as i64;
-            let size = [r, side, side, map.num_channels(config.history_steps) as i64];
-            put(Tensor::from_slice(&image), &size).permute([0, 3, 1, 2]).contiguous()
-        });
+        let lines = [r, NUM_SEGMENTS as i64, SEGMENT_FEATURES as i64];
         Ok(Self {
             scene_sizes,
             tokens: TokenBatch::new(scenes, device),
@@ -169,7 +164,8 @@ impl Batch {
             neighbours: put(Tensor::from_slice(&neighbours), &[r, k]),
             is_edge: put(Tensor::from_slice(&is_edge).to_kind(Kind::Bool), &[r, k]),
             edges: put(Tensor::from_slice(&edges), &[r, k, tokens as i64, EDGE_FEATURES as i64]),
-            image,
+            lines: config.map.as_ref().map(|_| put(Tensor::from_slice(&segments), &lines)),
+            roads: Vec::new(),
         })
     }
 
@@ -184,20 +180,10 @@ impl Batch {
     }
 
     /// The same rows with G replaced by the identity where `dropped` [R] (bool) says so: those rows see themselves
-    /// alone, in every social layer and in the raster.
+    /// alone.
     #[must_use]
-    pub fn with_graph_dropped(&self, dropped: &Tensor, config: &ModelConfig) -> Self {
+    pub fn with_graph_dropped(&self, dropped: &Tensor) -> Self {
         let keep = dropped.logical_not();
-        let image = self.image.as_ref().map(|image| {
-            if !config.map.as_ref().is_some_and(|m| m.history_channels) {
-                return image.shallow_clone();
-            }
-            let steps = config.history_steps as i64;
-            let own = image.narrow(1, 0, steps);
-            let hidden = own.clamp_min(i64::from(crate::raster::ZERO));
-            let own = hidden.where_self(&dropped.view([-1, 1, 1, 1]), &own);
-            Tensor::cat(&[own, image.narrow(1, steps, image.size()[1] - steps)], 1)
-        });
         Self {
             scene_sizes: self.scene_sizes.clone(),
             tokens: self.tokens.shallow_clone(),
@@ -209,7 +195,8 @@ impl Batch {
             neighbours: self.neighbours.shallow_clone(),
             is_edge: self.is_edge.logical_and(&keep.unsqueeze(1)),
             edges: self.edges.shallow_clone(),
-            image,
+            lines: self.lines.as_ref().map(Tensor::shallow_clone),
+            roads: self.roads.clone(),
         }
     }
 
@@ -225,9 +212,9 @@ impl Batch {
 
     /// The same rows with G = identity for all, and a single slot.
     #[must_use]
-    pub fn with_identity_graph(&self, config: &ModelConfig) -> Self {
+    pub fn with_identity_graph(&self) -> Self {
         let all = Tensor::ones([self.num_rows()], (Kind::Bool, self.speed_mps.device()));
-        let mut batch = self.with_graph_dropped(&all, config);
+        let mut batch = self.with_graph_dropped(&all);
         batch.neighbours = batch.neighbours.narrow(1, 0, 1);
         batch.is_edge = batch.is_edge.narrow(1, 0, 1);
         batch.edges = batch.edges.narrow(1, 0, 1);

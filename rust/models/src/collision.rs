@@ -151,7 +151,8 @@ mod tests {
             neighbours: Tensor::from_slice(&[0i64, 1, 1, 1]).view([2, 2]),
             is_edge: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
             edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
-            image: None,
+            lines: None,
+            roads: Vec::new(),
             route: None,
             noise_seeds: vec![None; 2],
             tokens: TokenBatch::default(),
@@ -215,7 +216,7 @@ mod tests {
         // bumpers meet at 1.1 s; the step before the first one looked at with contact goes too
         assert_eq!(counts.get(0).sum(Kind::Float).double_value(&[]), 10.0);
         assert_eq!(counts.get(1).sum(Kind::Float).double_value(&[]), STEPS as f64);
-        let alone = batch.with_identity_graph(&ModelConfig { map: None, ..ModelConfig::fast() });
+        let alone = batch.with_identity_graph();
         assert!(Neighbours::new(&alone, &targets).is_none());
     }
 }

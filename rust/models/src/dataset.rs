@@ -10,8 +10,8 @@ use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES
 use crate::lateral_perturbation::{LateralPerturbation, RECOVERY_S};
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
-use crate::raster::MapBitmap;
-use ccdiff_sim::geom::Pose2;
+use crate::segments::MapLines;
+use ccdiff_sim::geom::{Pose2, Region};
 use ccdiff_sim::scene::{LaneIndex, Scene};
 use ccdiff_sim::stage::Route;
 use rayon::prelude::*;
@@ -27,7 +27,9 @@ struct Prepared {
     scene: Arc<Scene>,
     /// Indices of the vehicles; the ego (or else the first vehicle) comes first.
     vehicles: Vec<usize>,
-    bitmap: Option<MapBitmap>,
+    map: Option<MapLines>,
+    /// The road, for a loss that asks for it.
+    road: Option<Arc<Region>>,
     /// Routes of all agents; none for a network that knows no routes.
     routes: Vec<Route>,
 }
@@ -95,20 +97,20 @@ impl Dataset {
                 expected: "the time step of the network",
             });
         }
+        let network = config.network()?;
         let scenes: Vec<Prepared> = scenes
             .into_par_iter()
-            .map(|scene| {
-                Ok(Prepared {
-                    vehicles: vehicles(&scene),
-                    bitmap: config.map.as_ref().map(|m| MapBitmap::from_scene(&scene, m)).transpose()?,
-                    routes: match config.route_points_m.is_empty() {
-                        true => Vec::new(),
-                        false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
-                    },
-                    scene,
-                })
+            .map(|scene| Prepared {
+                vehicles: vehicles(&scene),
+                map: config.map.as_ref().map(|_| MapLines::from_scene(&scene)),
+                road: network.road.then(|| Region::new(&scene.map.drivable_area)).flatten().map(Arc::new),
+                routes: match config.route_points_m.is_empty() {
+                    true => Vec::new(),
+                    false => Route::of_all(&scene, LaneIndex::new(&scene.map).as_ref()),
+                },
+                scene,
             })
-            .collect::<Result<_>>()?;
+            .collect();
         let horizon = config.horizon_steps;
         let mut samples = Vec::new();
         for (index, prepared) in scenes.iter().enumerate() {
@@ -208,7 +210,7 @@ impl Dataset {
             let routes = present.iter().map(|agent| &prepared.routes[*agent]);
             window.tell_routes(routes, &self.config.route_points_m);
         }
-        let features = (network.features)(&window, prepared.bitmap.as_ref(), &self.config)?;
+        let features = (network.features)(&window, prepared.map.as_ref(), &self.config)?;
         let recovery_s = if tokens { TOKEN_RECOVERY_S } else { RECOVERY_S };
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
             Some(Move::Aside(push)) => {
@@ -242,7 +244,12 @@ impl Dataset {
         let samples = self.samples(indices, noise)?;
         let features: Vec<&SceneFeatures> = samples.iter().map(|s| &s.0).collect();
         let futures: Vec<&Futures> = samples.iter().map(|s| &s.1).collect();
-        Ok((Batch::new(&features, &self.config, device)?, Targets::new(&futures, &self.config, device)))
+        let mut batch = Batch::new(&features, &self.config, device)?;
+        if self.config.network()?.road {
+            let road = |at: &usize| self.scenes[self.samples[*at].0 as usize].road.clone();
+            batch.roads = indices.iter().map(road).collect();
+        }
+        Ok((batch, Targets::new(&futures, &self.config, device)))
     }
 
     /// Samples of a training step: `count` at a time from one permutation per epoch, a function of seed and step alone.

@@ -86,7 +86,7 @@ impl<D: Denoiser> Diffusion<D> {
         let k = per_scene(&|s| of_step.below(s, self.schedule.len() as u64) as i64);
         let dropped = per_scene(&|s| i64::from(of_drop.uniform(s) < step.config.drop_graph));
         let dropped = Tensor::from_slice(&dropped).to_kind(Kind::Bool).to_device(device);
-        let batch = batch.with_graph_dropped(&dropped, space.config());
+        let batch = batch.with_graph_dropped(&dropped);
 
         let clean = space.knots_of(&logged_actions(targets));
         let numbers = step.draw(2).normals(clean.numel());
@@ -110,7 +110,7 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
 
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
         self.loss_of(step, |batch, noisy, steps| {
-            let context = self.denoiser.encode(batch, true);
+            let context = self.denoiser.encode(batch);
             let steps = Tensor::from_slice(steps).to_device(noisy.device());
             self.denoiser.predict(&context, noisy, &steps).0
         })
@@ -121,7 +121,7 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         Some(tape::learnt(|| {
             self.loss_of(step, |batch, noisy, steps| {
                 let network = D::Taped::new(&parameters.root(), config);
-                let context = network.encode(batch, true);
+                let context = network.encode(batch);
                 let knots = Var::data(config.num_knots(), 2, to_vec(noisy));
                 let steps = steps.iter().map(|k| *k as usize).collect();
                 tape::leaf(&network.predict(&context, &knots, &steps).0, &noisy.size())

@@ -30,7 +30,7 @@ pub mod torch_model;
 pub mod train;
 pub mod unicycle;
 
-pub use ccdiff_nets::inputs::{features, raster, segments};
+pub use ccdiff_nets::inputs::{features, segments};
 pub use ccdiff_nets::networks::trajectory_model;
 pub use ccdiff_nets::sampling::{noise, schedule};
 pub use ccdiff_nets::{config, error, guidance, traffic};

@@ -74,14 +74,14 @@ pub fn sample<D: Denoiser>(
     let options = options.validated()?;
     let (n, config) = (options.num_samples as i64, network.space().config());
     let encode = |b: &Batch| {
-        let context = network.encode(b, false);
+        let context = network.encode(b);
         if n == 1 { context } else { D::repeated(&context, n) }
     };
     let device = batch.speed_mps.device();
     let mut encoded = Encoded {
         network,
         with_graph: encode(batch),
-        alone: (options.guidance_weight > 1.0).then(|| encode(&batch.with_identity_graph(config))),
+        alone: (options.guidance_weight > 1.0).then(|| encode(&batch.with_identity_graph())),
         size: [n * batch.num_rows(), config.num_knots() as i64, 2],
         device,
         attention: None,

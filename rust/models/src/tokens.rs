@@ -135,7 +135,7 @@ impl Tokens {
         let device = batch.speed_mps.device();
         let at = Tensor::from_slice(&rows).to_device(device);
         let of = |t: &Tensor| t.index_select(0, &at);
-        let lines = batch.image.as_ref()?;
+        let lines = batch.lines.as_ref()?;
         let bins = Tensor::from_slice(&bins).view([-1, 2]).to_device(device);
         Some((
             Labelled { own: of(&batch.tokens.own), near: of(&batch.tokens.near), lines: of(lines), bins },

@@ -1,12 +1,10 @@
 //! The backend on libtorch: with gradients, on any device. What trains networks that [`crate::tape`] has not all layers of.
 
 use crate::batch::Batch;
-use crate::config::{MapConfig, ModelConfig};
+use crate::config::ModelConfig;
 use crate::layers::inputs;
-use crate::layers::raster::RasterEncoder;
 use crate::layers::social::{Slots, mix, weights};
 use crate::plan_space::PlanSpace;
-use crate::raster::ZERO;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
@@ -134,11 +132,6 @@ impl Ops for Torch {
         x + y
     }
 
-    fn modulated(x: &Tensor, by: &Tensor) -> Tensor {
-        let by = by.chunk(2, 2);
-        x * (&by[0] + 1.0) + &by[1]
-    }
-
     fn cut(x: Tensor, width: i64) -> Tensor {
         x.reshape([x.size()[0], -1, width])
     }
@@ -227,12 +220,7 @@ impl Ops for Torch {
 }
 
 impl Inputs for Torch {
-    type Raster = RasterEncoder;
     type Batch<'a> = Batch;
-
-    fn raster(p: &nn::Path<'_>, config: &MapConfig, history_steps: usize) -> RasterEncoder {
-        RasterEncoder::new(p, config, history_steps)
-    }
 
     fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
         inputs::standardised_history(&batch.history, config)
@@ -274,16 +262,7 @@ impl Inputs for Torch {
     }
 
     fn lines(batch: &Batch) -> Option<Tensor> {
-        batch.image.as_ref().map(Tensor::shallow_clone)
-    }
-
-    fn raster_tokens(raster: &RasterEncoder, batch: &Batch, train: bool) -> Option<Tensor> {
-        batch.image.as_ref().map(|image| raster.forward(image, train))
-    }
-
-    fn road(batch: &Batch, _: &ModelConfig) -> Option<Vec<f32>> {
-        let first = batch.image.as_ref()?.narrow(1, 0, 1);
-        Some(to_vec(&(first.to_kind(Kind::Float) - f64::from(ZERO))))
+        batch.lines.as_ref().map(Tensor::shallow_clone)
     }
 
     fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {

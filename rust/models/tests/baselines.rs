@@ -64,16 +64,16 @@ fn plans(
         .map(|(scene, step, _)| {
             (
                 Window::from_scene(scene, *step, &vehicles(scene), model.config().history_steps),
-                model.bitmap(scene).unwrap(),
+                model.map(scene),
             )
         })
         .collect();
     let views: Vec<PlanInput<'_>> = inputs
         .iter()
         .zip(worlds)
-        .map(|((window, bitmap), (_, _, seed))| PlanInput {
+        .map(|((window, map), (_, _, seed))| PlanInput {
             window,
-            bitmap: bitmap.as_ref(),
+            map: map.as_ref(),
             seed: *seed,
             guide: guided.map(WorldGuidance::new),
         })
@@ -92,13 +92,13 @@ fn close(a: &[f32], b: &[f32], within: f32) -> bool {
 #[test]
 fn every_network_has_the_tabulated_number_of_parameters() {
     for (kind, want) in [
-        ("ccdiff", 384_530),
-        ("simnet", 219_690),
-        ("trafficsim", 348_202),
-        ("strive", 295_018),
-        ("bits", 274_740),
-        ("ctg", 365_154),
-        ("ctgpp", 384_530),
+        ("ccdiff", 351_842),
+        ("simnet", 187_002),
+        ("trafficsim", 315_514),
+        ("strive", 262_330),
+        ("bits", 299_204),
+        ("ctg", 332_466),
+        ("ctgpp", 351_842),
     ] {
         let store = nn::VarStore::new(Device::Cpu);
         common::seeded(|| build(&store.root(), &ModelConfig::of(kind, "fast").unwrap()).unwrap());
@@ -210,10 +210,10 @@ fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
     for kind in rivals() {
         let options = PlanOptions { guidance: Some(sought(-50.0)), ..samples(2) };
         let mut model = trained(kind, 1);
-        // step 0: hardly any history; the window's bitmap is left out: no road anywhere
+        // step 0: hardly any history; the map is left out: no lines anywhere
         let window = Window::from_scene(&scene, 0, &[0], model.config().history_steps);
         let guide = Some(WorldGuidance::new(&[true]));
-        let view = PlanInput { window: &window, bitmap: None, seed: 0, guide };
+        let view = PlanInput { window: &window, map: None, seed: 0, guide };
         let plan = model.plan(&[view], &options).unwrap().remove(0);
         assert!(plan.states.iter().all(|v| v.is_finite()), "{kind:?}");
     }

@@ -52,7 +52,7 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let mut model = torch_model::load(path, Device::Cpu).unwrap();
         let of_seed = |seed| {
-            let view = PlanInput { window: &window, bitmap: None, seed, guide: None };
+            let view = PlanInput { window: &window, map: None, seed, guide: None };
             model.plan(&[view], &options.into()).unwrap().remove(0).states
         };
         (0..8).flat_map(of_seed).collect()

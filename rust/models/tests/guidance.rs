@@ -257,10 +257,9 @@ fn planned(
 ) -> Vec<Plan> {
     let scene = common::following_pair();
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let (bitmap, region) = (model.bitmap(&scene).unwrap(), Region::new(&scene.map.drivable_area).unwrap());
+    let (map, region) = (model.map(&scene), Region::new(&scene.map.drivable_area).unwrap());
     let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
-    let view =
-        |seed: &u64| PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: *seed, guide: Some(guide) };
+    let view = |seed: &u64| PlanInput { window: &window, map: map.as_ref(), seed: *seed, guide: Some(guide) };
     let views: Vec<_> = seeds.iter().map(view).collect();
     let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 5 });
     let sampling = SampleOptions { solver_steps, num_samples: 2, ..SampleOptions::default() };

@@ -5,7 +5,7 @@
 mod common;
 
 use ccdiff_models::batch::Batch;
-use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::{Dataset, vehicles};
 use ccdiff_models::features::{self, SceneFeatures, Window};
 use ccdiff_models::noise::Noise;
@@ -15,7 +15,7 @@ use ccdiff_models::torch::Torch;
 use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
-use ccdiff_models::{ModelError, raster::MapBitmap};
+use ccdiff_models::{ModelError, segments::MapLines};
 use ccdiff_nets::networks::planner::{Denoises, Weighted};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{Map, Scene};
@@ -30,15 +30,8 @@ fn blind(config: ModelConfig) -> ModelConfig {
 }
 
 fn features_of(scene: &Scene, step: usize, config: &ModelConfig) -> SceneFeatures {
-    let bitmap = config.map.as_ref().map(|m| MapBitmap::from_scene(scene, m).unwrap());
     let window = Window::from_scene(scene, step, &vehicles(scene), config.history_steps);
-    features::build(&window, bitmap.as_ref(), config).unwrap()
-}
-
-/// `fast` with the map as lines.
-fn polylines() -> ModelConfig {
-    let fast = ModelConfig::fast();
-    ModelConfig { map: fast.map.map(|m| MapConfig { encoder: MapEncoder::Polylines, ..m }), ..fast }
+    features::build(&window, Some(&MapLines::from_scene(scene)), config).unwrap()
 }
 
 fn network(config: &ModelConfig) -> (nn::VarStore, Network) {
@@ -61,8 +54,8 @@ fn temporary(name: &str) -> PathBuf {
 fn the_paper_preset_has_the_released_number_of_parameters_in_use() {
     // reference.md#token-stream: 1,024 + 896 + 131,712 + 22,336 + 661,504 + 1,222,400 + 258
     assert_eq!(count(&network(&blind(ModelConfig::paper())).0), 2_040_130);
-    // plus ResNet-18 with 256 outputs (11,405,056) and the attention to its token (98,816)
-    assert_eq!(count(&network(&ModelConfig::paper()).0), 2_040_130 + 11_405_056 + 98_816);
+    // plus the encoder of lines (20 x 256, 256 x 256, 512 x 256, biases, norm) and the attention to its tokens (98,816)
+    assert_eq!(count(&network(&ModelConfig::paper()).0), 2_040_130 + 203_008 + 98_816);
 }
 
 #[test]
@@ -77,24 +70,12 @@ fn denoised(network: &Network, batch: &Batch) -> Tensor {
     let values = Noise::new(5, 5).normals((rows * knots * 2) as usize);
     let noisy = Tensor::from_slice(&values).view([rows, knots, 2]);
     let steps = Tensor::full([rows], 40, (Kind::Int64, Device::Cpu));
-    tch::no_grad(|| network.predict(&network.encode(batch, false), &noisy, &steps).0)
+    tch::no_grad(|| network.predict(&network.encode(batch), &noisy, &steps).0)
 }
 
 #[test]
 fn with_the_identity_graph_an_agents_plan_does_not_depend_on_the_others() {
-    let pixels = MapConfig {
-        encoder: MapEncoder::Light,
-        size_px: 64,
-        metres_per_px: 2.0,
-        agent_column_px: 20,
-        lane_direction: false,
-        history_channels: true,
-        feature_width: 32,
-        bitmap_px_per_m: 1.0,
-        rounds: vec![1],
-    };
-    let with_pixels = ModelConfig { map: Some(pixels), ..ModelConfig::paper() };
-    for config in [ModelConfig::fast(), with_pixels] {
+    for config in [ModelConfig::fast(), ModelConfig::paper()] {
         let (_store, network) = network(&config);
         let near = common::closing_pair();
         let far = common::scene(
@@ -106,8 +87,8 @@ fn with_the_identity_graph_an_agents_plan_does_not_depend_on_the_others() {
             assert!(features.is_edge[1], "the pair is joined in G");
             let batch = Batch::new(&[&features], &config, Device::Cpu).unwrap();
             let all = Tensor::ones([batch.num_rows()], (Kind::Bool, Device::Cpu));
-            let dropped = batch.with_graph_dropped(&all, &config);
-            let alone = batch.with_identity_graph(&config);
+            let dropped = batch.with_graph_dropped(&all);
+            let alone = batch.with_identity_graph();
             if identity {
                 let (a, b) = (denoised(&network, &dropped), denoised(&network, &alone));
                 assert!(a.allclose(&b, 1e-4, 1e-5, false), "dropping equals the identity graph");
@@ -132,20 +113,19 @@ fn road_in_town() -> Scene {
 
 #[test]
 fn the_map_changes_the_plan() {
-    for config in [ModelConfig::fast(), polylines()] {
-        let (_store, network) = network(&config);
-        let scene = road_in_town();
-        let with_map = features_of(&scene, 40, &config);
-        let window = Window::from_scene(&scene, 40, &vehicles(&scene), config.history_steps);
-        let without = features::build(&window, None, &config).unwrap();
-        let plan = |f: &SceneFeatures| denoised(&network, &Batch::new(&[f], &config, Device::Cpu).unwrap());
-        assert!(!plan(&with_map).allclose(&plan(&without), 1e-4, 1e-4, false));
-    }
+    let config = ModelConfig::fast();
+    let (_store, network) = network(&config);
+    let scene = road_in_town();
+    let with_map = features_of(&scene, 40, &config);
+    let window = Window::from_scene(&scene, 40, &vehicles(&scene), config.history_steps);
+    let without = features::build(&window, None, &config).unwrap();
+    let plan = |f: &SceneFeatures| denoised(&network, &Batch::new(&[f], &config, Device::Cpu).unwrap());
+    assert!(!plan(&with_map).allclose(&plan(&without), 1e-4, 1e-4, false));
 }
 
 #[test]
 fn a_scene_that_is_turned_and_moved_shows_the_same_lines() {
-    let (config, scene) = (polylines(), road_in_town());
+    let (config, scene) = (ModelConfig::fast(), road_in_town());
     let turn = Pose2::new(500.0, -300.0, 0.9);
     let shift = |p: &mut Point2| *p = turn.to_outer(*p);
     let (mut moved, mut map) = (scene.clone(), Map::clone(&scene.map));
@@ -156,7 +136,7 @@ fn a_scene_that_is_turned_and_moved_shows_the_same_lines() {
     map.road_dividers.iter_mut().flatten().for_each(shift);
     moved.map = Arc::new(map);
     let (here, there) = (features_of(&scene, 40, &config), features_of(&moved, 40, &config));
-    assert!(here.image.is_empty() && here.agents.len() == 2);
+    assert_eq!(here.agents.len(), 2);
     // lines as far from the way as others may change places with them
     let of_agents =
         |f: &SceneFeatures| f.segments.chunks(f.segments.len() / 2).map(<[f32]>::to_vec).collect();
@@ -186,12 +166,9 @@ fn quick(batch_scenes: usize) -> TrainConfig {
 
 #[test]
 fn the_fast_preset_learns_one_batch() {
-    for config in [ModelConfig::fast(), polylines()] {
-        let mut run = trainer(&config, quick(4));
-        let losses = run.run(80).unwrap();
-        let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
-        assert!(mean(&losses[70..]) < 0.3 * mean(&losses[..5]), "{losses:?}");
-    }
+    let losses = trainer(&ModelConfig::fast(), quick(4)).run(80).unwrap();
+    let mean = |l: &[f64]| l.iter().sum::<f64>() / l.len() as f64;
+    assert!(mean(&losses[70..]) < 0.3 * mean(&losses[..5]), "{losses:?}");
 }
 
 #[test]
@@ -205,9 +182,9 @@ fn the_paper_preset_learns_one_batch_and_samples() {
     run.export(&path, &serde_json::json!({})).unwrap();
     let mut model = torch_model::load(&path, Device::Cpu).unwrap();
     let scene = common::closing_pair();
-    let bitmap = model.bitmap(&scene).unwrap();
+    let map = model.map(&scene);
     let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let view = PlanInput { window: &window, bitmap: bitmap.as_ref(), seed: 1, guide: None };
+    let view = PlanInput { window: &window, map: map.as_ref(), seed: 1, guide: None };
     let options = SampleOptions {
         solver_steps: Some(2),
         num_samples: 2,
@@ -282,7 +259,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
     let mut model = torch_model::load(&path, Device::Cpu).unwrap();
     assert_eq!(model.header()["notes"]["licence"], "test");
     let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
-    let view = PlanInput { window: &window, bitmap: None, seed: 0, guide: None };
+    let view = PlanInput { window: &window, map: None, seed: 0, guide: None };
     let short = model.plan(&[view], &PlanOptions::default()).unwrap_err();
     assert!(short.to_string().contains("expected 31"), "{short}");
     let bad = SampleOptions { guidance_weight: 0.4, ..SampleOptions::default() };
@@ -293,7 +270,7 @@ fn bad_options_and_damaged_files_are_refused_with_the_facts() {
             .contains("guidance_weight is 0.4, expected a number in [1, 2)")
     );
     let empty = Window { num_steps: 31, ..Window::default() };
-    let nobody = PlanInput { window: &empty, bitmap: None, seed: 0, guide: None };
+    let nobody = PlanInput { window: &empty, map: None, seed: 0, guide: None };
     assert!(model.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
 
     let mut bytes = std::fs::read(&path).unwrap();

@@ -72,7 +72,7 @@ fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
 fn planned(weights: &Path, window: &Window) -> Vec<f32> {
     let mut model = torch_model::load(weights, Device::Cpu).unwrap();
     let plan = |seed| {
-        let view = PlanInput { window, bitmap: None, seed, guide: None };
+        let view = PlanInput { window, map: None, seed, guide: None };
         model.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
     };
     (0..16).flat_map(plan).collect()

@@ -4,7 +4,7 @@
 
 mod common;
 
-use ccdiff_models::config::{MapConfig, MapEncoder, ModelConfig};
+use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::kinds::build;
 use ccdiff_models::noise::Noise;
@@ -22,11 +22,11 @@ fn losses_and_gradients_are_those_of_torch() {
         ("ctgpp", true, false),
         ("ctg", true, false),
         ("simnet", true, false),
+        ("bits", true, false),
         ("tokens", true, true),
     ] {
         let fast = ModelConfig::of(kind, "fast").unwrap();
-        let lines = fast.map.clone().map(|m| MapConfig { encoder: MapEncoder::Polylines, ..m });
-        let config = ModelConfig { map: lines.filter(|_| mapped), ..fast };
+        let config = ModelConfig { map: fast.map.clone().filter(|_| mapped), ..fast };
         let route_points_m = if routed { vec![5.0, 20.0] } else { vec![] };
         let config = ModelConfig { route_points_m, ..config };
         assert!(Tape::fits(&config));

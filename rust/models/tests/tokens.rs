@@ -8,8 +8,8 @@ use ccdiff_models::batch::{Batch, TokenBatch};
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::features::{SceneFeatures, Window};
-use ccdiff_models::raster::MapBitmap;
 use ccdiff_models::sampler::SampleOptions;
+use ccdiff_models::segments::MapLines;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{self, near_columns, own_columns};
@@ -45,8 +45,7 @@ fn seen(side: f32) -> SceneFeatures {
     let mut window = Window::from_scene(&scene, 70, &[0, 1, 2], config.history_steps);
     let place = |k: f32| Point2::new(10.0 + 5.0 * k, side * (1.0 + 0.2 * k * k));
     window.routes = vec![(0..16u8).map(|k| place(f32::from(k))).collect(), Vec::new(), Vec::new()];
-    let bitmap = MapBitmap::from_scene(&scene, config.map.as_ref().unwrap()).unwrap();
-    tokens::build(&window, Some(&bitmap), &config).unwrap()
+    tokens::build(&window, Some(&MapLines::from_scene(&scene)), &config).unwrap()
 }
 
 #[test]
@@ -77,8 +76,8 @@ fn rows_whose_route_is_dropped_are_those_that_were_never_told() {
     let mut untold = seen(1.0);
     let mut window = Window::from_scene(&town(1.0), 70, &[0, 1, 2], config.history_steps);
     window.routes = Vec::new();
-    let bitmap = MapBitmap::from_scene(&town(1.0), config.map.as_ref().unwrap()).unwrap();
-    untold.clone_from(&tokens::build(&window, Some(&bitmap), &config).unwrap());
+    let map = MapLines::from_scene(&town(1.0));
+    untold.clone_from(&tokens::build(&window, Some(&map), &config).unwrap());
     let batch = |f: &SceneFeatures| Batch::new(&[f], &config, Device::Cpu).unwrap();
     let all = Tensor::ones([3], (Kind::Bool, Device::Cpu));
     let (dropped, never) = (batch(&told).with_routes_dropped(&all).tokens, batch(&untold).tokens);

@@ -60,39 +60,14 @@ choices! {
     }
 }
 
-choices! {
-    /// Which network reads the map raster.
-    #[derive(Clone, Copy, Eq)]
-    pub enum MapEncoder {
-        /// ResNet-18: one token per agent (paper).
-        ResNet18 = "res_net18",
-        /// Three strided convolutions: one token per 8 x 8 pixels.
-        Light = "light",
-        /// A perceptron shared by the lines of the map near the agent: one token per line of at most 5 m, no raster.
-        Polylines = "polylines",
-    }
-}
-
 options! {
-    /// The agent-centred map raster and its encoder.
+    /// The encoder of the map: a perceptron shared by the lines near the agent, one token per line of at most 5 m.
+    ///
+    /// Differs from the paper, whose ResNet-18 reads a raster.
     #[derive(Clone)]
     pub struct MapConfig {
-        /// Network that reads the raster.
-        encoder: MapEncoder = MapEncoder::ResNet18;
-        /// Width and height; a multiple of 8.
-        size_px: usize = 224, unit "px", range within(8.0, 512.0);
-        /// Side of a pixel.
-        metres_per_px: f32 = 0.5, unit "m", range within(0.01, 100.0);
-        /// Column of the agent, inside the raster (x runs along columns); its row is the middle one.
-        agent_column_px: usize = 56, unit "px", range within(0.0, 512.0);
-        /// Whether two layers with the direction of the lanes (cosine, sine) follow the three of the paper.
-        lane_direction: bool = false;
-        /// Whether one channel per history step with the agents' pixels comes first.
-        history_channels: bool = true;
         /// Width of the encoder's tokens.
         feature_width: i64 = 256, range within(1.0, 8192.0);
-        /// Resolution of the scene's bitmap that rasters are cut from.
-        bitmap_px_per_m: f32 = 2.0, unit "px/m", range within(0.01, 100.0);
         /// Decoder rounds that attend to the map, at most 64.
         rounds: Vec<usize> = vec![1], range within(0.0, 64.0);
     }
@@ -129,7 +104,7 @@ options! {
 
 options! {
     /// Sizes and switches of a planning network; stored with its weights. The defaults are the sizes of the paper's table, the
-    /// preset `"paper"`: 83 tokens of width 128, ResNet-18 at 224 x 224.
+    /// preset `"paper"`: 83 tokens of width 128.
     ///
     /// Differs from the released code: the map is attended to (reference.md#map), every social layer is masked by G.
     #[derive(Clone)]
@@ -163,7 +138,7 @@ options! {
         temporal_layers: usize = 2, range within(1.0, 64.0);
         /// Edge-aware social layers of the first round.
         edge_layers: usize = 4, range within(1.0, 64.0);
-        /// Map raster and encoder; `None`: the network is blind to the map.
+        /// Encoder of the map; `None`: the network is blind to the map.
         map: Option<MapConfig> = Some(MapConfig::default());
         /// Neighbours join the decision causal graph up to this time to contact.
         ttc_threshold_s: f32 = GraphThresholds::PAPER.ttc_s, unit "s", range within(0.0, 1000.0);
@@ -209,7 +184,7 @@ impl ModelConfig {
         Self::default()
     }
 
-    /// Small enough to train on one core: 14 tokens of width 64, action knots every 0.4 s, 64 x 64 map at 1 m a pixel.
+    /// Small enough to train on one core: 14 tokens of width 64, action knots every 0.4 s.
     pub fn fast() -> Self {
         Self {
             preset: "fast".into(),
@@ -222,17 +197,7 @@ impl ModelConfig {
             edge_width: 32,
             temporal_layers: 1,
             edge_layers: 1,
-            map: Some(MapConfig {
-                encoder: MapEncoder::Light,
-                size_px: 64,
-                metres_per_px: 1.0,
-                agent_column_px: 10,
-                lane_direction: true,
-                history_channels: false,
-                feature_width: 64,
-                bitmap_px_per_m: 1.0,
-                rounds: vec![0, 1],
-            }),
+            map: Some(MapConfig { feature_width: 64, rounds: vec![0, 1] }),
             headway_threshold_s: 3.0,
             max_neighbours: 8,
             agents_within_m: 80.0,
@@ -271,13 +236,7 @@ impl ModelConfig {
             let got = format!("{} points", self.route_points_m.len());
             return fail("model.route_points_m", got, "at most 64");
         }
-        let Some(map) = &self.map else { return Ok(()) };
-        if map.size_px % 8 != 0 || map.agent_column_px >= map.size_px {
-            let (got, expected) =
-                (map.size_px.to_string(), "a multiple of 8 with the agent inside the raster");
-            return fail("model.map.size_px", got, expected);
-        }
-        if map.rounds.len() > 64 {
+        if let Some(map) = self.map.as_ref().filter(|map| map.rounds.len() > 64) {
             return fail("model.map.rounds", format!("{} rounds", map.rounds.len()), "at most 64");
         }
         Ok(())
@@ -300,25 +259,6 @@ impl ModelConfig {
     pub fn future_token_times_s(&self) -> Vec<f64> {
         let stride = self.knot_stride as f64;
         (0..self.num_knots()).map(|k| (k as f64 * stride + 0.5 * (stride + 1.0)) * self.dt_s).collect()
-    }
-}
-
-impl MapConfig {
-    /// Layers of the raster besides the history channels.
-    pub fn num_layers(&self) -> usize {
-        if self.lane_direction { 5 } else { 3 }
-    }
-
-    /// All channels of the raster.
-    pub fn num_channels(&self, history_steps: usize) -> usize {
-        self.num_layers() + if self.history_channels { history_steps } else { 0 }
-    }
-
-    /// Farthest corner of the raster from the agent, metres.
-    pub fn reach_m(&self) -> f32 {
-        let ahead = self.size_px.saturating_sub(self.agent_column_px).max(self.agent_column_px) as f32;
-        let half = 0.5 * self.size_px as f32;
-        (ahead * ahead + half * half).sqrt() * self.metres_per_px
     }
 }
 
@@ -360,12 +300,6 @@ mod tests {
                 ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },
                 "model.dt_s is null, expected a number in",
             ),
-            (
-                wrong(MapConfig { encoder: MapEncoder::Polylines, ..map() }),
-                "model.map.encoder is polylines, expected an encoder of rasters",
-            ),
-            (wrong(MapConfig { size_px: 4, ..map() }), "model.map.size_px is 4"),
-            (wrong(MapConfig { size_px: 60, ..map() }), "model.map.size_px is 60, expected a multiple of 8"),
             (wrong(MapConfig { rounds: vec![0; 65], ..map() }), "model.map.rounds is 65 rounds"),
             (
                 ModelConfig {

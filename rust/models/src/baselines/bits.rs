@@ -1,9 +1,12 @@
 //! The loss of BITS.
 
+use crate::batch::Batch;
 use crate::losses::plan_loss;
 use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
 use crate::plan_space::PlanSpace;
+use crate::tape::{self, Parameters, Tape};
 use crate::torch::{Torch, to_vec};
+use ccdiff_nets::compute::backend::Inputs;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 use ccdiff_nets::networks::planner::Weighted;
 use tch::{Kind, Tensor};
@@ -23,17 +26,17 @@ struct Ends {
 }
 
 impl Ends {
-    fn new(grid: Grid, targets: &crate::batch::Targets) -> Self {
+    fn new(targets: &crate::batch::Targets) -> Self {
         let (states, valid) = (to_vec(&targets.states), to_vec(&targets.valid));
         let steps = targets.valid.size()[1] as usize;
         let (mut cells, mut places, mut goals) = (Vec::new(), Vec::new(), Vec::new());
         for (states, valid) in states.chunks_exact(6 * steps).zip(valid.chunks_exact(steps)) {
             let last = valid.iter().filter(|v| **v > 0.5).count().max(1) - 1;
             let [x, y, yaw] = [0, 1, 3].map(|c| states[6 * last + c]);
-            let (cell, within) = grid.encode(x, y);
+            let (cell, within) = Grid::encode(x, y);
             cells.push(by_token(cell) as i64);
             places.extend(within);
-            goals.extend(grid.goal(cell, within, [yaw.cos(), yaw.sin()]));
+            goals.extend(Grid::goal(cell, within, [yaw.cos(), yaw.sin()]));
         }
         let device = targets.valid.device();
         let put = |v: &[f32], size: &[i64]| Tensor::from_slice(v).view(size).to_device(device);
@@ -46,36 +49,51 @@ impl Ends {
 }
 
 impl Imitates for Bits<Torch> {
-    /// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the
-    /// plan to that goal and of the prediction.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
-        let (batch, targets) = (step.batch, step.targets);
-        let seen = self.encode(batch, true);
-        let (Some(cells), Some(map)) = (self.cells(&seen), &self.config().map) else { return Tensor::new() };
-        let (rows, per_token) = (batch.num_rows(), PER_TOKEN as i64);
-        let cells = cells.view([rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
-        let Ends { cell, within, goals } = Ends::new(Grid::new(map), targets);
-        // a cell counts where it is that of the last step of a plan
-        let whole = targets.valid.select(1, targets.valid.size()[1] - 1);
-        let mean = |loss: Tensor| (loss * &whole).sum(Kind::Float) / whole.sum(Kind::Float).clamp_min(1.0);
-        let entropy = -cells.select(1, 0).log_softmax(1, Kind::Float).gather(1, &cell, false);
-        let index = cell.unsqueeze(1).expand([-1, CHANNELS as i64, 1], false);
-        let there = cells.gather(2, &index, false).squeeze_dim(2);
-        let place = (there.narrow(1, 1, 2).sigmoid() - within).square();
-        let place = place.mean_dim([1i64].as_slice(), false, Kind::Float);
-        let heading = unit(&there);
-        let toward = |c: i64| heading.select(1, c) * goals.select(2, 2 + c).squeeze_dim(1);
-        let turned = 1f64 - (toward(0) + toward(1));
-        let share = || Tensor::ones([rows], (Kind::Float, cells.device()));
-        let weight = step.config.collision_weight;
-        let to_log =
-            |knots: Tensor| plan_loss(space, &knots.view([rows, -1, 2]), batch, targets, weight, share);
-        mean(entropy.squeeze_dim(1))
-            + mean(place)
-            + mean(turned)
-            + to_log(self.plans(&seen, &goals))
-            + to_log(self.predicted(&seen))
+        loss_of(self, space, step, Tensor::shallow_clone, |x, size| x.view(size))
     }
+
+    fn learn(&self, space: &PlanSpace, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
+        let network = Bits::<Tape>::new(&parameters.root(), space.config());
+        Some(tape::learnt(|| loss_of(&network, space, step, |goals| tape::data(goals, 1), tape::leaf)))
+    }
+}
+
+/// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the plan to that
+/// goal and of the prediction. `given` and `leaf` make tensors of the backend of torch's and back, those in a shape.
+fn loss_of<B: for<'a> Inputs<Batch<'a> = Batch>>(
+    network: &Bits<B>,
+    space: &PlanSpace,
+    step: &TrainingStep<'_>,
+    given: impl Fn(&Tensor) -> B::Tensor,
+    leaf: impl Fn(&B::Tensor, &[i64]) -> Tensor,
+) -> Tensor {
+    let (batch, targets) = (step.batch, step.targets);
+    let seen = network.encode(batch);
+    let Some(cells) = network.cells(&seen) else { return Tensor::new() };
+    let (rows, per_token) = (batch.num_rows(), PER_TOKEN as i64);
+    let cells = leaf(&cells, &[rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
+    let Ends { cell, within, goals } = Ends::new(targets);
+    // a cell counts where it is that of the last step of a plan
+    let whole = targets.valid.select(1, targets.valid.size()[1] - 1);
+    let mean = |loss: Tensor| (loss * &whole).sum(Kind::Float) / whole.sum(Kind::Float).clamp_min(1.0);
+    let entropy = -cells.select(1, 0).log_softmax(1, Kind::Float).gather(1, &cell, false);
+    let index = cell.unsqueeze(1).expand([-1, CHANNELS as i64, 1], false);
+    let there = cells.gather(2, &index, false).squeeze_dim(2);
+    let place = (there.narrow(1, 1, 2).sigmoid() - within).square();
+    let place = place.mean_dim([1i64].as_slice(), false, Kind::Float);
+    let heading = unit(&there);
+    let toward = |c: i64| heading.select(1, c) * goals.select(2, 2 + c).squeeze_dim(1);
+    let turned = 1f64 - (toward(0) + toward(1));
+    let share = || Tensor::ones([rows], (Kind::Float, cells.device()));
+    let weight = step.config.collision_weight;
+    let to_log =
+        |knots: &B::Tensor| plan_loss(space, &leaf(knots, &[rows, -1, 2]), batch, targets, weight, share);
+    mean(entropy.squeeze_dim(1))
+        + mean(place)
+        + mean(turned)
+        + to_log(&network.plans(&seen, &given(&goals)))
+        + to_log(&network.predicted(&seen))
 }
 
 /// Cosine and sine [R, 2] of the headings in cells' channels [R, 5].

@@ -1,8 +1,8 @@
 //! Contact between the plans of one scene, and departures from the road, in tensors (rivals.md#trafficsim).
 
 use crate::batch::Batch;
-use crate::config::ModelConfig;
-use crate::raster::ZERO;
+use crate::torch::to_vec;
+use ccdiff_sim::geom::Point2;
 use tch::{Kind, Tensor};
 
 /// Circles along a body.
@@ -104,40 +104,57 @@ impl Pairs {
     }
 }
 
-/// Share of the footprints' eight boundary points off the drivable area as the rows' rasters show it, mean over the looked-at
-/// steps and the rows that move; zero without a map.
-pub(super) fn off_road(batch: &Batch, states: &Tensor, config: &ModelConfig, moving_mps: f64) -> Tensor {
-    let moving = batch.speed_mps.abs().gt(moving_mps).to_kind(Kind::Float);
-    let Some((image, map)) = batch.image.as_ref().zip(config.map.as_ref()) else {
-        return moving.sum(Kind::Float) * 0.0;
-    };
-    // the first layer of a raster without histories
-    let drivable = image.narrow(1, 0, 1).to_kind(Kind::Float);
-    let drivable = (drivable - f64::from(ZERO)) * (1.0 / 127.0);
+/// Departures from the road: of each of eight points round a footprint that is off the road, 1 less its distance to the nearest of
+/// the others that is on it, over the diagonal; mean over points, the looked-at steps and the rows that move. Zero without a road.
+///
+/// As in the guidance's objective, points off the road are held fixed, and footprints wholly off it count nothing.
+pub(super) fn off_road(batch: &Batch, states: &Tensor, moving_mps: f64) -> Tensor {
     let states = states.slice(1, STRIDE - 1, None, STRIDE);
     let body = batch.history.select(1, batch.history.size()[1] - 1);
-    let half = |c: i64| (body.select(1, c) * 0.5).view([-1, 1, 1]);
-    let points = |signs: [f32; 8]| Tensor::from_slice(&signs).to_device(image.device());
-    let along = half(5) * points([-1.0, 0.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0]);
-    let aside = half(6) * points([-1.0, -1.0, -1.0, 0.0, 1.0, 1.0, 1.0, 0.0]);
+    let size = |c: i64| body.select(1, c).view([-1, 1, 1]);
+    let points = |signs: [f32; 8]| Tensor::from_slice(&signs).to_device(states.device());
+    let along = size(5) * 0.5 * points([-1.0, 0.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0]);
+    let aside = size(6) * 0.5 * points([-1.0, -1.0, -1.0, 0.0, 1.0, 1.0, 1.0, 0.0]);
     let at = |c: i64| states.select(2, c).unsqueeze(2);
     let (cos, sin) = (at(3).cos(), at(3).sin());
     let x = at(0) + &cos * &along - &sin * &aside;
     let y = at(1) + &sin * &along + &cos * &aside;
-    // grid_sampler takes −1..1 from edge to edge
-    let (side, px) = (map.size_px as f64, f64::from(map.metres_per_px));
-    let column = (x * (1.0 / px) + map.agent_column_px as f64) * (2.0 / side) - 1.0;
-    let row = y * (2.0 / (px * side));
-    let grid = Tensor::stack(&[column, row], 3);
-    let value = drivable.grid_sampler(&grid, 0, 1, false).squeeze_dim(1);
-    let off = (1f64 - value).mean_dim([1i64, 2].as_slice(), false, Kind::Float);
-    (off * &moving).sum(Kind::Float) / moving.sum(Kind::Float).clamp_min(1.0)
+    let is_on = on_road(batch, &x, &y);
+    let apart = |v: &Tensor| v.unsqueeze(2) - v.detach().unsqueeze(3);
+    let squared =
+        (apart(&x).square() + apart(&y).square()).masked_fill(&is_on.logical_not().unsqueeze(2), 1e12);
+    let distance = squared.amin([3i64].as_slice(), false).clamp_min(SAME_SPOT_M2).sqrt();
+    let diagonal = (size(5).square() + size(6).square()).sqrt();
+    let off = (1f64 - distance / diagonal).clamp_min(0.0) * is_on.logical_not();
+    let moving = batch.speed_mps.abs().gt(moving_mps).to_kind(Kind::Float);
+    let of_row = off.mean_dim([1i64, 2].as_slice(), false, Kind::Float);
+    (of_row * &moving).sum(Kind::Float) / moving.sum(Kind::Float).clamp_min(1.0)
+}
+
+/// Whether points [R, steps, 8] in the rows' frames are on the road of their scene; everywhere without a road.
+fn on_road(batch: &Batch, x: &Tensor, y: &Tensor) -> Tensor {
+    let pose = |c: i64| batch.poses.select(1, c).view([-1, 1, 1]);
+    let (cos, sin) = (pose(2).cos(), pose(2).sin());
+    let [x_m, y_m] = [pose(0) + &cos * x - &sin * y, pose(1) + &sin * x + &cos * y].map(|v| to_vec(&v));
+    let per_row = (x_m.len() / batch.speed_mps.numel()).max(1);
+    let roads = batch.scene_sizes.iter().zip(&batch.roads).flat_map(|(size, road)| vec![road; *size]);
+    let mut is_on = vec![true; x_m.len()];
+    for (row, road) in roads.enumerate() {
+        let Some(road) = road else { continue };
+        for at in row * per_row..(row + 1) * per_row {
+            is_on[at] = road.contains(Point2::new(x_m[at], y_m[at]));
+        }
+    }
+    Tensor::from_slice(&is_on).view_as(x).to_device(x.device())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::batch::TokenBatch;
+    use ccdiff_sim::geom::{Polygon, Region};
     use std::f32::consts::FRAC_PI_2;
+    use std::sync::Arc;
 
     /// Penalty of a second car at a pose against one at the origin, both 4.5 m by 2 m, and its gradient.
     fn penalty(second: [f32; 3], length: f32, width: f32) -> (f64, [f64; 3]) {
@@ -182,6 +199,47 @@ mod tests {
             let (_, got) = penalty(pose, 4.5, 2.0);
             assert!(got.iter().zip(want).all(|(g, w)| (g - w).abs() < 1e-3), "{pose:?}: {got:?}");
         }
+    }
+
+    #[test]
+    fn a_footprint_partly_off_the_road_has_the_tabulated_loss_and_is_pushed_back() {
+        let corner = |x, y| Point2::new(x, y);
+        let exterior = vec![corner(-50.0, -50.0), corner(50.0, -50.0), corner(50.0, 0.5), corner(-50.0, 0.5)];
+        let road = Region::new(&[Polygon { exterior, holes: Vec::new() }]).unwrap();
+        let numbers = |v: &[f32], size: &[i64]| Tensor::from_slice(v).view(size);
+        let batch = Batch {
+            scene_sizes: vec![1],
+            history: numbers(&[0.0, 0.0, 1.0, 0.0, 5.0, 4.0, 2.0, 1.0], &[1, 1, 8]),
+            poses: Tensor::zeros([1, 3], (Kind::Float, tch::Device::Cpu)),
+            speed_mps: numbers(&[5.0], &[1]),
+            neighbours: Tensor::new(),
+            is_edge: Tensor::new(),
+            edges: Tensor::new(),
+            lines: None,
+            roads: vec![Some(Arc::new(road))],
+            route: None,
+            noise_seeds: vec![None],
+            tokens: TokenBatch::default(),
+        };
+        let loss = |y: f32| {
+            let states = numbers(&[0.0, y, 5.0, 0.0, 0.0, 0.0].repeat(2), &[1, 2, 6]).set_requires_grad(true);
+            let loss = off_road(&batch, &states, 0.5);
+            loss.backward();
+            (loss.double_value(&[]), states.grad().double_value(&[0, 1, 1]))
+        };
+        // two corners are 1 m from a point on the road, the middle of the side 2 m: of a diagonal of sqrt(20) m
+        let (found, push) = loss(0.0);
+        let diagonal = 20f64.sqrt();
+        assert!(
+            (found - (2.0 * (1.0 - 1.0 / diagonal) + 1.0 - 2.0 / diagonal) / 8.0).abs() < 1e-5,
+            "{found}"
+        );
+        assert!(push > 0.0, "descent moves it to the right, back to the road: {push}");
+        assert_eq!(
+            (loss(-5.0), loss(9.0)),
+            ((0.0, 0.0), (0.0, 0.0)),
+            "wholly on the road, and wholly off it"
+        );
     }
 
     #[test]

@@ -62,7 +62,7 @@ fn together(form: Form, space: &PlanSpace, step: &TrainingStep<'_>, knots: &Tens
     if form == Form::Trafficsim {
         return pairs.map_or_else(zero, |p| p.once(batch, &states)) * CONTACT;
     }
-    let off_road = off_road(batch, &states, space.config(), f64::from(MOVING_MPS));
+    let off_road = off_road(batch, &states, f64::from(MOVING_MPS));
     pairs.map_or_else(zero, |p| p.mean(batch, &states)) * CONTACT + off_road * OFF_ROAD
 }
 
@@ -79,7 +79,7 @@ impl Imitates for Cvae<Torch> {
     /// what a sample of the prior does.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
         let (batch, targets, form) = (step.batch, step.targets, self.form());
-        let seen = self.encode(batch, true);
+        let seen = self.encode(batch);
         let posterior = posterior(self, space, &seen, targets);
         let prior = Gaussian::new(&self.prior(&seen).squeeze_dim(1));
         let normals = |stream: u64| {

@@ -15,13 +15,13 @@ pub(crate) const SIMNET: TorchKind =
 
 impl Imitates for Simnet<Torch> {
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
-        distance(space, step, self.plan(step.batch, true))
+        distance(space, step, self.plan(step.batch))
     }
 
     fn learn(&self, space: &PlanSpace, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
         let network = Simnet::<Tape>::new(&parameters.root(), space.config());
         let size = [step.batch.num_rows(), 2 * space.config().num_knots() as i64];
-        Some(tape::learnt(|| distance(space, step, tape::leaf(&network.plan(step.batch, true), &size))))
+        Some(tape::learnt(|| distance(space, step, tape::leaf(&network.plan(step.batch), &size))))
     }
 }
 

@@ -10,7 +10,7 @@ mod ops;
 
 pub use layers::{Parameters, Place};
 
-use crate::config::{HistoryTokens, MapEncoder, ModelConfig};
+use crate::config::{HistoryTokens, ModelConfig};
 use crate::torch::to_vec;
 use ccdiff_nets::kernels::{self, Checked, PANEL};
 use std::cell::{Cell, RefCell};
@@ -25,10 +25,9 @@ pub struct Tape;
 impl Tape {
     /// Whether it has all layers of a network.
     pub fn fits(config: &ModelConfig) -> bool {
-        let lines = config.map.as_ref().is_none_or(|map| map.encoder == MapEncoder::Polylines);
         let tokens = config.network().is_ok_and(|network| network.samples_tokens);
         let head = if tokens { config.edge_width } else { config.width / config.heads };
-        lines && config.history == HistoryTokens::Summary && head % PANEL as i64 == 0
+        config.history == HistoryTokens::Summary && head % PANEL as i64 == 0
     }
 }
 

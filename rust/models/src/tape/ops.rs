@@ -4,7 +4,7 @@ use super::attention::{Pairs, attended, mixed};
 use super::layers::{Linear, Norm, Place};
 use super::{Tape, Var, data};
 use crate::batch::Batch;
-use crate::config::{MapConfig, ModelConfig};
+use crate::config::ModelConfig;
 use crate::layers::inputs;
 use crate::torch::to_vec;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
@@ -181,26 +181,6 @@ impl Ops for Tape {
         })
     }
 
-    fn modulated(x: &Var, by: &Var) -> Var {
-        let (tokens, width) = (x.tokens, x.width);
-        // place of a number, and of its factor
-        let places = move |at: usize| at / (tokens * width) * 2 * width + at % width;
-        let number =
-            |(at, v): (usize, &f32)| v * (by.numbers[places(at)] + 1.0) + by.numbers[places(at) + width];
-        let numbers = x.numbers.iter().enumerate().map(number).collect();
-        let (x, by) = (x.clone(), by.clone());
-        Var::made(tokens, width, numbers, x.learns || by.learns, move |_, mut gradient| {
-            let mut of_by = vec![0.0; by.numbers.len()];
-            for (at, g) in gradient.iter_mut().enumerate() {
-                of_by[places(at)] += *g * x.numbers[at];
-                of_by[places(at) + width] += *g;
-                *g *= by.numbers[places(at)] + 1.0;
-            }
-            by.learn(of_by);
-            x.learn(gradient);
-        })
-    }
-
     fn cut(x: Var, width: i64) -> Var {
         x.shaped(x.row() / width as usize, width as usize)
     }
@@ -365,11 +345,7 @@ impl Ops for Tape {
 }
 
 impl Inputs for Tape {
-    /// No network with one fits.
-    type Raster = ();
     type Batch<'a> = Batch;
-
-    fn raster(_: &Place<'_>, _: &MapConfig, _: usize) {}
 
     fn history(batch: &Batch, config: &ModelConfig) -> Var {
         data(&inputs::standardised_history(&batch.history, config), config.history_steps)
@@ -408,15 +384,7 @@ impl Inputs for Tape {
     }
 
     fn lines(batch: &Batch) -> Option<Var> {
-        batch.image.as_ref().map(|lines| Var::data(NUM_SEGMENTS, SEGMENT_FEATURES, to_vec(lines)))
-    }
-
-    fn raster_tokens(_: &(), _: &Batch, _: bool) -> Option<Var> {
-        None
-    }
-
-    fn road(_: &Batch, _: &ModelConfig) -> Option<Vec<f32>> {
-        None
+        batch.lines.as_ref().map(|lines| Var::data(NUM_SEGMENTS, SEGMENT_FEATURES, to_vec(lines)))
     }
 
     fn tokens(batch: &Batch) -> (Var, Var, Vec<f32>) {

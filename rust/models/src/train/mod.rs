@@ -81,8 +81,7 @@ impl Trainer {
             let store = nn::VarStore::new(device);
             let network = build(&store.root(), &model)?;
             let adam = Adam::new(&store);
-            let average =
-                tch::no_grad(|| MovingAverage::new(&store, &adam.parameters, |p| build(p, &model)))?;
+            let average = tch::no_grad(|| MovingAverage::new(&adam.parameters, |p| build(p, &model)))?;
             Ok(Self {
                 adam,
                 store,

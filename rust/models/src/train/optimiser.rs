@@ -6,7 +6,7 @@ use crate::plan_model::PlanModel;
 use std::collections::BTreeMap;
 use tch::{Kind, Tensor, nn};
 
-/// The trainable numbers of a network, one tensor after the other in the order of their names, which share their memory.
+/// The numbers of a network, one tensor after the other in the order of their names, which share their memory.
 #[derive(Debug)]
 pub(crate) struct Flat {
     parameters: BTreeMap<String, Tensor>,
@@ -15,9 +15,8 @@ pub(crate) struct Flat {
 
 impl Flat {
     /// Moves the tensors of a store into one.
-    fn new(store: &nn::VarStore, trainable: impl Fn(&str) -> bool) -> Self {
+    fn new(store: &nn::VarStore) -> Self {
         let mut parameters = variables(store);
-        parameters.retain(|name, _| trainable(name));
         let numbers = tch::no_grad(|| {
             let numbers = Tensor::cat(&parameters.values().map(|p| p.flatten(0, -1)).collect::<Vec<_>>(), 0);
             let views: Vec<Tensor> = Self::parts(&parameters, &numbers).into_values().collect();
@@ -81,8 +80,7 @@ const BETA: (f64, f64) = (0.9, 0.999);
 
 impl Adam {
     pub(crate) fn new(store: &nn::VarStore) -> Self {
-        let known = variables(store);
-        let parameters = Flat::new(store, |name| known[name].requires_grad());
+        let parameters = Flat::new(store);
         let zeros = || parameters.numbers.zeros_like();
         Self { first: zeros(), second: zeros(), parameters }
     }
@@ -106,35 +104,28 @@ impl Adam {
 pub(crate) struct MovingAverage {
     pub(crate) store: nn::VarStore,
     pub(crate) model: Box<dyn PlanModel>,
-    /// Numbers that follow others: all that are trained, and each tensor that is not.
-    pairs: Vec<(Tensor, Tensor)>,
+    /// Its numbers, and those that they follow.
+    pair: [Tensor; 2],
 }
 
 impl MovingAverage {
     /// The average of the network that `build` makes, in a store of its own.
     pub(crate) fn new(
-        source: &nn::VarStore,
         trained: &Flat,
         build: impl FnOnce(&nn::Path) -> Result<Box<dyn PlanModel>>,
     ) -> Result<Self> {
-        let mut store = nn::VarStore::new(source.device());
+        let mut store = nn::VarStore::new(trained.numbers.device());
         let model = build(&store.root())?;
         store.freeze();
-        let own = Flat::new(&store, |name| trained.parameters.contains_key(name));
-        let mut pairs = vec![(own.numbers, trained.numbers.shallow_clone())];
-        let others = variables(&store).into_iter().zip(variables(source).into_values());
-        pairs.extend(
-            others.filter(|((name, _), _)| !trained.parameters.contains_key(name)).map(|((_, a), b)| (a, b)),
-        );
-        let mut average = Self { store, model, pairs };
+        let pair = [Flat::new(&store).numbers, trained.numbers.shallow_clone()];
+        let mut average = Self { store, model, pair };
         average.follow(0.0);
         Ok(average)
     }
 
     /// average ← decay · average + (1 - decay) · source.
     pub(crate) fn follow(&mut self, decay: f64) {
-        for (average, source) in &mut self.pairs {
-            let _ = average.lerp_(source, 1.0 - decay);
-        }
+        let [average, source] = &mut self.pair;
+        let _ = average.lerp_(source, 1.0 - decay);
     }
 }

@@ -4,7 +4,7 @@
 //! Three backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and two of `ccdiff-models` with gradients: on the
 //! kernels, and on libtorch.
 
-use crate::config::{MapConfig, ModelConfig};
+use crate::config::ModelConfig;
 use std::fmt::Debug;
 
 /// Keys and values.
@@ -103,9 +103,6 @@ pub trait Ops: Debug + Sized {
     /// x + y [R, 1, width] for every token of a row.
     fn sum_token(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
-    /// x · (1 + a) + b for every token of a row, from [a, b] [R, 1, 2 · width].
-    fn modulated(x: &Self::Tensor, by: &Self::Tensor) -> Self::Tensor;
-
     /// The numbers of each row in tokens of another width.
     fn cut(x: Self::Tensor, width: i64) -> Self::Tensor;
 
@@ -169,13 +166,8 @@ pub trait Ops: Debug + Sized {
 
 /// What networks read of their rows.
 pub trait Inputs: Ops {
-    /// An encoder of rasters.
-    type Raster: Debug;
     /// Inputs of all rows.
     type Batch<'a>;
-
-    /// An encoder of rasters.
-    fn raster(p: &Self::Path<'_>, config: &MapConfig, history_steps: usize) -> Self::Raster;
 
     /// Standardised histories [R, H, 8], zero where not available.
     fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
@@ -200,12 +192,6 @@ pub trait Inputs: Ops {
 
     /// Lines of the map [R, lines, 20]; `None` without them.
     fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor>;
-
-    /// Tokens of the rasters; `None` without rasters. `train` switches batch normalisation.
-    fn raster_tokens(raster: &Self::Raster, batch: &Self::Batch<'_>, train: bool) -> Option<Self::Tensor>;
-
-    /// The first layer of the rasters, above zero where there is road, [R, pixels]; `None` without rasters.
-    fn road(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>>;
 
     /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
     fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);

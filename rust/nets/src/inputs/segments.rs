@@ -1,4 +1,4 @@
-//! The map as short straight lines in each agent's own frame: what the encoder of polylines reads in place of a raster.
+//! The map as short straight lines in each agent's own frame.
 //!
 //! Differs from the paper, whose map is a raster: lanes, connectors, edges of the road, crossings, stop lines and dividers are cut
 //! into pieces of at most 5 m, and an agent sees those nearest to the straight way ahead of it.
@@ -6,7 +6,7 @@
 use crate::inputs::features::scene::SceneFeatures;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::observe::{MapSegments, Segment, SegmentKind};
-use ccdiff_sim::scene::Map;
+use ccdiff_sim::scene::Scene;
 
 /// Segments that an agent sees.
 pub const NUM_SEGMENTS: usize = 64;
@@ -34,9 +34,54 @@ const REACH_M: f32 = 80.0;
 /// So far one looks first, metres.
 const FIRST_REACH_M: f32 = 20.0;
 
-/// The lines of a map that agents may see: all but walkways, whose edges are mostly those of the road.
-pub(crate) fn of_map(map: &Map) -> Vec<Segment> {
-    MapSegments::new(map).segments().filter(|s| s.kind != SegmentKind::Walkway).collect()
+/// Beyond the logged positions a map reaches at least so far, metres: a vehicle that only leaves its road sideways does not leave
+/// the map;
+const LOG_MARGIN_M: f32 = 10.0;
+/// and no farther than this, metres.
+const MOST_MARGIN_M: f32 = 110.0;
+
+/// A scene's map as a network reads it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MapLines {
+    /// Corners of the part that has a map.
+    known: [Point2; 2],
+    /// All lines but the edges of walkways, which are mostly those of the road.
+    segments: Vec<Segment>,
+}
+
+impl MapLines {
+    /// The lines of a scene. The part that has a map ends where its areas and lines end, a loader's crop included, between
+    /// [`LOG_MARGIN_M`] and [`MOST_MARGIN_M`] beyond the box of all logged positions. Lanes do not count: loaders do not cut them.
+    pub fn from_scene(scene: &Scene) -> Self {
+        let (map, tracks) = (&scene.map, &scene.tracks);
+        let logged = tracks.position.iter().zip(&tracks.valid).filter_map(|(p, valid)| valid.then_some(p));
+        let [low, high] = corners(logged).unwrap_or([Point2::origin(); 2]);
+        let areas = [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.carpark_areas];
+        let lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
+        let drawn = corners(areas.into_iter().flatten().flat_map(|area| &area.exterior).chain(lines));
+        let margin = |drawn_m: Option<f32>| drawn_m.unwrap_or(f32::MAX).clamp(LOG_MARGIN_M, MOST_MARGIN_M);
+        let below = |axis: usize| low[axis] - margin(drawn.map(|[from, _]| low[axis] - from[axis]));
+        let above = |axis: usize| high[axis] + margin(drawn.map(|[_, to]| to[axis] - high[axis]));
+        let all = MapSegments::new(map);
+        Self {
+            known: [Point2::new(below(0), below(1)), Point2::new(above(0), above(1))],
+            segments: all.segments().filter(|s| s.kind != SegmentKind::Walkway).collect(),
+        }
+    }
+
+    /// Whether a point lies where there is a map.
+    pub fn covers(&self, point: Point2) -> bool {
+        let [low, high] = self.known;
+        low.x <= point.x && point.x <= high.x && low.y <= point.y && point.y <= high.y
+    }
+}
+
+/// Corners of the box of points; `None` without any.
+fn corners<'a>(points: impl Iterator<Item = &'a Point2>) -> Option<[Point2; 2]> {
+    points.fold(None, |found, p| {
+        let [low, high] = found.unwrap_or([*p; 2]);
+        Some([Point2::new(low.x.min(p.x), low.y.min(p.y)), Point2::new(high.x.max(p.x), high.y.max(p.y))])
+    })
 }
 
 /// How much farther a kind counts than a lane.
@@ -50,7 +95,8 @@ fn farness(kind: SegmentKind) -> f32 {
 
 /// Segments of all agents of a scene, [M, [`NUM_SEGMENTS`], [`SEGMENT_FEATURES`]], nearest to the way ahead first; zero where
 /// there are fewer.
-pub(crate) fn seen(features: &SceneFeatures, segments: &[Segment]) -> Vec<f32> {
+pub(crate) fn seen(features: &SceneFeatures, map: Option<&MapLines>) -> Vec<f32> {
+    let segments = map.map_or(&[][..], |map| &map.segments);
     let per_agent = NUM_SEGMENTS * SEGMENT_FEATURES;
     let mut out = vec![0.0; features.agents.len() * per_agent];
     let agents = features.poses.iter().zip(&features.speed_mps);

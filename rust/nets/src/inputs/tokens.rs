@@ -3,7 +3,7 @@
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::inputs::features::{self, SceneFeatures, TokenInputs, Window};
-use crate::inputs::raster::MapBitmap;
+use crate::inputs::segments::MapLines;
 use ccdiff_sim::geom::math::{exp, hypot, wrap_angle};
 use ccdiff_sim::geom::{Point2, Vector2};
 
@@ -57,8 +57,8 @@ fn change(motion: &[Option<[f32; 2]>; PAST.len()]) -> f32 {
 ///
 /// # Errors
 /// As there.
-pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) -> Result<SceneFeatures> {
-    let mut built = features::build(window, bitmap, config)?;
+pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> Result<SceneFeatures> {
+    let mut built = features::build(window, map, config)?;
     built.tokens = inputs(window, &built, config);
     Ok(built)
 }

@@ -16,8 +16,8 @@ pub use back::{
 };
 pub(crate) use groups::groups_mish;
 pub use product::{Packed, Strided, trained, trained_matmul};
-pub(crate) use product::{convolve, filter, linear, matmul};
+pub(crate) use product::{filter, linear, matmul};
 pub use rows::{add, add_cycle, gate, norm, softmax_columns, transpose};
-pub(crate) use rows::{add_norm, most, pixels, pixels_under};
+pub(crate) use rows::{add_norm, most};
 pub use shape::PANEL;
 pub use simd::{Checked, Level, with_level};

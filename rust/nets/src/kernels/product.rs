@@ -85,9 +85,7 @@ fn layer(
     let wide = weights.panels() * PANEL;
     let p = Product {
         rows,
-        runs: 1,
         length: weights.inputs,
-        run_step: 0,
         input_step: 1,
         panels: weights.panels(),
         panel_step: weights.inputs * PANEL,
@@ -152,9 +150,7 @@ fn strided(
 ) {
     let p = Product {
         rows,
-        runs: 1,
         length,
-        run_step: 0,
         input_step: a.step,
         panels: columns / PANEL,
         panel_step: PANEL,
@@ -164,34 +160,6 @@ fn strided(
         relu: false,
     };
     multiply(level, &p, a.numbers, b, None, out, how);
-}
-
-/// A convolution of 4 x 4 with stride 2 and ReLU: pixels [2 side + 2, 2 side + 2, channels] with a border of zeros to
-/// [side, side, columns], a line of them every `out_line` numbers. Weights take their inputs line by line, channels last.
-pub(crate) fn convolve(
-    level: Checked,
-    pixels: &[f32],
-    channels: usize,
-    side: usize,
-    weights: &Packed,
-    out: &mut [f32],
-    out_line: usize,
-) {
-    let line = (2 * side + 2) * channels;
-    let p = Product {
-        rows: side * side,
-        runs: 4,
-        length: 4 * channels,
-        run_step: line,
-        input_step: 1,
-        panels: weights.panels(),
-        panel_step: weights.inputs * PANEL,
-        weight_step: PANEL,
-        from: Rows { per: side, outer: 2 * line, inner: 2 * channels },
-        to: Rows { per: side, outer: out_line, inner: weights.columns },
-        relu: true,
-    };
-    multiply(level, &p, pixels, &weights.weights, Some(&weights.bias), out, How::Sparse);
 }
 
 #[cfg(test)]
@@ -227,34 +195,6 @@ mod tests {
             let mut alone = Vec::new();
             linear(Checked::now(), &x[..inputs], &packed, relu, &mut alone);
             prop_assert_eq!(&alone, &found[0][..columns]);
-        }
-
-        #[test]
-        fn convolutions_are_their_sums(channels in 1usize..6, side in 1usize..6, columns in prop::sample::select(vec![16usize, 32])) {
-            let edge = 2 * side + 2;
-            let mut pixels = Noise::new(6, 1).normals(edge * edge * channels);
-            for (at, pixel) in pixels.iter_mut().enumerate() {
-                let (y, x) = (at / channels / edge, at / channels % edge);
-                if y == 0 || x == 0 || y == edge - 1 || x == edge - 1 {
-                    *pixel = 0.0;
-                }
-            }
-            let w = Noise::new(7, 1).normals(columns * 16 * channels);
-            let bias = Noise::new(8, 1).normals(columns);
-            let packed = Packed::new(&w, &bias, columns, 16 * channels);
-            let line = side * columns + 3;
-            for level in Level::available() {
-                let mut out = vec![0.0; side * line];
-                convolve(Checked::at_most(level), &pixels, channels, side, &packed, &mut out, line);
-                for (y, x, column) in (0..side).flat_map(|y| (0..side).flat_map(move |x| (0..columns).map(move |c| (y, x, c)))) {
-                    let mut sum = f64::from(bias[column]);
-                    for (dy, dx, c) in (0..4).flat_map(|dy| (0..4).flat_map(move |dx| (0..channels).map(move |c| (dy, dx, c)))) {
-                        let pixel = pixels[((2 * y + dy) * edge + 2 * x + dx) * channels + c];
-                        sum += f64::from(pixel) * f64::from(w[column * 16 * channels + (dy * 4 + dx) * channels + c]);
-                    }
-                    prop_assert!((f64::from(out[y * line + x * columns + column]) - sum.max(0.0)).abs() < 1e-4);
-                }
-            }
         }
     }
 }

@@ -172,38 +172,6 @@ at_levels! {
             }
         }
     }
-
-    /// Bytes [side, side, channels], of which `zero` is none and 127 more are one, to numbers [side + 2, side + 2, channels], whose
-    /// border is left as it is.
-    fn pixels<'a>(bytes: &'a [u8], channels: usize, side: usize, zero: u8, out: &'a mut [f32]) {
-        let lines = out.chunks_exact_mut((side + 2) * channels).skip(1);
-        for (bytes, line) in bytes.chunks_exact(side * channels).zip(lines) {
-            for (number, byte) in line[channels..].iter_mut().zip(bytes) {
-                *number = (f32::from(*byte) - f32::from(zero)) * (1.0 / 127.0);
-            }
-        }
-    }
-
-    /// Pixels of a bitmap [height, width] under the points `start` + (i - `first` + 0.5) · `step` + `by`: their numbers, the
-    /// greatest where there is none.
-    fn pixels_under<'a>(
-        start: [f32; 2],
-        first: f32,
-        step: [f32; 2],
-        by: [f32; 2],
-        size: [u32; 2],
-        out: &'a mut [u32],
-    ) {
-        let ([dx, dy], [ex, ey], [width, height]) = (step, by, size);
-        let (right, bottom) = (width as f32, height as f32);
-        for (i, pixel) in out.iter_mut().enumerate() {
-            let ahead = i as u32 as i32 as f32 - first + 0.5;
-            let (x, y) = (start[0] + ahead * dx + ex, start[1] + ahead * dy + ey);
-            let is_on = (x >= 0.0) & (y >= 0.0) & (x < right) & (y < bottom);
-            let at = (y as i32 as u32).wrapping_mul(width).wrapping_add(x as i32 as u32);
-            *pixel = if is_on { at } else { u32::MAX };
-        }
-    }
 }
 
 #[cfg(test)]
@@ -314,14 +282,5 @@ pub(super) mod tests {
             z
         });
         assert!((0..51).all(|at| sums[at] == x[at] + x[at % 17] + x[at]));
-        let bytes: Vec<u8> = (0..8).map(|b| 120 + 16 * b).collect();
-        let image = at_all(|level| {
-            let mut out = vec![0.0; 4 * 4 * 2];
-            pixels(level, &bytes, 2, 2, 128, &mut out);
-            out
-        });
-        let at = |c: usize, y: usize, x: usize| image[((y + 1) * 4 + x + 1) * 2 + c] * 127.0 + 128.0;
-        assert!((0..8).all(|i| (at(i % 2, i / 4, i / 2 % 2) - f32::from(bytes[i])).abs() < 1e-3));
-        assert_eq!(image.iter().filter(|v| **v != 0.0).count(), 8);
     }
 }

@@ -44,13 +44,11 @@ impl Rows {
     }
 }
 
-/// Rows times columns: `runs` of `length` inputs each, `run_step` apart in a row.
+/// Rows of `length` inputs times columns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Product {
     pub(super) rows: usize,
-    pub(super) runs: usize,
     pub(super) length: usize,
-    pub(super) run_step: usize,
     /// From one input to the next.
     pub(super) input_step: usize,
     pub(super) panels: usize,
@@ -67,9 +65,8 @@ impl Product {
     /// Whether every number that is read or written lies within slices of these lengths; rows and panels are not none.
     pub(super) fn fits(&self, rows: usize, columns: usize, bias: Option<usize>, out: usize) -> bool {
         let farthest = || -> Option<[usize; 3]> {
-            let steps = self.runs.checked_mul(self.length)?.checked_sub(1)?;
-            let input = (self.runs - 1).checked_mul(self.run_step)?;
-            let input = input.checked_add((self.length - 1).checked_mul(self.input_step)?)?;
+            let steps = self.length.checked_sub(1)?;
+            let input = steps.checked_mul(self.input_step)?;
             let weight = (self.panels - 1).checked_mul(self.panel_step)?;
             let weight = weight.checked_add(steps.checked_mul(self.weight_step)?)?.checked_add(PANEL)?;
             let written = self.to.last(self.rows)?.checked_add(self.panels.checked_mul(PANEL)?)?;
@@ -97,9 +94,7 @@ pub(super) mod tests {
     ) -> (Product, Vec<f32>, Vec<f32>) {
         let p = Product {
             rows,
-            runs: 1,
             length: inputs,
-            run_step: 0,
             input_step: 1,
             panels,
             panel_step: inputs * PANEL,

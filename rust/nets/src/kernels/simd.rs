@@ -5,7 +5,6 @@
 
 #![allow(unsafe_code, reason = "intrinsics")]
 
-use super::shape::PANEL;
 use std::cell::Cell;
 use std::sync::OnceLock;
 
@@ -152,63 +151,7 @@ pub(super) trait Vector: Copy {
     /// # Safety
     /// The processor has the instructions.
     unsafe fn or_zero(self) -> Self;
-
-    /// The bits of both.
-    ///
-    /// # Safety
-    /// The processor has the instructions.
-    unsafe fn or(self, other: Self) -> Self;
-
-    /// A bit for each number that is not zero, the first lowest.
-    ///
-    /// # Safety
-    /// The processor has the instructions.
-    unsafe fn nonzero(self) -> u32;
-
-    /// Writes the places of ones among `LANES` bits, and as many panels' rows, from two firsts on, to two lists; returns their
-    /// number.
-    ///
-    /// # Safety
-    /// The processor has the instructions, and `LANES` numbers may be written to each list.
-    #[inline(always)]
-    unsafe fn list_ones(bits: u32, firsts: [u32; 2], lists: [*mut u32; 2]) -> usize {
-        let mut count = 0;
-        for four in 0..Self::LANES / 4 {
-            let found = &ONES[(bits >> (4 * four) & 15) as usize];
-            for ((first, list), apart) in firsts.into_iter().zip(lists).zip([1, PANEL as u32]) {
-                let places = found.places.map(|place| first + (4 * four as u32 + place) * apart);
-                // SAFETY: no more than `LANES` numbers are written so far
-                unsafe { list.add(count).cast::<[u32; 4]>().write_unaligned(places) };
-            }
-            count += found.count;
-        }
-        count
-    }
 }
-
-/// Places of the ones of four bits, and their number.
-struct Ones {
-    places: [u32; 4],
-    count: usize,
-}
-
-/// Those of all four bits.
-static ONES: [Ones; 16] = {
-    let mut all = [const { Ones { places: [0; 4], count: 0 } }; 16];
-    let mut bits = 0;
-    while bits < 16 {
-        let mut place = 0;
-        while place < 4 {
-            if bits >> place & 1 == 1 {
-                all[bits].places[all[bits].count] = place;
-                all[bits].count += 1;
-            }
-            place += 1;
-        }
-        bits += 1;
-    }
-    all
-};
 
 /// A vector of these intrinsics.
 #[cfg_attr(
@@ -220,7 +163,7 @@ static ONES: [Ones; 16] = {
     allow(unused_macros, reason = "of processors that have intrinsics")
 )]
 macro_rules! vector {
-    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident, $or:ident, $x:ident => $nonzero:expr $(, $more:item)*) => {
+    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident $(, $more:item)*) => {
         // SAFETY of all: the caller's promises are those of the intrinsics
         impl Vector for $name {
             const LANES: usize = $lanes;
@@ -250,17 +193,6 @@ macro_rules! vector {
                 unsafe { $max(self, $zero()) }
             }
 
-            #[inline(always)]
-            unsafe fn or(self, other: Self) -> Self {
-                unsafe { $or(self, other) }
-            }
-
-            #[inline(always)]
-            unsafe fn nonzero(self) -> u32 {
-                let $x = self;
-                unsafe { $nonzero }
-            }
-
             $($more)*
         }
     };
@@ -268,7 +200,7 @@ macro_rules! vector {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{PANEL, Vector};
+    use super::Vector;
     use std::arch::x86_64::*;
 
     vector!(
@@ -280,9 +212,7 @@ mod x86 {
         _mm_add_ps,
         _mm_mul_ps,
         _mm_max_ps,
-        _mm_setzero_ps,
-        _mm_or_ps,
-        x => _mm_movemask_ps(_mm_cmpneq_ps(x, _mm_setzero_ps())) as u32
+        _mm_setzero_ps
     );
     vector!(
         __m256,
@@ -294,8 +224,6 @@ mod x86 {
         _mm256_mul_ps,
         _mm256_max_ps,
         _mm256_setzero_ps,
-        _mm256_or_ps,
-        x => _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_NEQ_UQ>(x, _mm256_setzero_ps())) as u32,
         #[inline(always)]
         unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
             unsafe { _mm256_fmadd_ps(a, b, self) }
@@ -311,24 +239,9 @@ mod x86 {
         _mm512_mul_ps,
         _mm512_max_ps,
         _mm512_setzero_ps,
-        _mm512_or_ps,
-        x => u32::from(_mm512_cmp_ps_mask::<_CMP_NEQ_UQ>(x, _mm512_setzero_ps())),
         #[inline(always)]
         unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
             unsafe { _mm512_fmadd_ps(a, b, self) }
-        },
-        #[inline(always)]
-        unsafe fn list_ones(bits: u32, firsts: [u32; 2], lists: [*mut u32; 2]) -> usize {
-            unsafe {
-                let lanes = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
-                let places = _mm512_maskz_compress_epi32(bits as u16, lanes);
-                let rows = _mm512_slli_epi32::<{ PANEL.ilog2() }>(places);
-                for ((first, list), places) in firsts.into_iter().zip(lists).zip([places, rows]) {
-                    let places = _mm512_add_epi32(places, _mm512_set1_epi32(first as i32));
-                    _mm512_storeu_si512(list.cast(), places);
-                }
-                bits.count_ones() as usize
-            }
         }
     );
 }
@@ -339,31 +252,12 @@ mod neon {
     use super::Vector;
     use std::arch::aarch64::*;
 
-    static BITS: [u32; 4] = [1, 2, 4, 8];
-
     #[inline(always)]
     unsafe fn zero() -> float32x4_t {
         unsafe { vdupq_n_f32(0.0) }
     }
 
-    #[inline(always)]
-    unsafe fn or(a: float32x4_t, b: float32x4_t) -> float32x4_t {
-        unsafe { vreinterpretq_f32_u32(vorrq_u32(vreinterpretq_u32_f32(a), vreinterpretq_u32_f32(b))) }
-    }
-
-    vector!(
-        float32x4_t,
-        4,
-        vld1q_f32,
-        vst1q_f32,
-        vdupq_n_f32,
-        vaddq_f32,
-        vmulq_f32,
-        vmaxnmq_f32,
-        zero,
-        or,
-        x => vaddvq_u32(vandq_u32(vmvnq_u32(vceqzq_f32(x)), vld1q_u32(BITS.as_ptr())))
-    );
+    vector!(float32x4_t, 4, vld1q_f32, vst1q_f32, vdupq_n_f32, vaddq_f32, vmulq_f32, vmaxnmq_f32, zero);
 }
 
 /// simd128: the bits of SSE2.
@@ -394,19 +288,7 @@ mod wasm {
         f32x4_pmax(b, a)
     }
 
-    vector!(
-        v128,
-        4,
-        load,
-        store,
-        f32x4_splat,
-        f32x4_add,
-        f32x4_mul,
-        greater,
-        zero,
-        v128_or,
-        x => u32::from(i32x4_bitmask(f32x4_ne(x, f32x4_splat(0.0))))
-    );
+    vector!(v128, 4, load, store, f32x4_splat, f32x4_add, f32x4_mul, greater, zero);
 }
 
 /// The vector of processors of other families.
@@ -459,15 +341,5 @@ impl Vector for Plain {
     #[inline(always)]
     unsafe fn or_zero(self) -> Self {
         Self(self.0.map(|x| if x > 0.0 { x } else { 0.0 }))
-    }
-
-    #[inline(always)]
-    unsafe fn or(self, other: Self) -> Self {
-        Self(std::array::from_fn(|i| f32::from_bits(self.0[i].to_bits() | other.0[i].to_bits())))
-    }
-
-    #[inline(always)]
-    unsafe fn nonzero(self) -> u32 {
-        (0..4).map(|i| u32::from(self.0[i] != 0.0) << i).sum()
     }
 }

@@ -16,9 +16,6 @@ use super::simd::{Checked, Vector};
 pub(super) enum How {
     /// All products, each rounded: the same bits on every processor.
     Exact,
-    /// As `Exact`, but inputs that are zero in all rows of a tile are left out, which no sum feels as long as weights are finite
-    /// and no bias is -0: for inputs behind a ReLU, and others that are mostly zero.
-    Sparse,
     /// All products, rounded with their sum where the processor can.
     Fused,
 }
@@ -36,17 +33,13 @@ pub(super) fn multiply(
     out: &mut [f32],
     how: How,
 ) {
-    let skips = how == How::Sparse;
     if p.rows == 0 || p.panels == 0 {
         return;
     }
-    let short = u32::try_from(rows.len().max(columns.len())).is_ok();
-    let listed = short && p.input_step == 1 && p.weight_step == PANEL;
     let fits = p.fits(rows.len(), columns.len(), bias.map(<[f32]>::len), out.len());
-    assert!(fits && (listed || !skips), "a product out of bounds");
+    assert!(fits, "a product out of bounds");
     let sides = Sides {
         a: rows.as_ptr(),
-        end: rows.as_ptr_range().end,
         b: columns.as_ptr(),
         bias: bias.map_or(std::ptr::null(), <[f32]>::as_ptr),
         c: out.as_mut_ptr(),
@@ -56,16 +49,16 @@ pub(super) fn multiply(
     {
         use std::arch::x86_64::{__m128, __m256, __m512};
         #[target_feature(enable = "avx2")]
-        unsafe fn avx2(p: &Product, s: Sides, skips: bool) {
-            unsafe { if skips { sparse_product::<__m256>(p, s) } else { product::<__m256, 6, false>(p, s) } }
+        unsafe fn avx2(p: &Product, s: Sides) {
+            unsafe { product::<__m256, 6, false>(p, s) }
         }
         #[target_feature(enable = "avx2,fma")]
         unsafe fn avx2_fused(p: &Product, s: Sides) {
             unsafe { product::<__m256, 6, true>(p, s) }
         }
         #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
-        unsafe fn avx512(p: &Product, s: Sides, skips: bool) {
-            unsafe { if skips { sparse_product::<__m512>(p, s) } else { product::<__m512, 12, false>(p, s) } }
+        unsafe fn avx512(p: &Product, s: Sides) {
+            unsafe { product::<__m512, 12, false>(p, s) }
         }
         #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
         unsafe fn avx512_fused(p: &Product, s: Sides) {
@@ -73,20 +66,19 @@ pub(super) fn multiply(
         }
         let fused = how == How::Fused;
         match level.0 {
-            Level::Base if skips => unsafe { sparse_product::<__m128>(p, sides) },
             Level::Base => unsafe { product::<__m128, 6, false>(p, sides) },
             Level::Avx512 if fused => unsafe { avx512_fused(p, sides) },
             Level::Avx2 if fused && std::arch::is_x86_feature_detected!("fma") => unsafe {
                 avx2_fused(p, sides);
             },
-            Level::Avx2 => unsafe { avx2(p, sides, skips) },
-            Level::Avx512 => unsafe { avx512(p, sides, skips) },
+            Level::Avx2 => unsafe { avx2(p, sides) },
+            Level::Avx512 => unsafe { avx512(p, sides) },
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
     {
-        let _ = level;
-        unsafe { if skips { sparse_product::<Four>(p, sides) } else { product::<Four, 4, false>(p, sides) } }
+        let _ = (level, how);
+        unsafe { product::<Four, 4, false>(p, sides) }
     }
 }
 
@@ -94,8 +86,6 @@ pub(super) fn multiply(
 #[derive(Clone, Copy)]
 struct Sides {
     a: *const f32,
-    /// One past the last of the rows' numbers.
-    end: *const f32,
     b: *const f32,
     bias: *const f32,
     c: *mut f32,
@@ -263,159 +253,10 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: boo
     unsafe {
         let places = Places::<ROWS>::new(p, row, s);
         let mut tile = Tile::<V, ROWS, WIDE>::new(p, &places, column, s);
-        let mut step = 0;
-        for run in 0..p.runs {
-            let mut at = run * p.run_step;
-            for _ in 0..p.length {
-                tile.add::<FUSED>(at, step);
-                step += p.weight_step;
-                at += p.input_step;
-            }
+        for input in 0..p.length {
+            tile.add::<FUSED>(input * p.input_step, input * p.weight_step);
         }
         tile.store(p, &places, column);
-    }
-}
-
-/// Inputs that are listed: places in the rows, and in the weights.
-struct Listed {
-    at: Vec<u32>,
-    step: Vec<u32>,
-    count: usize,
-}
-
-impl Listed {
-    fn new(p: &Product) -> Self {
-        let most = p.runs * p.length + PANEL;
-        Self { at: vec![0; most], step: vec![0; most], count: 0 }
-    }
-
-    /// Lists what is not zero in all of some rows.
-    ///
-    /// # Safety
-    /// As [`product`]; the rows are there, inputs follow each other, and the list was made for this product.
-    #[inline(always)]
-    unsafe fn fill<V: Vector, const ROWS: usize>(&mut self, p: &Product, places: &Places<ROWS>, s: Sides) {
-        let from = &places.from;
-        self.count = 0;
-        // SAFETY: inputs are read within their runs, or before the end of all; no more than `PANEL` places are written beyond
-        // those that are found, which are no more than all inputs
-        unsafe {
-            for run in 0..p.runs {
-                let (mut at, mut step) = (run * p.run_step, run * p.length * PANEL);
-                let mut left = p.length;
-                while left > 0 {
-                    let within = s.end.offset_from(from[ROWS - 1].add(at)) >= V::LANES as isize;
-                    let ones = if within {
-                        let mut any = V::load(from[0].add(at));
-                        for k in 1..ROWS {
-                            any = any.or(V::load(from[k].add(at)));
-                        }
-                        any.nonzero()
-                    } else {
-                        nonzero(from, at, left)
-                    };
-                    let taken = left.min(V::LANES);
-                    let ones = ones & (u32::MAX >> (32 - taken));
-                    let lists =
-                        [self.at.as_mut_ptr().add(self.count), self.step.as_mut_ptr().add(self.count)];
-                    self.count += V::list_ones(ones, [at as u32, step as u32], lists);
-                    left -= taken;
-                    at += V::LANES;
-                    step += V::LANES * PANEL;
-                }
-            }
-        }
-    }
-}
-
-/// A bit for each of so many inputs that is not zero in all rows.
-///
-/// # Safety
-/// The inputs are there.
-#[cold]
-#[inline(never)]
-unsafe fn nonzero(from: &[*const f32], at: usize, count: usize) -> u32 {
-    // SAFETY: the caller's promise
-    let is_one = |i: &usize| from.iter().any(|row| unsafe { *row.add(at + i) } != 0.0);
-    (0..count.min(PANEL)).filter(is_one).map(|i| 1 << i).sum()
-}
-
-/// A product with the inputs that are not zero alone.
-///
-/// # Safety
-/// As [`product`]; inputs follow each other.
-#[inline(always)]
-unsafe fn sparse_product<V: Vector>(p: &Product, s: Sides) {
-    let mut list = Listed::new(p);
-    let mut row = 0;
-    // SAFETY: rows stay below their number; the list has its room
-    unsafe {
-        // few columns leave registers for more rows
-        while p.panels == 1 && row + 8 <= p.rows {
-            sparse_rows::<V, 8, 1>(p, row, s, &mut list);
-            row += 8;
-        }
-        while p.panels <= 2 && row + 4 <= p.rows {
-            sparse_rows::<V, 4, 2>(p, row, s, &mut list);
-            row += 4;
-        }
-        while row + 2 <= p.rows {
-            sparse_rows::<V, 2, 4>(p, row, s, &mut list);
-            row += 2;
-        }
-        if row < p.rows {
-            sparse_rows::<V, 1, 4>(p, row, s, &mut list);
-        }
-    }
-}
-
-/// All columns of some rows.
-///
-/// # Safety
-/// As [`sparse_product`]; the rows are there.
-#[inline(always)]
-unsafe fn sparse_rows<V: Vector, const ROWS: usize, const WIDE: usize>(
-    p: &Product,
-    row: usize,
-    s: Sides,
-    list: &mut Listed,
-) {
-    let columns = p.panels * PANEL;
-    // SAFETY: columns stay below their number
-    unsafe {
-        let places = Places::<ROWS>::new(p, row, s);
-        list.fill::<V, ROWS>(p, &places, s);
-        let mut column = 0;
-        while column + WIDE * V::LANES <= columns {
-            sparse_tile::<V, ROWS, WIDE>(p, &places, column, s, list);
-            column += WIDE * V::LANES;
-        }
-        while column < columns {
-            sparse_tile::<V, ROWS, 1>(p, &places, column, s, list);
-            column += V::LANES;
-        }
-    }
-}
-
-/// As [`tile`], of listed inputs.
-///
-/// # Safety
-/// As [`tile`]; the list is that of its rows.
-#[inline(always)]
-unsafe fn sparse_tile<V: Vector, const ROWS: usize, const WIDE: usize>(
-    p: &Product,
-    places: &Places<ROWS>,
-    column: usize,
-    s: Sides,
-    list: &Listed,
-) {
-    // SAFETY: listed inputs and their weights are among those of the product
-    unsafe {
-        let mut tile = Tile::<V, ROWS, WIDE>::new(p, places, column, s);
-        for (at, step) in list.at[..list.count].iter().zip(&list.step[..list.count]) {
-            tile.add::<false>(*at as usize, *step as usize);
-        }
-        tile.store(p, places, column);
     }
 }
 
@@ -431,34 +272,9 @@ mod tests {
         let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
         multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own, How::Exact);
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
-        let sides = Sides {
-            a: a.as_ptr(),
-            end: a.as_ptr_range().end,
-            b: b.as_ptr(),
-            bias: bias.as_ptr(),
-            c: plain.as_mut_ptr(),
-        };
+        let sides = Sides { a: a.as_ptr(), b: b.as_ptr(), bias: bias.as_ptr(), c: plain.as_mut_ptr() };
         // SAFETY: it fits
         unsafe { product::<Plain, 4, false>(&p, sides) };
         assert_eq!(plain, own);
-    }
-
-    #[test]
-    fn what_is_zero_is_left_out_without_a_trace() {
-        for (rows, inputs, panels) in [(1, 3, 1), (13, 20, 1), (7, 33, 2), (9, 70, 5)] {
-            let (p, mut a, b) = super::super::shape::tests::example(rows, inputs, panels);
-            for x in a.iter_mut().filter(|x| **x < 0.7) {
-                *x = 0.0;
-            }
-            let bias: Vec<f32> = (0..panels * PANEL).map(|i| i as f32 * 0.1 - 3.0).collect();
-            let bits = |level, how| {
-                let mut out = vec![0.0; rows * panels * PANEL];
-                multiply(Checked::at_most(level), &p, &a, &b, Some(&bias), &mut out, how);
-                out.into_iter().map(f32::to_bits).collect::<Vec<_>>()
-            };
-            for level in Level::available() {
-                assert_eq!(bits(level, How::Sparse), bits(Level::Base, How::Exact));
-            }
-        }
     }
 }

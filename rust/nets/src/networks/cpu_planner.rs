@@ -151,7 +151,7 @@ impl<N: Denoises<Cpu> + Send> PlanSampler for Denoising<N> {
         let (scene_sizes, noise_seeds) = sizes(scenes);
         let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
         let num_knots = config.num_knots();
-        let encode = |alone| network.encode(&Batch { scenes, alone }, false);
+        let encode = |alone| network.encode(&Batch { scenes, alone });
         let mut encoded = Encoded {
             network,
             with_graph: encode(false),

@@ -6,7 +6,7 @@
 //! Agents see each other in the trunk alone: no attention between their plans.
 //!
 //! Differs from the paper: knots stand 0.4 s apart, which is where the U-Net's second halving ends, so the way back up
-//! is left out; the condition is the trunk's, not that of a raster.
+//! is left out; the condition is the trunk's.
 
 use crate::compute::backend::Backend;
 use crate::compute::layers::embed::StepEmbedding;
@@ -136,8 +136,8 @@ impl<B: Backend> Denoises<B> for HalfUnet<B> {
         &self.space
     }
 
-    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Condition<B> {
-        let token = B::mish(&self.trunk.forward(batch, train).token);
+    fn encode(&self, batch: &B::Batch<'_>) -> Condition<B> {
+        let token = B::mish(&self.trunk.forward(batch).token);
         Condition { token, speed: B::speed(batch) }
     }
 

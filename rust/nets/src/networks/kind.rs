@@ -1,11 +1,11 @@
 //! What there is to know of a planning network, in one value that everything else reads.
 
 use crate::compute::weights::Entry;
-use crate::config::{HistoryTokens, MapEncoder, ModelConfig, NeighbourOrder};
+use crate::config::{HistoryTokens, ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::guidance::Clip;
 use crate::inputs::features::{self, SceneFeatures, Window};
-use crate::inputs::raster::MapBitmap;
+use crate::inputs::segments::MapLines;
 use crate::networks::planner::{PlanOptions, PlanSampler};
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::policy::Kind;
@@ -16,7 +16,7 @@ use std::path::Path;
 pub type MakeOnCpu = fn(&Path, &ModelConfig, BTreeMap<String, Entry>) -> Result<Box<dyn PlanSampler>>;
 
 /// Builds the inputs of one scene, as [`features::build`].
-pub type MakeFeatures = fn(&Window, Option<&MapBitmap>, &ModelConfig) -> Result<SceneFeatures>;
+pub type MakeFeatures = fn(&Window, Option<&MapLines>, &ModelConfig) -> Result<SceneFeatures>;
 
 /// A kind of network: its file declares one, [`crate::networks::NETWORKS`] lists it.
 #[derive(Debug, Clone, Copy)]
@@ -37,8 +37,8 @@ pub struct NetworkKind {
     pub routes: bool,
     /// Whether it reads agents by the trunk that rivals share.
     pub trunk: bool,
-    /// Whether its goals or its losses are read from pixels of the map.
-    pub pixels: bool,
+    /// Whether its loss asks where the road is.
+    pub road: bool,
     /// Whether it draws tokens, of which guidance chooses some.
     pub samples_tokens: bool,
     /// Its sizes from those of a preset.
@@ -67,7 +67,7 @@ impl NetworkKind {
             causal: false,
             routes: false,
             trunk: false,
-            pixels: false,
+            road: false,
             samples_tokens: false,
             sizes: by_distance,
             fits: |_| Ok(()),
@@ -95,13 +95,7 @@ impl NetworkKind {
             let got = format!("{} points for {}", config.route_points_m.len(), self.kind.name);
             return fail("model.route_points_m", got, "none: this model knows no routes");
         }
-        (self.fits)(config)?;
-        let Some(map) = &config.map else { return Ok(()) };
-        if map.encoder == MapEncoder::Polylines && (map.history_channels || self.pixels) {
-            let expected = "an encoder of rasters for history channels and this model";
-            return fail("model.map.encoder", map.encoder.name().to_owned(), expected);
-        }
-        Ok(())
+        (self.fits)(config)
     }
 
     /// How plans are drawn as this network takes it: what means nothing to it is refused, or not reported.

@@ -45,7 +45,7 @@ impl Logged<'_> {
             let expected = "False: these weights were trained without routes";
             return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
         }
-        let bitmaps: Vec<_> = self.scenes.iter().map(|s| model.bitmap(s)).collect::<Result<_>>()?;
+        let maps: Vec<_> = self.scenes.iter().map(|s| model.map(s)).collect();
         let windows: Vec<Window> = self
             .scenes
             .iter()
@@ -82,7 +82,7 @@ impl Logged<'_> {
             .enumerate()
             .map(|(k, window)| PlanInput {
                 window,
-                bitmap: bitmaps[k].as_ref(),
+                map: maps[k].as_ref(),
                 seed: self.seeds[k],
                 guide: guided.as_ref().map(|flags| WorldGuidance {
                     road: roads[k].as_ref(),

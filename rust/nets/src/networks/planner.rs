@@ -127,8 +127,8 @@ pub trait Denoises<B: Backend>: Weighted<B> {
     /// The space of its plans.
     fn space(&self) -> &B::Space;
 
-    /// Encodes a batch. `train` switches batch normalisation.
-    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Self::Context;
+    /// Encodes a batch.
+    fn encode(&self, batch: &B::Batch<'_>) -> Self::Context;
 
     /// Who sits in which slot, for a network whose plans attend to each other.
     fn slots(_: &Self::Context) -> Option<&B::Slots> {

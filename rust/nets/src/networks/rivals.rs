@@ -11,11 +11,8 @@ use crate::networks::simnet::Simnet;
 pub const SIMNET: NetworkKind =
     NetworkKind { one_plan: true, ..NetworkKind::with_trunk("simnet", "SimNet", proposing::<Simnet<Cpu>>) };
 /// Goals on a grid, a policy that drives to them, a choice among them.
-pub const BITS: NetworkKind = NetworkKind {
-    fits: bits::fits,
-    pixels: true,
-    ..NetworkKind::with_trunk("bits", "BITS", proposing::<Bits<Cpu>>)
-};
+pub const BITS: NetworkKind =
+    NetworkKind { fits: bits::fits, ..NetworkKind::with_trunk("bits", "BITS", proposing::<Bits<Cpu>>) };
 /// Diffusion of each agent's actions.
 pub const CTG: NetworkKind = NetworkKind {
     denoises: true,

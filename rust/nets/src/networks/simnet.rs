@@ -23,8 +23,8 @@ pub struct Simnet<B: Backend> {
 
 impl<B: Backend> Simnet<B> {
     /// Normalised knots of the plans, those of an agent side by side, [R, 1, 2 · knots].
-    pub fn plan(&self, batch: &B::Batch<'_>, train: bool) -> B::Tensor {
-        self.head.forward(&self.trunk.forward(batch, train).state)
+    pub fn plan(&self, batch: &B::Batch<'_>) -> B::Tensor {
+        self.head.forward(&self.trunk.forward(batch).state)
     }
 }
 
@@ -51,7 +51,7 @@ impl<B: Backend> Proposes<B> for Simnet<B> {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Vec<f32>> {
         asked.rows.check_seeds(asked.seeds)?;
-        let mut knots = B::numbers(&self.plan(batch, false)).repeat(asked.options.num_samples);
+        let mut knots = B::numbers(&self.plan(batch)).repeat(asked.options.num_samples);
         if let Some(guide) = guide {
             guide.adjust_finished(&mut knots)?;
         }

@@ -7,7 +7,7 @@ use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::inputs::features::{SceneFeatures, Window, row_offsets};
-use crate::inputs::raster::MapBitmap;
+use crate::inputs::segments::MapLines;
 use crate::networks::kind::NetworkKind;
 use crate::networks::kinds::{check_cpu, described};
 use rayon::prelude::*;
@@ -19,8 +19,8 @@ use std::path::Path;
 pub struct PlanInput<'a> {
     /// States of the world's vehicles over the last steps.
     pub window: &'a Window,
-    /// The scene's map, drawn once by [`TrajectoryModel::bitmap`].
-    pub bitmap: Option<&'a MapBitmap>,
+    /// The scene's map, read once by [`TrajectoryModel::map`].
+    pub map: Option<&'a MapLines>,
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
     /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
@@ -177,12 +177,9 @@ impl TrajectoryModel {
         self.num_parameters
     }
 
-    /// Draws a scene's map as this network wants it; `None` for a map-blind network.
-    ///
-    /// # Errors
-    /// As [`MapBitmap::from_scene`].
-    pub fn bitmap(&self, scene: &ccdiff_sim::scene::Scene) -> Result<Option<MapBitmap>> {
-        self.config().map.as_ref().map(|m| MapBitmap::from_scene(scene, m)).transpose()
+    /// A scene's map as this network reads it; `None` for a map-blind network.
+    pub fn map(&self, scene: &ccdiff_sim::scene::Scene) -> Option<MapLines> {
+        self.config().map.as_ref().map(|_| MapLines::from_scene(scene))
     }
 
     /// Plans for all agents of all worlds: one network pass per denoising step for all of them.
@@ -193,7 +190,7 @@ impl TrajectoryModel {
         let options = self.network.options(options.clone().validated()?)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
         let config = &self.config;
-        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.bitmap, &self.inputs);
+        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.map, &self.inputs);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {

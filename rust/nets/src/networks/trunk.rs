@@ -4,7 +4,7 @@ use crate::compute::backend::Backend;
 use crate::compute::layers::attention::Attention;
 use crate::compute::layers::edge::EdgeEncoder;
 use crate::compute::layers::embed::HistoryEmbedding;
-use crate::compute::layers::map::MapNetwork;
+use crate::compute::layers::map::LineEncoder;
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::ModelConfig;
 
@@ -13,7 +13,7 @@ use crate::config::ModelConfig;
 pub struct Trunk<B: Backend> {
     config: ModelConfig,
     history: HistoryEmbedding<B>,
-    map: Option<(MapNetwork<B>, Attention<B>)>,
+    map: Option<(LineEncoder<B>, Attention<B>)>,
     edges: EdgeEncoder<B>,
     social: EdgeAwareLayer<B>,
     norm: B::Norm,
@@ -45,8 +45,8 @@ impl<B: Backend> Trunk<B> {
         Self {
             history: HistoryEmbedding::new(&at("history"), config),
             map: config.map.as_ref().map(|m| {
-                let network = MapNetwork::new(&at("map"), m, config.history_steps);
-                (network, Attention::new(&at("map_attention"), d, m.feature_width, heads))
+                let lines = LineEncoder::new(&at("map"), m.feature_width);
+                (lines, Attention::new(&at("map_attention"), d, m.feature_width, heads))
             }),
             edges: EdgeEncoder::new(&at("edges"), config.edge_width),
             social: EdgeAwareLayer::new(&at("social"), d, config.edge_width, heads, hidden),
@@ -60,12 +60,12 @@ impl<B: Backend> Trunk<B> {
         &self.config
     }
 
-    /// Encodes a batch. `train` switches batch normalisation.
-    pub fn forward(&self, batch: &B::Batch<'_>, train: bool) -> Encoded<B> {
+    /// Encodes a batch.
+    pub fn forward(&self, batch: &B::Batch<'_>) -> Encoded<B> {
         let config = &self.config;
         let mut x = self.history.forward(&B::history(batch, config));
-        let map = self.map.as_ref().and_then(|(network, attention)| {
-            let tokens = network.forward(batch, train)?;
+        let map = self.map.as_ref().and_then(|(lines, attention)| {
+            let tokens = lines.forward(batch)?;
             x = B::sum(&x, attention.forward(&x, &attention.memory(&tokens), None));
             Some(tokens)
         });

@@ -26,7 +26,7 @@ pub(crate) use planned_agents::{is_ego, select_guided};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::inputs::raster::MapBitmap;
+use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
@@ -53,8 +53,8 @@ pub struct PlannedTraffic {
     /// How plans are drawn with guidance and without.
     guided: PlanOptions,
     unguided: PlanOptions,
-    /// Maps drawn for the network, by the scene's index in the batch; none where it was not played yet.
-    bitmaps: Vec<Option<Arc<MapBitmap>>>,
+    /// Maps as the network reads them, by the scene's index in the batch; none where it was not played yet.
+    maps: Vec<Option<Arc<MapLines>>>,
 }
 
 impl PlannedTraffic {
@@ -99,7 +99,7 @@ impl PlannedTraffic {
         let copies = SyncWrapper::new(copies);
         let file = config.adversary_policy.as_ref();
         let adversary_policy = file.map(|file| AdversaryPolicy::load(Path::new(file))).transpose()?;
-        Ok(Self { adversary_policy, copies, pool, model, config, guided, unguided, bitmaps: Vec::new() })
+        Ok(Self { adversary_policy, copies, pool, model, config, guided, unguided, maps: Vec::new() })
     }
 
     /// Kind of the network.
@@ -111,7 +111,7 @@ impl PlannedTraffic {
     ///
     /// # Errors
     /// [`ModelError::Config`] for another step than the weights were trained with, [`SimError::Scene`] for a scene
-    /// without a map, or with one that is too large, where the network reads it.
+    /// without a map where the network reads it.
     pub fn check(&self, dt_s: Real, scenes: &[Arc<Scene>]) -> Result<()> {
         let model = &self.model;
         if (f64::from(dt_s) - model.dt_s).abs() > 1e-6 {
@@ -122,8 +122,7 @@ impl PlannedTraffic {
             });
         }
         let blank = |s: &&Arc<Scene>| s.map.drivable_area.is_empty() && s.map.lanes.is_empty();
-        let Some(map) = &self.model.map else { return Ok(()) };
-        if let Some(scene) = scenes.iter().find(blank) {
+        if let Some(scene) = scenes.iter().find(blank).filter(|_| model.map.is_some()) {
             return Err(SimError::Scene {
                 scene: scene.name.clone(),
                 field: "map".into(),
@@ -132,38 +131,38 @@ impl PlannedTraffic {
             }
             .into());
         }
-        scenes.iter().try_for_each(|scene| MapBitmap::frame(scene, map).map(|_| ()))
-    }
-
-    /// Draws the maps of scenes that are played for the first time, side by side.
-    fn draw_maps(&mut self, worlds: &[WorldView<'_>]) -> Result<()> {
-        let Some(map) = &self.model.map else { return Ok(()) };
-        let mut new: Vec<(usize, &Arc<Scene>)> = Vec::new();
-        for world in worlds {
-            if self.bitmap(world).is_none() && !new.iter().any(|(idx, _)| *idx == world.scene_idx) {
-                new.push((world.scene_idx, &world.scene.scene));
-            }
-        }
-        let draw =
-            |(idx, scene): &(usize, &Arc<Scene>)| Ok((*idx, Arc::new(MapBitmap::from_scene(scene, map)?)));
-        let drawn: Vec<_> = match &self.pool {
-            Some(pool) => pool.install(|| new.par_iter().map(draw).collect::<Result<_>>())?,
-            None => new.iter().map(draw).collect::<Result<_>>()?,
-        };
-        for (idx, bitmap) in drawn {
-            self.bitmaps.resize(self.bitmaps.len().max(idx + 1), None);
-            self.bitmaps[idx] = Some(bitmap);
-        }
         Ok(())
     }
 
-    /// The map of a world's scene, once it was drawn.
-    fn bitmap(&self, world: &WorldView<'_>) -> Option<&Arc<MapBitmap>> {
-        self.bitmaps.get(world.scene_idx)?.as_ref()
+    /// Reads the maps of scenes that are played for the first time, side by side.
+    fn read_maps(&mut self, worlds: &[WorldView<'_>]) {
+        if self.model.map.is_none() {
+            return;
+        }
+        let mut new: Vec<(usize, &Arc<Scene>)> = Vec::new();
+        for world in worlds {
+            if self.map(world).is_none() && !new.iter().any(|(idx, _)| *idx == world.scene_idx) {
+                new.push((world.scene_idx, &world.scene.scene));
+            }
+        }
+        let read = |(idx, scene): &(usize, &Arc<Scene>)| (*idx, Arc::new(MapLines::from_scene(scene)));
+        let made: Vec<_> = match &self.pool {
+            Some(pool) => pool.install(|| new.par_iter().map(read).collect()),
+            None => new.iter().map(read).collect(),
+        };
+        for (idx, map) in made {
+            self.maps.resize(self.maps.len().max(idx + 1), None);
+            self.maps[idx] = Some(map);
+        }
+    }
+
+    /// The map of a world's scene, once it was read.
+    fn map(&self, world: &WorldView<'_>) -> Option<&Arc<MapLines>> {
+        self.maps.get(world.scene_idx)?.as_ref()
     }
 
     fn map_has(&self, world: &WorldView<'_>, pose: &Pose2) -> bool {
-        self.bitmap(world).is_none_or(|b| b.covers(pose.position))
+        self.map(world).is_none_or(|map| map.covers(pose.position))
     }
 }
 

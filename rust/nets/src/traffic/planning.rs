@@ -6,7 +6,7 @@ use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
-use crate::inputs::raster::MapBitmap;
+use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
@@ -22,7 +22,7 @@ struct PreparedRequest<'a> {
     request: &'a PlanRequest<'a>,
     memory: Memory,
     planned: PlannedAgents,
-    bitmap: Option<Arc<MapBitmap>>,
+    map: Option<Arc<MapLines>>,
     /// The road of each planned agent's level, where the scene has levels.
     roads: Vec<Option<&'a Region>>,
     /// Agents of the scene that may be guided, by falling importance.
@@ -66,7 +66,7 @@ impl PlannedTraffic {
         requests: &[&'a PlanRequest<'a>],
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
         let worlds: Vec<WorldView<'_>> = requests.iter().map(|r| r.world).collect();
-        self.draw_maps(&worlds)?;
+        self.read_maps(&worlds);
         let prepare = |r: &&'a PlanRequest<'a>| self.prepare(r);
         let mut due: Vec<_> = match &self.pool {
             Some(pool) => pool.install(|| requests.par_iter().map(prepare).collect::<Result<_>>())?,
@@ -114,7 +114,7 @@ impl PlannedTraffic {
         if self.ranks(request) {
             planned.window.measure_contacts()?;
         }
-        let bitmap = self.bitmap(world).cloned();
+        let map = self.map(world).cloned();
         let counts = |agent: &usize| match (&self.config.targets[..], self.config.collision_targets) {
             ([], CollisionTargets::All) => true,
             ([], CollisionTargets::Ego) => planned_agents::is_ego(world, *agent),
@@ -128,7 +128,7 @@ impl PlannedTraffic {
             request,
             memory,
             planned,
-            bitmap,
+            map,
             roads,
             ranking: Vec::new(),
             chosen: Vec::new(),
@@ -329,7 +329,7 @@ fn view_of<'a>(
     let world = &due.request.world;
     PlanInput {
         window: &due.planned.window,
-        bitmap: due.bitmap.as_deref(),
+        map: due.map.as_deref(),
         seed: world.noise_seed,
         guide: options.guidance.is_some().then(|| WorldGuidance {
             guidance_scale: *guidance_scale,

@@ -3,14 +3,13 @@
 mod attention;
 mod parts;
 
-pub use parts::{Array, Batch, Filter, Groups, Norm, Pairs, Place, Raster};
+pub use parts::{Array, Batch, Filter, Groups, Norm, Pairs, Place};
 
 use crate::compute::backend::{Inputs, KeyValue, Ops};
 use crate::compute::layers::embed::ROUTE_SCALE_M;
-use crate::config::{HistoryTokens, MapConfig, MapEncoder, ModelConfig};
+use crate::config::{HistoryTokens, ModelConfig};
 use crate::error::{ModelError, Result};
 use crate::inputs::features::{EDGE_FEATURES, HISTORY_FEATURES};
-use crate::inputs::raster::ZERO;
 use crate::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use crate::inputs::tokens::{NEAR, NEAR_NUMBERS};
 use crate::kernels::{self, Checked, Packed, Seen};
@@ -28,19 +27,11 @@ pub struct Cpu;
 /// # Errors
 /// [`ModelError::Config`] names what they lack.
 pub fn check(config: &ModelConfig) -> Result<()> {
-    let fail = |field, got: &str, expected| Err(ModelError::Config { field, got: got.into(), expected });
-    if config.history != HistoryTokens::Summary {
-        return fail("model.history", config.history.name(), "\"summary\" without torch");
+    if config.history == HistoryTokens::Summary {
+        return Ok(());
     }
-    let Some(map) = &config.map else { return Ok(()) };
-    if map.encoder == MapEncoder::ResNet18 {
-        return fail("model.map.encoder", map.encoder.name(), "\"light\" or \"polylines\" without torch");
-    }
-    if map.encoder == MapEncoder::Light && map.feature_width % 64 != 0 {
-        let got = map.feature_width.to_string();
-        return fail("model.map.feature_width", &got, "a multiple of 64 without torch");
-    }
-    Ok(())
+    let (got, expected) = (config.history.name().into(), "\"summary\" without torch");
+    Err(ModelError::Config { field: "model.history", got, expected })
 }
 
 impl Cpu {
@@ -183,17 +174,6 @@ impl Ops for Cpu {
         x
     }
 
-    fn modulated(x: &Array, by: &Array) -> Array {
-        let mut numbers = Vec::with_capacity(x.numbers.len());
-        for (row, by) in x.numbers.chunks_exact(x.row()).zip(by.numbers.chunks_exact(2 * x.width)) {
-            let (a, b) = by.split_at(x.width);
-            for token in row.chunks_exact(x.width) {
-                numbers.extend(token.iter().zip(a).zip(b).map(|((x, a), b)| x * (a + 1.0) + b));
-            }
-        }
-        x.like(numbers)
-    }
-
     fn cut(x: Array, width: i64) -> Array {
         let width = width as usize;
         Array { tokens: x.tokens * x.width / width, width, ..x }
@@ -301,31 +281,7 @@ impl Ops for Cpu {
 }
 
 impl Inputs for Cpu {
-    type Raster = Raster;
     type Batch<'a> = Batch<'a>;
-
-    fn raster(p: &Place<'_>, config: &MapConfig, history_steps: usize) -> Raster {
-        let (width, channels) = (config.feature_width, config.num_channels(history_steps));
-        let side = config.size_px / 8;
-        let sizes = [(channels as i64, width / 4), (width / 4, width / 2), (width / 2, width)];
-        let convolution = |(i, (inputs, outputs)): (usize, (i64, i64))| {
-            let q = Self::sub(&Self::sub(p, "conv"), &i.to_string());
-            let weight = q.take("weight", &[outputs, inputs, 4, 4]);
-            let turned = weight.map(|w| turned(w, inputs as usize, 16));
-            let all = 16 * inputs;
-            packed(turned.as_deref(), q.take("bias", &[outputs]), outputs, all, 0, all)
-        };
-        let mut convolutions = sizes.into_iter().enumerate().map(convolution);
-        let mut next = || convolutions.next().unwrap_or_else(|| Packed::new(&[], &[], 0, 0));
-        Raster {
-            convolutions: [next(), next(), next()],
-            norm: Self::norm(&Self::sub(p, "norm"), width),
-            place: p.take("place", &[1, (side * side) as i64, width]).unwrap_or(&[]).to_vec(),
-            channels,
-            side,
-            histories: channels - config.num_layers(),
-        }
-    }
 
     fn history(batch: &Batch<'_>, config: &ModelConfig) -> Array {
         let n = &config.normalisation;
@@ -382,47 +338,6 @@ impl Inputs for Cpu {
     fn lines(batch: &Batch<'_>) -> Option<Array> {
         let numbers = batch.numbers(|s| &s.segments);
         (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
-    }
-
-    fn raster_tokens(raster: &Raster, batch: &Batch<'_>, _: bool) -> Option<Array> {
-        let (level, side, channels) = (Checked::now(), raster.side, raster.channels);
-        let [first, second, third] = &raster.convolutions;
-        let plane = 64 * side * side;
-        let mut image = vec![0.0; (8 * side + 2) * (8 * side + 2) * channels];
-        let mut halved = vec![0.0; (4 * side + 2) * (4 * side + 2) * first.columns];
-        let mut quartered = vec![0.0; (2 * side + 2) * (2 * side + 2) * second.columns];
-        let inside = |side: usize, width: usize| (side + 3) * width;
-        let per_row = side * side * third.columns;
-        let mut tokens = vec![0.0; batch.num_rows() * per_row];
-        let images = batch.scenes.iter().flat_map(|s| s.image.chunks_exact((channels * plane).max(1)));
-        for (bytes, out) in images.zip(tokens.chunks_exact_mut(per_row.max(1))) {
-            if batch.alone && raster.histories > 0 {
-                let hidden = |(at, b): (usize, &u8)| match at % channels < raster.histories {
-                    true => (*b).max(ZERO),
-                    false => *b,
-                };
-                let bytes: Vec<u8> = bytes.iter().enumerate().map(hidden).collect();
-                kernels::pixels(level, &bytes, channels, 8 * side, ZERO, &mut image);
-            } else {
-                kernels::pixels(level, bytes, channels, 8 * side, ZERO, &mut image);
-            }
-            let (n, m) = (first.columns, second.columns);
-            let to = &mut halved[inside(4 * side, n)..];
-            kernels::convolve(level, &image, channels, 4 * side, first, to, (4 * side + 2) * n);
-            let to = &mut quartered[inside(2 * side, m)..];
-            kernels::convolve(level, &halved, n, 2 * side, second, to, (2 * side + 2) * m);
-            kernels::convolve(level, &quartered, m, side, third, out, side * third.columns);
-        }
-        kernels::norm(level, &mut tokens, &raster.norm.weight, &raster.norm.bias, false);
-        kernels::add_cycle(level, &mut tokens, &raster.place);
-        (!tokens.is_empty()).then(|| Array::new(side * side, third.columns, tokens))
-    }
-
-    fn road(batch: &Batch<'_>, config: &ModelConfig) -> Option<Vec<f32>> {
-        let channels = config.map.as_ref()?.num_channels(config.history_steps);
-        let bytes = batch.scenes.iter().flat_map(|s| s.image.iter().step_by(channels));
-        let pixels: Vec<f32> = bytes.map(|byte| f32::from(*byte) - f32::from(ZERO)).collect();
-        (!pixels.is_empty()).then_some(pixels)
     }
 
     fn tokens(batch: &Batch<'_>) -> (Array, Array, Vec<f32>) {

@@ -117,18 +117,6 @@ pub struct Groups {
     pub(super) groups: usize,
 }
 
-/// Three strided convolutions; every pixel of the last is a token with a learned position.
-#[derive(Debug)]
-pub struct Raster {
-    pub(super) convolutions: [Packed; 3],
-    pub(super) norm: Norm,
-    pub(super) place: Vec<f32>,
-    pub(super) channels: usize,
-    pub(super) side: usize,
-    /// Channels that hold histories of agents.
-    pub(super) histories: usize,
-}
-
 /// Batch of the agents of several scenes.
 #[derive(Debug, Clone, Copy)]
 pub struct Batch<'a> {

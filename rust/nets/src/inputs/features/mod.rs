@@ -10,10 +10,9 @@ pub use scene::{Futures, SceneFeatures, TokenInputs, row_offsets, vehicles};
 pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
-use crate::config::{MapEncoder, ModelConfig, NeighbourOrder};
+use crate::config::{ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
-use crate::inputs::raster::{self, MapBitmap};
-use crate::inputs::segments;
+use crate::inputs::segments::{self, MapLines};
 use crate::inputs::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::geom::{Pose2, Vector2};
@@ -38,7 +37,7 @@ const HEADWAY_SPEED_MPS: f32 = 2.0;
 ///
 /// # Errors
 /// [`ModelError::Shape`] where the window's arrays do not fit the configuration.
-pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) -> Result<SceneFeatures> {
+pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> Result<SceneFeatures> {
     window.check(config.history_steps)?;
     let now = config.history_steps - 1;
     let agents: Vec<usize> = (0..window.num_agents()).filter(|a| window.is_valid(*a, now)).collect();
@@ -87,21 +86,13 @@ pub fn build(window: &Window, bitmap: Option<&MapBitmap>, config: &ModelConfig) 
         neighbours,
         is_edge,
         edges,
-        image: Vec::new(),
         segments: Vec::new(),
         graph,
         ttc_s: ttc_now,
         tokens: TokenInputs::default(),
     };
-    if let Some(map) = &config.map {
-        match map.encoder {
-            MapEncoder::Polylines => {
-                features.segments = segments::seen(&features, bitmap.map_or(&[], MapBitmap::segments))
-            }
-            MapEncoder::ResNet18 | MapEncoder::Light => {
-                features.image = raster::images(&features, window, bitmap, map)
-            }
-        }
+    if config.map.is_some() {
+        features.segments = segments::seen(&features, map);
     }
     Ok(features)
 }

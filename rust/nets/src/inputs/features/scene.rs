@@ -23,9 +23,7 @@ pub struct SceneFeatures {
     pub is_edge: Vec<bool>,
     /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`super::EDGE_FEATURES`].
     pub edges: Vec<f32>,
-    /// Map raster [M, size, size, channels] coded as bytes, see [`crate::inputs::raster`]; empty for a map-blind network.
-    pub image: Vec<u8>,
-    /// Lines of the map near each agent [M, 64, 20]; empty without an encoder of polylines.
+    /// Lines of the map near each agent [M, 64, 20]; empty for a map-blind network.
     pub segments: Vec<f32>,
     /// Decision causal graph over the M agents.
     pub graph: CausalGraph,

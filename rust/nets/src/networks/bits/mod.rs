@@ -2,16 +2,17 @@
 //! (rivals.md#bits).
 //!
 //! ```text
-//! map tokens, state ─► cells of a grid ahead ─► N goals ─► policy ─► N plans ─► choice against predicted others
+//! state, lines ─► cells of a grid ahead ─► N goals ─► policy ─► N plans ─► choice against predicted others
 //! ```
 //! Differs from the paper: 32 x 32 cells of 2 m, not 224 x 224 of 0.5 m; every neighbour is a row of its own, so the
-//! predictor sees it in its own frame; goals are conditioned on as the grid gives them back.
+//! predictor sees it in its own frame; goals are conditioned on as the grid gives them back, and may lie off the road.
 
 mod grid;
 
 pub use grid::{CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 
 use crate::compute::backend::Backend;
+use crate::compute::layers::attention::Attention;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
@@ -21,40 +22,44 @@ use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use grid::{CELLS_PER_TOKEN, SIDE};
 
-/// Hidden width of the goal head, width of an encoded goal.
-const GOAL_WIDTHS: (i64, i64) = (96, 32);
+/// Width of a block of cells, hidden width of the goal head, width of an encoded goal.
+const GOAL_WIDTHS: [i64; 3] = [16, 96, 32];
+/// Blocks of cells, each a token.
+const BLOCKS: i64 = ((SIDE / CELLS_PER_TOKEN) * (SIDE / CELLS_PER_TOKEN)) as i64;
 
 /// The three networks on their trunk.
 #[derive(Debug)]
 pub struct Bits<B: Backend> {
     trunk: Trunk<B>,
-    film: B::Linear,
+    blocks: B::Linear,
+    lines: Attention<B>,
     cells: Perceptron<B>,
     goal: B::Linear,
     policy: Perceptron<B>,
     predictor: Perceptron<B>,
 }
 
-/// Checks that goals can be drawn from the map.
+/// Checks that there is a map that goals are scored by.
 pub(crate) fn fits(config: &ModelConfig) -> Result<()> {
-    let pixels = 8 * SIDE / CELLS_PER_TOKEN;
-    if config.map.as_ref().is_some_and(|m| m.size_px == pixels) {
+    if config.map.is_some() {
         return Ok(());
     }
-    let expected = "a map of 64 pixels: goals are drawn from it";
-    Err(ModelError::Config { field: "model.map", got: format!("{:?}", config.map), expected })
+    let expected = "a map: goals are scored by its lines";
+    Err(ModelError::Config { field: "model.map", got: "None".into(), expected })
 }
 
 impl<B: Backend> Bits<B> {
-    /// What the trunk says of a batch. `train` switches batch normalisation.
-    pub fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Encoded<B> {
-        self.trunk.forward(batch, train)
+    /// What the trunk says of a batch.
+    pub fn encode(&self, batch: &B::Batch<'_>) -> Encoded<B> {
+        self.trunk.forward(batch)
     }
 
-    /// The cells that each map token covers, [R, tokens, [`CHANNELS`] · [`PER_TOKEN`]]; `None` without a map.
+    /// The cells of each block, whose token has looked at the lines, [R, blocks, [`CHANNELS`] · [`PER_TOKEN`]]; `None` without
+    /// lines.
     pub fn cells(&self, seen: &Encoded<B>) -> Option<B::Tensor> {
-        let film = B::apply(&self.film, &seen.state);
-        seen.map.as_ref().map(|map| self.cells.forward(&B::modulated(map, &film)))
+        let lines = self.lines.memory(seen.map.as_ref()?);
+        let blocks = B::cut(B::apply(&self.blocks, &seen.state), GOAL_WIDTHS[0]);
+        Some(self.cells.forward(&B::sum(&blocks, self.lines.forward(&blocks, &lines, None))))
     }
 
     /// Knots of the predicted plans, those of an agent side by side, [R, 1, 2 · knots].
@@ -73,11 +78,12 @@ impl<B: Backend> Weighted<B> for Bits<B> {
         let (d, out) = (config.width, 2 * config.num_knots() as i64);
         let feature_width = config.map.as_ref().map_or(0, |map| map.feature_width);
         let at = |name| B::sub(p, name);
-        let (hidden, goal) = GOAL_WIDTHS;
+        let [block, hidden, goal] = GOAL_WIDTHS;
         Self {
             trunk: Trunk::new(&at("trunk"), config),
-            film: B::linear(&at("film"), d + 1, 2 * feature_width),
-            cells: Perceptron::new(&at("cells"), &[feature_width, hidden, (CHANNELS * PER_TOKEN) as i64]),
+            blocks: B::linear(&at("blocks"), d + 1, BLOCKS * block),
+            lines: Attention::new(&at("lines"), block, feature_width, 1),
+            cells: Perceptron::new(&at("cells"), &[block, hidden, (CHANNELS * PER_TOKEN) as i64]),
             goal: B::linear(&at("goal"), GOAL as i64, goal),
             policy: Perceptron::new(&at("policy"), &[d + 1 + goal, HIDDEN, HIDDEN, out]),
             predictor: Perceptron::new(&at("predictor"), &[d + 1, HIDDEN, out]),
@@ -98,11 +104,11 @@ impl<B: Backend> Proposes<B> for Bits<B> {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Vec<f32>> {
         asked.rows.check_seeds(asked.seeds)?;
-        let (config, seen) = (self.config(), self.encode(batch, false));
-        let (Some(cells), Some(map)) = (self.cells(&seen), &config.map) else {
-            return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "rasters".into() });
+        let (config, seen) = (self.config(), self.encode(batch));
+        let Some(cells) = self.cells(&seen) else {
+            return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
         };
-        let goals = grid::goals(&B::numbers(&cells), B::road(batch, config).as_deref(), map, asked);
+        let goals = grid::goals(&B::numbers(&cells), asked);
         let mut knots = Vec::with_capacity(goals.len() / GOAL * 2 * config.num_knots());
         for goals in goals.chunks_exact((asked.rows.count() * GOAL).max(1)) {
             let goals = B::placed(&seen.state, goals.to_vec(), 1, GOAL);

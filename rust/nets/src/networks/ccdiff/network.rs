@@ -10,7 +10,7 @@ use crate::compute::backend::{Backend, KeyValue};
 use crate::compute::layers::attention::{Attention, TemporalLayer};
 use crate::compute::layers::edge::EdgeEncoder;
 use crate::compute::layers::embed::{self, HistoryEmbedding, RouteEmbedding, StepEmbedding};
-use crate::compute::layers::map::MapNetwork;
+use crate::compute::layers::map::LineEncoder;
 use crate::compute::layers::social::{EdgeAwareLayer, PlainLayer};
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::networks::planner::{Denoises, Weighted};
@@ -35,7 +35,7 @@ pub struct Network<B: Backend> {
     noisy: B::Linear,
     step: StepEmbedding<B>,
     edges: EdgeEncoder<B>,
-    map: Option<MapNetwork<B>>,
+    map: Option<LineEncoder<B>>,
     rounds: Vec<Round<B>>,
     edge_aware: Vec<EdgeAwareLayer<B>>,
     edge_norm: B::Norm,
@@ -87,7 +87,7 @@ impl<B: Backend> Weighted<B> for Network<B> {
             noisy: B::linear(&at("noisy"), 6 * config.knot_stride as i64, d),
             step: StepEmbedding::new(&at("step"), config.diffusion_steps, d),
             edges: EdgeEncoder::new(&at("edges"), config.edge_width),
-            map: config.map.as_ref().map(|m| MapNetwork::new(&at("map"), m, config.history_steps)),
+            map: config.map.as_ref().map(|m| LineEncoder::new(&at("map"), m.feature_width)),
             rounds,
             edge_aware: (0..config.edge_layers)
                 .map(|l| EdgeAwareLayer::new(&numbered("edge_aware", l), d, config.edge_width, heads, hidden))
@@ -118,11 +118,11 @@ impl<B: Backend> Denoises<B> for Network<B> {
         Some(&context.slots)
     }
 
-    fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Context<B> {
+    fn encode(&self, batch: &B::Batch<'_>) -> Context<B> {
         let config = self.config();
         let history = B::history(batch, config);
         let (edges, slots) = B::edges(batch, config);
-        let map_tokens = self.map.as_ref().and_then(|m| m.forward(batch, train));
+        let map_tokens = self.map.as_ref().and_then(|m| m.forward(batch));
         let of_round = |r: &Round<B>| r.map.as_ref().zip(map_tokens.as_ref()).map(|(a, t)| a.memory(t));
         let map = self.rounds.iter().map(of_round).collect();
         let mask = (config.history == HistoryTokens::PerStep).then(|| B::mask(batch, config)).flatten();

@@ -30,7 +30,7 @@ pub const TRAFFICSIM: NetworkKind =
     NetworkKind::with_trunk("trafficsim", "TrafficSim", proposing::<Cvae<Cpu>>);
 /// Latents of each agent under a learned prior, optimised.
 pub const STRIVE: NetworkKind =
-    NetworkKind { pixels: true, ..NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>) };
+    NetworkKind { road: true, ..NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>) };
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
@@ -121,9 +121,9 @@ impl<B: Pulls> Cvae<B> {
         self.form
     }
 
-    /// What the trunk says of a batch. `train` switches batch normalisation.
-    pub fn encode(&self, batch: &B::Batch<'_>, train: bool) -> Encoded<B> {
-        self.trunk.forward(batch, train)
+    /// What the trunk says of a batch.
+    pub fn encode(&self, batch: &B::Batch<'_>) -> Encoded<B> {
+        self.trunk.forward(batch)
     }
 
     /// Means and ln σ² of the prior [R, 1, 2 D], not yet bounded.
@@ -181,7 +181,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
     ) -> Result<Vec<f32>> {
         let Asked { rows, seeds, options } = *asked;
         rows.check_seeds(seeds)?;
-        let (latent, seen) = (self.form.latent(), self.encode(batch, false));
+        let (latent, seen) = (self.form.latent(), self.encode(batch));
         let of_sample = rows.count() * latent;
         let mut noise = rows.noise(seeds, 0, options.num_samples, latent);
         if self.form == Form::Strive {

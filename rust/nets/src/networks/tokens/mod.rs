@@ -15,7 +15,7 @@ pub use grid::{BINS, NUM_TOKENS, TOKEN_STEPS, token_of};
 pub use network::Network;
 
 use crate::compute::cpu::Cpu;
-use crate::config::{MapConfig, MapEncoder, ModelConfig, NeighbourOrder};
+use crate::config::{ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::inputs::tokens::{HISTORY_STEPS, NEAR, build};
 use crate::networks::cpu_planner::proposing;
@@ -35,9 +35,8 @@ pub const TOKENS: NetworkKind = NetworkKind {
 const ROUTE_POINTS_M: [f32; 16] =
     [0.0, 3.0, 6.0, 9.0, 12.0, 16.0, 20.0, 24.0, 28.0, 32.0, 36.0, 40.0, 45.0, 50.0, 55.0, 60.0];
 
-/// A preset's sizes with lines of the map, a memory of 6 s, plans of 2.5 s.
+/// A preset's sizes with a memory of 6 s, plans of 2.5 s.
 fn sizes(preset: ModelConfig) -> ModelConfig {
-    let map = preset.map.map(|map| MapConfig { encoder: MapEncoder::Polylines, ..map });
     ModelConfig {
         neighbour_order: NeighbourOrder::Distance,
         history_steps: HISTORY_STEPS,
@@ -50,7 +49,6 @@ fn sizes(preset: ModelConfig) -> ModelConfig {
         max_neighbours: NEAR,
         max_agents: 32,
         route_points_m: ROUTE_POINTS_M.to_vec(),
-        map,
         ..preset
     }
 }
@@ -58,8 +56,7 @@ fn sizes(preset: ModelConfig) -> ModelConfig {
 /// Checks what tokens are made of.
 fn fits(config: &ModelConfig) -> Result<()> {
     let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
-    let lines = config.map.as_ref().is_some_and(|m| m.encoder == MapEncoder::Polylines);
-    if !lines || config.history_steps != HISTORY_STEPS || config.knot_stride != 1 {
+    if config.map.is_none() || config.history_steps != HISTORY_STEPS || config.knot_stride != 1 {
         let (steps, stride) = (config.history_steps, config.knot_stride);
         let got = format!("a history of {steps} steps, knots of {stride}");
         return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
