@@ -126,7 +126,7 @@ def test_results_of_another_package_are_kept_where_one_of_their_kind_comes_out_t
     assert len((tmp_path / "others").read_text().split()) == 5
     said = capsys.readouterr().err
     assert "package was a, now b" in said
-    assert f"{6 if same else 3} results are kept, " in said
+    assert f"{6 if same else 3} results are kept: " in said
     assert results(jobs("b"), tmp_path)["log-3"] == {"square": 9}
     run_jobs(jobs("b", "q"), tmp_path, progress=False)  # rules are no part that might not matter
     assert len((tmp_path / "others").read_text().split()) == 9

@@ -103,6 +103,8 @@ def run_jobs(
     for job in random.sample(jobs, len(jobs)):
         if job.name in stale and not _changed(job, known[job.name], but=INDIRECT):
             groups.setdefault(_group(job), []).append(job)
+    others_of = {sample.name: others for sample, *others in groups.values()}
+    kept = {job.name: job for others in others_of.values() for job in others}
 
     def do(some: Sequence[Job]) -> None:
         again = [job.name for job in some if job.name in stale]
@@ -115,19 +117,21 @@ def run_jobs(
         if progress:
             found = shown(found, what="jobs", total=len(jobs), done=len(jobs) - len(some))
         for name, result, seconds in found:
+            same = name in others_of and json.loads(json.dumps(result)) == known[name].get("result")
+            for job in () if same else others_of.get(name, ()):
+                # deleted at once: a run that is stopped now asks no other sample
+                del kept[job.name]
+                (folder / f"{job.name}.json").unlink()
             _write(by_name[name], folder, result, seconds)
 
-    kept = {job.name for _, *others in groups.values() for job in others}
     do([j for j in jobs if (known[j.name] is None or j.name in stale) and j.name not in kept])
-    for sample, *others in groups.values():
-        if results([sample], folder)[sample.name] != known[sample.name].get("result"):
-            kept -= {job.name for job in others}
-            do(others)
-    for job in (job for job in jobs if job.name in kept):
+    if more := [j for of in others_of.values() for j in of if j.name not in kept]:
+        do(more)
+    for job in kept.values():
         with reading("result", folder / f"{job.name}.json"):
             _write(job, folder, known[job.name]["result"], float(known[job.name]["seconds"]))
     if kept:
-        print(f"{len(kept)} results are kept, {len(groups)} came out the same", file=sys.stderr)
+        print(f"{len(kept)} results are kept: samples came out the same", file=sys.stderr)
 
 
 def _write(job: Job, folder: Path, result: Any, seconds: float) -> None:
