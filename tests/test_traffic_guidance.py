@@ -206,6 +206,8 @@ def test_routes_are_refused_by_weights_that_know_none(scenes):
     weights = str(shipped_weights())
     with pytest.raises(ConfigError, match=r"follow_route.*without routes"):
         Play(scenes[:1], ccdiff={"follow_route": True, "weights": weights})
+    with pytest.raises(ConfigError, match=r"follow_route"):
+        Play(scenes[:1], traffic="ctg", ccdiff={"follow_route": True})
 
 
 def test_guidance_raises_collisions_with_the_ego(scenes):

@@ -71,6 +71,7 @@ check_env(env)
 parallel_api_test(ccdiff_env.parallel_env(agents=3), num_cycles=50)
 [plan] = ccdiff_env.models.TrajectoryModel(ccdiff_env.models.shipped_weights()).plan([scene], [30])
 print("a plan:", plan.states.shape)
+ccdiff_env.EgoEnv(traffic="strive").reset(seed=1)
 critical = ccdiff_env.make_vec(4, traffic="ccdiff", criticality=1.0)
 critical.reset(seed=1)
 critical.action_space.seed(0)  # else an episode may have just begun, and has no plan
