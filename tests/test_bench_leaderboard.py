@@ -89,7 +89,7 @@ def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_
                 row["scene"] = name
         runs.append(write_run(tmp_path / planner, *results))
     ((heading, table),) = leaderboard(*runs).items()
-    assert heading == "planner-1.3 smoke, seed 0, version 1"
+    assert heading == "planner-1.2 smoke, seed 0, version 1"
     assert set(order(table)[0]) == {MARKED, "PDM-Closed"}
 
 

@@ -150,7 +150,7 @@ class Idle:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.3 fixes at 100"),
+        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.2 fixes at 100"),
         ({"speed_limit_mps": 100.0}, "speed_limit_mps"),
         ({"success_completion": 0.1}, "success_completion"),
         ({"traffic": "idm"}, "traffic"),
@@ -456,20 +456,20 @@ def test_the_protocol_fixes_scenes_and_weights():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--traffic", "idm"], "--traffic: planner-1.3 fixes it"),
-        (["--seeds", "0"], "--seeds: planner-1.3 fixes it"),
-        (["--limit", "2"], "--limit: planner-1.3 fixes it"),
-        (["--scenes", "embedded/train"], "--scenes: planner-1.3 fixes it"),
-        (["--split", "train"], "--split: planner-1.3 fixes it"),
-        (["--version", "v1.0-mini"], "--version: planner-1.3 fixes it"),
-        (["--level", "val"], "--level val of planner-1.3 takes --dataroot"),
-        (["--dataroot", "x"], "--level smoke of planner-1.3 takes no --dataroot"),
+        (["--traffic", "idm"], "--traffic: planner-1.2 fixes it"),
+        (["--seeds", "0"], "--seeds: planner-1.2 fixes it"),
+        (["--limit", "2"], "--limit: planner-1.2 fixes it"),
+        (["--scenes", "embedded/train"], "--scenes: planner-1.2 fixes it"),
+        (["--split", "train"], "--split: planner-1.2 fixes it"),
+        (["--version", "v1.0-mini"], "--version: planner-1.2 fixes it"),
+        (["--level", "val"], "--level val of planner-1.2 takes --dataroot"),
+        (["--dataroot", "x"], "--level smoke of planner-1.2 takes no --dataroot"),
         (["--level", "vla"], "no level 'vla', there is smoke, city, mini, val"),
-        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.3"),
+        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.2"),
     ],
 )
 def test_options_cannot_change_what_the_protocol_fixes(tmp_path, capsys, words, said):
-    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.3"]
+    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.2"]
     assert cli.main([*command, *words]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "r").exists()
@@ -482,25 +482,25 @@ def test_a_level_is_told_by_what_was_played():
     def level(sha256=PROTOCOL.sha256, scenes=scenes, traffic=panel, seeds=(0,)):
         return PROTOCOL.level_of(sha256, scenes, traffic, seeds)
 
-    assert level() == "planner-1.3 smoke"
+    assert level() == "planner-1.2 smoke"
     assert level(sha256="x") is None
     assert level(traffic=panel[1:]) is None
     assert level(seeds=(1,)) is None
     assert level(scenes={**scenes, "queue-03": "x"}) is None
     some = dict.fromkeys(ccdiff_env.scenes.splits()["val"][:93], "x")
-    assert level(scenes=some, seeds=val["seeds"]) == "planner-1.3 val, 93 of 150 scenes"
+    assert level(scenes=some, seeds=val["seeds"]) == "planner-1.2 val, 93 of 150 scenes"
 
 
 @pytest.mark.slow
 def test_the_smoke_level_of_the_protocol_in_one_command(tmp_path, capsys):
-    command = ["bench", "planners", "--protocol", "planner-1.3", "--planners", "idm", "--quiet"]
+    command = ["bench", "planners", "--protocol", "planner-1.2", "--planners", "idm", "--quiet"]
     assert cli.main([*command, "--out", str(tmp_path)]) == 0
     ((heading, _),) = (
         __import__("ccdiff_env.bench.leaderboard", fromlist=["leaderboard"])
         .leaderboard([Record.read(tmp_path)])
         .items()
     )
-    assert heading.startswith("planner-1.3 smoke")
+    assert heading.startswith("planner-1.2 smoke")
     assert {entry.traffic for entry in Record.read(tmp_path).entries} == set(PROTOCOL.panel)
 
 

@@ -56,7 +56,7 @@ class Made:
 
 
 _PLANNERS = Made(
-    "bench planners --protocol planner-1.3 --level smoke --planners "
+    "bench planners --protocol planner-1.2 --level smoke --planners "
     "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
     "pdm_ccdiff,arbiter",
     ("planner",),

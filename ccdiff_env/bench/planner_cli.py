@@ -55,7 +55,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
     parser.add_argument(
         "--protocol",
-        help="what fixes scenes, traffic and seeds, planner-1.3 (default: the options choose them)",
+        help="what fixes scenes, traffic and seeds, planner-1.2 (default: the options choose them)",
     )
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"

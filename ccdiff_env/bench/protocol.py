@@ -18,7 +18,7 @@ from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.system.files import read_bytes
 
-_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.3.json"
+_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.2.json"
 #: Arguments that the protocol fixes, beside the version of the tables.
 _FIXED = ("traffic", "seeds", "scenes", "split", "limit")
 
