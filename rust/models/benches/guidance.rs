@@ -66,7 +66,7 @@ fn main() {
     let knots = Noise::new(1, 1).normals(rows as usize * KnotMap::new(&model).width());
     let noisy = Tensor::from_slice(&knots).view([rows, model.num_knots() as i64, 2]);
     let steps = Tensor::full([rows], 50, (Kind::Int64, Device::Cpu));
-    let context = tch::no_grad(|| network.encode(&batch, false));
+    let context = tch::no_grad(|| network.encode(&batch));
     let pass = least_ms(|| drop(tch::no_grad(|| network.predict(&context, &noisy, &steps))));
     println!("{WORLDS} worlds x {VEHICLES} vehicles, {} torch threads", tch::get_num_threads());
     println!("network pass, no map: {pass:.2} ms");
