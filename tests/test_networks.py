@@ -189,7 +189,7 @@ def test_latents_descend_by_the_gradients_of_torch(name, tmp_path):
     }
     ours, theirs = (plans(model, name, **guided) for model in models)
     effect = farthest(ours, free)["states"]
-    assert effect > 3.0
+    assert effect > 1.0
     # the first step of Adam goes by the signs of gradients, some of which are nearly 0
     expect_rounding(tmp_path, name, ours, theirs, little=0.1 * effect, **guided)
 
