@@ -87,7 +87,10 @@ pub fn leader(
 fn window(route: &Polyline, s_m: Real, reach: Real) -> &[Point2] {
     let points = route.points();
     let first = (s_m as usize).min(points.len() - 1);
-    let last = ((s_m + reach).ceil() as usize).clamp(first, points.len() - 1);
+    let end_s = s_m + reach;
+    // rounded up
+    let last = end_s as usize + usize::from(end_s as usize as Real != end_s);
+    let last = last.clamp(first, points.len() - 1);
     &points[first..=last]
 }
 

@@ -63,6 +63,8 @@ pub struct LaneIndex {
     cells: Vec<Cell>,
     /// Number of the first segment of each lane, and that of all.
     first_segment: Vec<u32>,
+    /// Limit of each lane, see [`Map`], close together.
+    speed_limits_mps: Vec<Option<Real>>,
 }
 
 /// What may matter in a cell, next to each other in memory.
@@ -162,7 +164,8 @@ impl LaneIndex {
         let grid = Grid::new(min, max, CELL_M, MAX_CELLS);
         let num_cells = grid.num_columns * grid.num_rows;
         let cells = vec![Cell::default(); num_cells];
-        Some(Self { grid, segments, cells, first_segment })
+        let speed_limits_mps = map.lanes.iter().map(|lane| lane.speed_limit_mps).collect();
+        Some(Self { grid, segments, cells, first_segment, speed_limits_mps })
     }
 
     /// Lanes and connectors whose surface holds a point, in the order of the map. A lane without a polygon is 3.5 m wide.
@@ -347,6 +350,12 @@ impl LaneIndex {
         let [any, agreeing] = keys;
         let any_hit = hit(any);
         NearLanes { agreeing: if agreeing == any { any_hit } else { hit(agreeing) }, any: any_hit }
+    }
+
+    /// Limit of a lane, m/s, where the map has one.
+    #[inline]
+    pub fn speed_limit_mps(&self, lane_idx: u32) -> Option<Real> {
+        self.speed_limits_mps[lane_idx as usize]
     }
 
     /// Lanes further away than this are never found, metres.

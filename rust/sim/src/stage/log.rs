@@ -5,6 +5,7 @@ use crate::scene::Scene;
 use crate::simd_dispatch::{pick, simd_dispatch};
 use crate::stage::route::Route;
 use crate::state::{AgentStates, Height};
+use std::f32::consts::PI;
 use std::sync::OnceLock;
 
 /// Columns of [`AgentStates`] that a log has: x, y, heading, cosine, sine, speed, velocity x and y.
@@ -154,13 +155,20 @@ impl Log {
             goes.push(if follow & valid { u32::MAX } else { 0 });
         }
         let log = std::array::from_fn(|column| &self.columns[column][here.clone()]);
-        let turns = log[HEADING].iter().zip(&states.heading_rad).zip(&*goes);
-        for (rate, ((to, from), goes)) in states.yaw_rate_radps.iter_mut().zip(turns) {
-            if *goes != 0 {
-                *rate = math::wrap_angle(to - from) / dt_s;
-            }
-        }
         let s = states;
+        let turns = || log[HEADING].iter().zip(&s.heading_rad).zip(&*goes);
+        let wraps = |((to, from), goes): ((&Real, &Real), &u32)| {
+            let turn = to - from;
+            (*goes != 0) & !(turn > -PI && turn <= PI)
+        };
+        // hardly ever: else the rates are those of other numbers
+        if turns().fold(false, |any, turn| any | wraps(turn)) {
+            for (rate, ((to, from), goes)) in s.yaw_rate_radps.iter_mut().zip(turns()) {
+                *rate = pick(*goes, math::wrap_angle(to - from) / dt_s, *rate);
+            }
+        } else {
+            take_rates(log[HEADING], &s.heading_rad, goes, dt_s, &mut s.yaw_rate_radps);
+        }
         take_rates(log[SPEED], &s.speed_mps, goes, dt_s, &mut s.acceleration_mps2);
         let columns = [
             &mut *s.x,

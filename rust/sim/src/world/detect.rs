@@ -17,13 +17,14 @@ impl World {
         self.scratch.from_route_m.resize(e.slots.len(), 0.0);
         for (slot, from_route_m) in e.slots.iter_mut().zip(&mut self.scratch.from_route_m) {
             if let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) {
+                leave_road(&e.states, &self.scene, a, slot);
                 *from_route_m = route_and_lane(&e.states, &self.scene, a, e.route_s_m[a], slot, config);
             }
         }
     }
 
     /// The first contact of each slot in the step that is no initial one, described where it begins, and whether it leaves
-    /// the road; initial contacts are forgotten when the two have parted.
+    /// the road before the step ends; initial contacts are forgotten when the two have parted.
     fn look_between(&mut self, at_start: bool, dt_s: Real) {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();
@@ -63,7 +64,9 @@ impl World {
             let found = self.scratch.contacts.iter_mut().zip(&mut self.scratch.in_contact);
             for (slot, (contact, in_contact)) in e.slots.iter_mut().zip(found) {
                 let Some(a) = slot.agent_idx.filter(|a| states.active[*a]) else { continue };
-                leave_road(states, scene, a, slot);
+                if part < parts {
+                    leave_road(states, scene, a, slot);
+                }
                 let is_own = |i: usize| i == a || states.hitched(i, a) && is_towed(i);
                 for &(i, j) in pairs {
                     let (own, other) = match (i as usize, j as usize) {

@@ -62,7 +62,17 @@ where
     let Some(first) = worlds.first().map(|w| w.idx) else { return };
     order.sort_unstable_by_key(|i| (worlds[*i as usize - first].episode.scene_idx, *i));
     for i in order.iter().map(|i| *i as usize - first) {
+        // each works in the memory of the first one, which is still in the cache
+        lend(worlds, i);
         let world = &mut worlds[i];
         job(world.idx, world, &actions[i * width..(i + 1) * width], out.world(i, extent));
+        lend(worlds, i);
+    }
+}
+
+/// Exchanges what the first of some worlds and another one work in.
+fn lend(worlds: &mut [World], to: usize) {
+    if let Ok([first, other]) = worlds.get_disjoint_mut([0, to]) {
+        std::mem::swap(&mut first.scratch, &mut other.scratch);
     }
 }

@@ -20,6 +20,7 @@ impl World {
         self.scratch.before.clear();
         if stops || !self.scene.hitches.is_empty() || parts(config.dt_s) > 1 {
             self.scratch.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
+            self.active_before.clone_from(&e.states.active);
         }
         for (c, slot) in e.slots.iter().enumerate() {
             let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) else { continue };

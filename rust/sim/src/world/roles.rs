@@ -27,6 +27,9 @@ impl World {
         since: usize,
         out: &mut StepBuffers<'_>,
     ) -> bool {
+        if config.num_adversaries == 0 && config.adversaries.is_empty() {
+            return false;
+        }
         let e = &mut self.episode;
         let played = |c: usize| {
             let slot = &e.slots[c];

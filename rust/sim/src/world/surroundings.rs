@@ -39,7 +39,7 @@ pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usi
         distance_m: d.y * on_route.cos - d.x * on_route.sin,
         heading_error_rad: math::atan2(sin, cos),
         lane_distance_m: lane.lane.map(|l| l.distance_m),
-        speed_limit_mps: lane.lane.and_then(|l| map.lanes[l.lane_idx as usize].speed_limit_mps),
+        speed_limit_mps: lane.lane.zip(lanes).and_then(|(lane, lanes)| lanes.speed_limit_mps(lane.lane_idx)),
         wrong_way: lane.wrong_way,
     }
 }

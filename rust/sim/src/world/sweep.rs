@@ -8,7 +8,11 @@ use crate::state::AgentStates;
 const PART_S: Real = 0.1;
 
 /// Parts of a step.
+#[inline]
 pub(super) fn parts(dt_s: Real) -> usize {
+    if dt_s <= PART_S {
+        return 1;
+    }
     (dt_s / PART_S - 1e-3).ceil().max(1.0) as usize
 }
 

@@ -31,10 +31,10 @@ pub(crate) struct World {
     pub(super) adversaries: Vec<bool>,
     /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
     pub(super) blank: Vec<bool>,
-    /// Presence of all agents before the last step; empty where there was none.
+    /// Presence of all agents before a step, where poses before it are kept.
     pub(super) active_before: Vec<bool>,
     pub(super) observer: Observer,
-    pub(super) scratch: Scratch,
+    pub(super) scratch: Box<Scratch>,
 }
 
 /// Memory that a step works in: dropped between steps, nothing would change.
@@ -81,7 +81,7 @@ impl World {
             blank: Vec::new(),
             active_before: Vec::new(),
             observer,
-            scratch: Scratch::default(),
+            scratch: Box::default(),
         };
         world.enter(Arc::clone(&world.scene));
         world
@@ -184,7 +184,6 @@ impl World {
         shared: &Shared<'_>,
         out: &mut StepBuffers<'_>,
     ) -> bool {
-        self.active_before.clone_from(&self.episode.states.active);
         self.decide(actions, shared);
         self.move_agents(shared);
         self.find_events(shared.config, false);
