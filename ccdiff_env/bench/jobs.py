@@ -104,7 +104,7 @@ def run_jobs(
         if job.name in stale and not _changed(job, known[job.name], but=INDIRECT):
             groups.setdefault(_group(job), []).append(job)
     others_of = {sample.name: others for sample, *others in groups.values()}
-    kept = {job.name: job for others in others_of.values() for job in others}
+    left = [job for job in jobs if known[job.name] is None or job.name in stale]
 
     def do(some: Sequence[Job]) -> None:
         again = [job.name for job in some if job.name in stale]
@@ -115,23 +115,27 @@ def run_jobs(
         by_name = {job.name: job for job in some}
         found = results_of_tasks(_run, some) if backend == "ray" else _local(some, workers)
         if progress:
-            found = shown(found, what="jobs", total=len(jobs), done=len(jobs) - len(some))
+            found = shown(found, what="jobs", total=len(jobs), done=len(jobs) - len(left))
         for name, result, seconds in found:
-            same = name in others_of and json.loads(json.dumps(result)) == known[name].get("result")
-            for job in () if same else others_of.get(name, ()):
-                # deleted at once: a run that is stopped now asks no other sample
-                del kept[job.name]
-                (folder / f"{job.name}.json").unlink()
+            left.remove(by_name[name])
+            same = json.loads(json.dumps(result)) == (known[name] or {}).get("result")
+            # settled before the sample is written: a run that is stopped asks no other one
+            for job in others_of.get(name, ()):
+                path, then = folder / f"{job.name}.json", known[job.name]
+                if same:
+                    left.remove(job)
+                    with reading("result", path):
+                        _write(job, folder, then["result"], float(then["seconds"]))
+                else:
+                    path.unlink()
             _write(by_name[name], folder, result, seconds)
 
-    do([j for j in jobs if (known[j.name] is None or j.name in stale) and j.name not in kept])
-    if more := [j for of in others_of.values() for j in of if j.name not in kept]:
-        do(more)
-    for job in kept.values():
-        with reading("result", folder / f"{job.name}.json"):
-            _write(job, folder, known[job.name]["result"], float(known[job.name]["seconds"]))
-    if kept:
-        print(f"{len(kept)} results are kept: samples came out the same", file=sys.stderr)
+    if groups:
+        count = len(left)
+        do([sample for sample, *_ in groups.values()])
+        if kept := count - len(left) - len(groups):
+            print(f"{kept} results are kept: samples came out the same", file=sys.stderr)
+    do(left.copy())
 
 
 def _write(job: Job, folder: Path, result: Any, seconds: float) -> None:
