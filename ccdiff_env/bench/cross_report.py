@@ -93,8 +93,9 @@ def sets_table(sets: Sets, costs: Costs) -> Table:
         all_of = [asdict(s) for s in made.scenarios]
         means = [mean_interval(all_of, c.name)[0] for c in _REALISM]
         rows.append([generator, len(all_of), *counts, *means, *costs[generator]])
-    columns = [Column("generator", "made against"), "scenarios", Column("collision")]
-    columns += [Column("at_fault", "of them at fault"), Column("avoidable", "of them avoidable")]
+    columns: list[Column | str] = [Column("generator", "made against"), "scenarios"]
+    columns += [Column("collision"), Column("at_fault", "of them at fault")]
+    columns += [Column("avoidable", "of them avoidable")]
     columns += [*_REALISM, Column("cfd", "CFD", digits=1), Column("seconds", "processor s")]
     return Table(columns, rows)
 
