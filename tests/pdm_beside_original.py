@@ -22,10 +22,10 @@ from ccdiff_env.planners.rules import RULES
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds.worlds_view import behind
 
-#: Way ahead that both have a line for, m; how far our acceleration changes in a step, m/s²; and
-#: every how many steps the original is asked.
-LEAST_LINE_M, MOST_CHANGE_MPS2, EVERY = 90.0, 0.8, 5
-FOUND: dict[str, list[tuple[float, float, float]]] = {}
+#: Way ahead that both have a line for, m; every how many steps the original is asked; where the
+#: states of its tracker have the acceleration.
+LEAST_LINE_M, EVERY, ACCELERATION_X = 90.0, 5, 5
+FOUND: dict[str, list[tuple[float, float]]] = {}
 
 
 class Both:
@@ -54,12 +54,10 @@ class Both:
         generator, scorer = planner._generator, planner._scorer
         generator._leading_agent_update = 1
         best = int(np.argmax(scorer._aggregate_scores()))
-        way_m, speed_mps = generator._state_idm_array[best, :2, :2].T
-        if known and planner._centerline.length - way_m[0] > LEAST_LINE_M:
-            slot = self.worlds.native.slot_agents(i)[0]
-            before = self.worlds.native.states(i)["acceleration"][slot]
+        way_m = generator._state_idm_array[best, 0, 0]
+        if known and planner._centerline.length - way_m > LEAST_LINE_M:
             ours = ahead * (4.0 if ahead > 0 else 8.0)
-            found.append((ours, 10 * (speed_mps[1] - speed_mps[0]), before))
+            found.append((ours, float(scorer._states[best, 1, ACCELERATION_X])))
 
 
 def main(source):
@@ -71,10 +69,9 @@ def main(source):
     for name, found in FOUND.items():
         if not found:
             continue
-        ours, theirs, before = np.array(found).T
-        wanted = np.clip(theirs, before - MOST_CHANGE_MPS2, before + MOST_CHANGE_MPS2)
-        near = [f"{np.mean(np.abs(ours - wanted) <= m):.2f} within {m} m/s²" for m in (0.2, 0.5)]
-        print(f"{name}: {', '.join(near)}, {len(ours)} decisions", flush=True)
+        apart = np.abs(np.subtract(*np.array(found).T))
+        near = [f"{np.mean(apart <= m):.2f} within {m} m/s²" for m in (0.2, 0.5)]
+        print(f"{name}: {', '.join(near)}, {len(found)} decisions", flush=True)
 
 
 if __name__ == "__main__":
