@@ -15,8 +15,10 @@ use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// At this share IDM collides as often in traffic of one denoising step as in traffic of five (docs/results.md#one-dial).
-const ONE_STEP_SHARE: Real = 0.2;
+/// At these shares of the guidance IDM collides as often with one denoising step, and with routes, as with five steps without
+/// them (docs/results.md#one-dial); with both at their product.
+const ONE_STEP_SHARE: Real = 0.28;
+const ROUTES_SHARE: Real = 1.7;
 
 choices! {
     /// Who drives the vehicles outside the guided set.
@@ -169,7 +171,7 @@ options! {
         /// Who drives the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
-        /// denoising step: a fifth of it, so that an ego collides as often). Tokens: guided
+        /// denoising step: 0.28 of it, routes: 1.7, so that an ego collides as often). Tokens: guided
         /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
         criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
@@ -238,11 +240,12 @@ impl CcdiffConfig {
     /// Differs from the paper: a single step moves its finished plan, with nothing denoised after it, and makes [`ONE_STEP_SHARE`]
     /// of its moves.
     pub(crate) fn guidance_scale(&self, tokens: bool, criticality: Real) -> Real {
-        match (tokens, self.denoising_steps) {
-            (true, _) => criticality * criticality / (GUIDED_DRAWS - 1) as Real,
-            (_, Some(1)) => criticality * ONE_STEP_SHARE,
-            _ => criticality,
+        if tokens {
+            return criticality * criticality / (GUIDED_DRAWS - 1) as Real;
         }
+        let one_step = if self.denoising_steps == Some(1) { ONE_STEP_SHARE } else { 1.0 };
+        let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
+        criticality * one_step * routes
     }
 
     /// Checks that all of it means something to a network.
