@@ -20,9 +20,8 @@ from ccdiff_env.errors import ConfigError, DatasetError
 VAL = "embedded/val"
 
 
-def square(x=None, log=None, seed=None):
+def square(x, log=None):
     """A job's function; notes that it was run."""
-    x = seed if x is None else x
     if log is not None:
         with open(log, "a", encoding="utf-8") as file:
             file.write(f"{x}\n")
@@ -98,38 +97,6 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path):
     assert log.read_text().split() == ["0", "1", "2", "3"]
     assert results(jobs, tmp_path / "raw")["job-3"] == {"square": 9}
     assert not [p for p in (tmp_path / "raw").iterdir() if p.name.startswith(".")]
-
-
-@pytest.mark.parametrize("same", [True, False])
-def test_results_of_another_package_are_kept_where_one_of_their_kind_comes_out_the_same(
-    tmp_path, capsys, same
-):
-    log = tmp_path / "log"
-
-    def jobs(package, rules="p"):
-        made_from = {"package": package, "rules": rules}
-        return [
-            Job(
-                f"{place.name}-{x}", f"{__name__}:square", {"seed": x, "log": str(place)}, made_from
-            )
-            for place in (log, tmp_path / "others")
-            for x in range(4)
-        ]
-
-    run_jobs(jobs("a"), tmp_path, progress=False)
-    log.unlink()
-    if not same:
-        for made in tmp_path.glob("log-*.json"):
-            made.write_text(made.read_text().replace('"square"', '"cube"'))
-    run_jobs(jobs("b"), tmp_path, progress=False)
-    assert len(log.read_text().split()) == (1 if same else 4)
-    assert len((tmp_path / "others").read_text().split()) == 5
-    said = capsys.readouterr().err
-    assert "package was a, now b" in said
-    assert f"{6 if same else 3} results are kept: " in said
-    assert results(jobs("b"), tmp_path)["log-3"] == {"square": 9}
-    run_jobs(jobs("b", "q"), tmp_path, progress=False)  # rules are no part that might not matter
-    assert len((tmp_path / "others").read_text().split()) == 9
 
 
 def test_results_do_not_depend_on_the_number_of_workers(tmp_path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import random
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,16 +13,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ccdiff_env.bench.ray import results_of_tasks
-from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
 
 Backend = Literal["local", "ray"]
-#: What results may follow from and mostly do not: a protocol fixes the hashes of weights, too.
-INDIRECT = ("package", "weights", "protocol")
-#: Arguments that tell jobs of a kind apart.
-PLACES = ("names", "files", "lists", "seed")
 
 
 def use_one_thread() -> None:
@@ -42,8 +37,7 @@ class Job:
 
     ``function`` is ``"module:function"``; it takes ``arguments``, returns what JSON can hold, and
     depends on nothing else. ``name`` is the file of its result, without ``.json``. ``made_from``
-    are hashes of what else the result follows from: where one differs, the job is done again, or,
-    of :data:`INDIRECT`, one of its kind.
+    are hashes of what else the result follows from: where one differs, the job is done again.
     """
 
     name: str
@@ -84,9 +78,8 @@ def run_jobs(
     """Do the jobs whose results are not in the folder yet, or were made from something else.
 
     Each result is written to ``<name>.json`` once it is there, so that a killed run resumes.
-    Results do not depend on the backend or the number of workers. Where only :data:`INDIRECT`
-    have changed, one job of each planner and traffic, drawn by chance, is done again: if its
-    result is the same bit for bit, the others are kept. Lines on stderr say what has changed.
+    Results do not depend on the backend or the number of workers. One line on stderr says what has
+    changed since results were made.
 
     Args:
         backend: ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of
@@ -97,55 +90,20 @@ def run_jobs(
     if len({job.name for job in jobs}) != len(jobs):
         raise ConfigError("jobs: two of the same name")
     folder.mkdir(parents=True, exist_ok=True)
-    known: dict[str, Any] = {job.name: _known(job, folder) for job in jobs}
-    stale = {job.name: said for job in jobs if (said := _changed(job, known[job.name]))}
-    groups: dict[str, list[Job]] = {}
-    for job in random.sample(jobs, len(jobs)):
-        if job.name in stale and not _changed(job, known[job.name], but=INDIRECT):
-            groups.setdefault(_group(job), []).append(job)
-    others_of = {sample.name: others for sample, *others in groups.values()}
-    left = [job for job in jobs if known[job.name] is None or job.name in stale]
-
-    def do(some: Sequence[Job]) -> None:
-        again = [job.name for job in some if job.name in stale]
-        if again:
-            are = "result is" if len(again) == 1 else "results are"
-            changed = f"{again[0]}: {stale[again[0]]}"
-            print(f"{len(again)} {are} made again, as of {changed}", file=sys.stderr)
-        by_name = {job.name: job for job in some}
-        found = results_of_tasks(_run, some) if backend == "ray" else _local(some, workers)
-        if progress:
-            found = shown(found, what="jobs", total=len(jobs), done=len(jobs) - len(left))
-        for name, result, seconds in found:
-            left.remove(by_name[name])
-            same = json.loads(json.dumps(result)) == (known[name] or {}).get("result")
-            # settled before the sample is written: a run that is stopped asks no other one
-            for job in others_of.get(name, ()):
-                path, then = folder / f"{job.name}.json", known[job.name]
-                if same:
-                    left.remove(job)
-                    with reading("result", path):
-                        _write(job, folder, then["result"], float(then["seconds"]))
-                else:
-                    path.unlink()
-            _write(by_name[name], folder, result, seconds)
-
-    if groups:
-        count = len(left)
-        do([sample for sample, *_ in groups.values()])
-        if kept := count - len(left) - len(groups):
-            print(f"{kept} results are kept: samples came out the same", file=sys.stderr)
-    do(left.copy())
-
-
-def _write(job: Job, folder: Path, result: Any, seconds: float) -> None:
-    entry = {**job.description(), "result": result, "seconds": round(seconds, 3)}
-    write_aside(folder / f"{job.name}.json", json.dumps(entry, allow_nan=False))
-
-
-def _group(job: Job) -> str:
-    """What a result shares with others: all that decides it, but for scenes and seed."""
-    return json.dumps([job.function, *(a for a in job.arguments.items() if a[0] not in PLACES)])
+    stale = {job.name: changed for job in jobs if (changed := _changed(job, folder))}
+    if stale:
+        first, changed = next(iter(stale.items()))
+        are = "result is" if len(stale) == 1 else "results are"
+        print(f"{len(stale)} {are} made again, as of {first}: {changed}", file=sys.stderr)
+    done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
+    open_jobs = [job for job in jobs if job.name not in done]
+    by_name = {job.name: job for job in jobs}
+    found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
+    if progress:
+        found = shown(found, what="jobs", total=len(jobs), done=len(done))
+    for name, result, seconds in found:
+        entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
+        write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
 
 
 def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]]:
@@ -171,33 +129,23 @@ def processor_seconds(jobs: Sequence[Job], folder: Path) -> dict[str, float]:
 
 
 def _entry(job: Job, folder: Path, field: str) -> Any:
-    known, path = _known(job, folder), folder / f"{job.name}.json"
-    if known is None:
-        raise DatasetNotFoundError(f"no result at {path}")
-    if changed := _changed(job, known):
-        raise DatasetError(f"the result is of something else ({changed}): {path}")
+    changed = _changed(job, folder)
+    if changed:
+        raise DatasetError(f"the result is of something else ({changed}): {folder / job.name}.json")
+    path = folder / f"{job.name}.json"
     with reading("result", path):
-        return known[field]
+        return parsed_object(read_text(path))[field]
 
 
-def _known(job: Job, folder: Path) -> dict[str, Any] | None:
-    """Return what there is of a job."""
+def _changed(job: Job, folder: Path) -> str | None:
+    """Say what has changed since the result of a job was made, if there is one."""
     path = folder / f"{job.name}.json"
     if not path.exists():
         return None
     with reading("result", path):
-        return parsed_object(read_text(path))
-
-
-def _changed(job: Job, known: Any, but: Sequence[str] = ()) -> str | None:
-    """Say what has changed since the result of a job was made, if there is one."""
-    if known is None:
-        return None
-    now = job.description()
-    then = {name: known.get(name) for name in now}
-    if isinstance(then["made_from"], dict):
-        now["made_from"] |= {name: then["made_from"].get(name) for name in but}
-    return _difference("", then, now)
+        known = parsed_object(read_text(path))
+    there = {name: known.get(name) for name in ("function", "arguments", "made_from")}
+    return _difference("", there, job.description())
 
 
 def _difference(path: str, then: Any, now: Any) -> str | None:

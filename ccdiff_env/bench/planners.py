@@ -192,7 +192,6 @@ def planner_jobs(
             },
             {
                 "protocol": PROTOCOL.sha256,
-                "rules": PROTOCOL.rules,
                 "scenes": scene_hashes(source, names),
                 "privileged": privileged[planner],
             },

@@ -46,13 +46,6 @@ class Protocol:
         return str(self.fields["name"])
 
     @property
-    def rules(self) -> str:
-        """SHA-256 of what decides results, but for scenes and weights."""
-        beside = ("name", "levels", "weights", "statistics")
-        parts = {key: value for key, value in self.fields.items() if key not in beside}
-        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-    @property
     def panel(self) -> tuple[str, ...]:
         """Names of the traffic that planners are tested in."""
         return tuple(self.fields["traffic"])

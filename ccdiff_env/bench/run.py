@@ -42,8 +42,8 @@ class Run:
         benchmark: Its name.
         **settings: What else decides the results, ``seeds`` where there are several; a folder
             belongs to one choice of all of it, and to the scenes, the seed, and custom weights.
-            Results that another release or another file of a planner made are made again; those of
-            another package or of other weights, where a sample of them comes out otherwise.
+            Results that another package, other weights or another file of a planner made are made
+            again.
 
     Raises:
         ConfigError: If the folder holds a run with other settings.
