@@ -62,6 +62,14 @@ fn skip_space(text: &[u8], at: usize) -> usize {
     at + space.count()
 }
 
+/// Bytes at which something begins or ends within objects and arrays.
+static MARKS: [bool; 256] = {
+    let mut marks = [false; 256];
+    (marks[b'"' as usize], marks[b'{' as usize], marks[b'[' as usize]) = (true, true, true);
+    (marks[b']' as usize], marks[b'}' as usize]) = (true, true);
+    marks
+};
+
 /// Position after the value that begins at `at`; `None` where the text ends in it or no value begins there.
 pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
     let mut depth = 0_usize;
@@ -76,7 +84,6 @@ pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
             },
             b'{' | b'[' => depth += 1,
             b'}' | b']' => depth = depth.checked_sub(1)?,
-            _ if depth > 0 => {}
             _ => {
                 let ends = |b: &u8| matches!(b, b',' | b':' | b'}' | b']') || b.is_ascii_whitespace();
                 let length = text[at..].iter().position(ends)?;
@@ -87,6 +94,7 @@ pub(crate) fn value_end(text: &[u8], mut at: usize) -> Option<usize> {
         if depth == 0 {
             return Some(at);
         }
+        at += text[at..].iter().position(|byte| MARKS[usize::from(*byte)])?;
     }
 }
 
