@@ -3,7 +3,6 @@
 //! Which of the two runs is found out while the program runs. The bits are the same: both do the same IEEE 754
 //! operations in the same order, because Rust neither fuses nor reorders floating-point operations.
 
-use crate::geom::Real;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 static BASE_ALONE: AtomicBool = AtomicBool::new(false);
@@ -22,8 +21,8 @@ pub fn is_held_to_base() -> bool {
 /// A number where all bits of a mask are set, another one where none is. The compiler keeps arrays of such choices in
 /// registers, where it stores those of `if` behind masks and waits for what it has stored.
 #[inline(always)]
-pub(crate) fn pick(mask: u32, chosen: Real, other: Real) -> Real {
-    Real::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)
+pub(crate) fn pick(mask: u32, chosen: f32, other: f32) -> f32 {
+    f32::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)
 }
 
 /// Defines functions that exist twice, see the module. Their bodies, and what they call, must be `#[inline(always)]`
