@@ -30,7 +30,7 @@ from ccdiff_env.scenes.arguments import (
     other_place,
     place_from,
 )
-from ccdiff_env.scenes.sources import load
+from ccdiff_env.scenes.sources import load, title
 from ccdiff_env.system.table import Cell, Column, Table
 from ccdiff_env.traffic import SWIFT
 
@@ -208,8 +208,8 @@ def traffics(args: argparse.Namespace) -> None:
         if traffic != "ccdiff":
             row |= {"less live": [round(v, 4) for v in less], "p": round(p, 4)}
         table_rows.append(row)
-    kept = {"command": "python -m tools.expectations --traffics --dataroot <nuscenes>"}
-    kept |= {"scenes": str(other_place(args)), "trained_on": str(place_from(args))}
+    kept = {"command": "python -m tools.expectations --traffics", "seconds": args.seconds}
+    kept |= {"scenes": title(other_place(args)), "trained_on": title(place_from(args))}
     write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, table_rows)
 
 
