@@ -30,7 +30,7 @@ from ccdiff_env.scenes.arguments import (
     other_place,
     place_from,
 )
-from ccdiff_env.scenes.sources import load, title
+from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Cell, Column, Table
 from ccdiff_env.traffic import SWIFT
 
@@ -209,7 +209,8 @@ def traffics(args: argparse.Namespace) -> None:
             row |= {"less live": [round(v, 4) for v in less], "p": round(p, 4)}
         table_rows.append(row)
     kept = {"command": "python -m tools.expectations --traffics", "seconds": args.seconds}
-    kept |= {"scenes": title(other_place(args)), "trained_on": title(place_from(args))}
+    places = {"scenes": other_place(args), "trained_on": place_from(args)}
+    kept |= {name: place.split if place.path else str(place) for name, place in places.items()}
     write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, table_rows)
 
 
