@@ -258,7 +258,7 @@ def dial() -> str:
     series = [Series(*DIAL[name], [*LEVELS.values()], of) for name, of in figures.items()]
     title = f"collisions of the planner, % of {run['scenes'].split()[0]} scenes, 95 % intervals"
     across = "criticality of the CCDiff traffic"
-    return lines_chart(title, across, series, (0, 10, 20, 30, 40), stills=_stills())
+    return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50), stills=_stills())
 
 
 def _stills() -> list[tuple[float, Any]]:
