@@ -236,7 +236,7 @@ def learning() -> str:
     trained = [row for row in kept("expectations")["rows"] if "curve" in row]
     series = [
         Series(
-            f"{row['title']}, {row['action']}" if row["action"] != "unicycle" else row["title"],
+            row["title"],
             look,
             [point[1] for point in row["curve"]],
             [(100 * point[2], math.nan, math.nan) for point in row["curve"]],

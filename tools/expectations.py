@@ -39,19 +39,18 @@ PAGE = ROOT / "docs" / "learning.md"
 DATA, PARTS_DATA = (ROOT / "docs" / "results" / f"{n}.json" for n in ("expectations", "parts"))
 #: The second chose observation, reward and settings, too.
 TRAIN, TEST, PARTS_TEST = "embedded/city", "embedded/val", "embedded/train+val"
-#: Title, action, and arguments of the example; ``{out}`` is the folder of all runs.
+#: Title, and arguments of the example; ``{out}`` is the folder of all runs.
 TRAININGS = {
-    "ppo": ("PPO", "unicycle", []),
+    "ppo": ("PPO", []),
     "ppo_ccdiff": (
         "PPO, then live CCDiff at criticality 1",
-        "unicycle",
         [
             *("--traffic", "ccdiff", "--criticality", "1"),
             *("--decisions", "50000", "--start", "{out}/ppo"),
         ],
     ),
-    "sac": ("SAC", "unicycle", ["--algorithm", "sac"]),
-    "ppo_assisted": ("PPO", "changes of IDM", ["--dynamics", "assisted", "--decisions", "200000"]),
+    "sac": ("SAC", ["--algorithm", "sac"]),
+    "ppo_assisted": ("PPO, changes of IDM", ["--dynamics", "assisted", "--decisions", "200000"]),
 }
 #: PPO with all of the defaults, and without a part of them: title and options of the example.
 PARTS = {
@@ -74,7 +73,7 @@ PARTS = {
     ),
 }
 TRAININGS |= {
-    f"part_{name}": (title, "", ["--decisions", "200000", "--option", *options])
+    f"part_{name}": (title, ["--decisions", "200000", "--option", *options])
     for name, (title, options) in PARTS.items()
 }
 #: Traffic to train in, and about how many decisions PPO makes in a second of a processor in
@@ -91,40 +90,41 @@ TRAFFICS = {
 }
 TRAFFICS_DATA = ROOT / "docs" / "results" / "traffics.json"
 TESTED = ("idm", "ccdiff", "ccdiff-1")
-SEEDS = range(3)
-#: Planners that learn nothing: title and action.
+SEEDS = range(3)  #: Of draws, and of the trainings of ``ppo``.
+#: Planners that learn nothing.
 OTHERS = {
-    "noop": ("zero action", "unicycle"),
-    "constant_velocity": ("constant velocity", ""),
-    "idm": ("IDM on the log's path", ""),
-    "pdm": ("PDM-Closed", ""),
+    "constant_velocity": "constant velocity, as the zero action",
+    "idm": "IDM on the log's path",
+    "pdm": "PDM-Closed",
 }
 
 
-def trained(name: str, out: Path) -> list[list[float]]:
-    """Train, unless it has been done; return the learning curve."""
-    curve = out / name / "curve.json"
-    if not curve.is_file():
-        words = [word.replace("{out}", str(out)) for word in TRAININGS[name][2]]
+def trained(name: str, out: Path, seed: int) -> Path:
+    """Train, unless it has been done; return the folder."""
+    folder = out / (f"{name}-{seed}" if seed else name)
+    if not (folder / "curve.json").is_file():
+        words = [word.replace("{out}", str(out)) for word in TRAININGS[name][1]]
         script = [
             sys.executable,
             str(ROOT / "examples" / "train_ego_sb3.py"),
             "--scenes",
             TRAIN,
             *words,
+            *("--seed", str(seed)),
         ]
-        subprocess.run([*script, "--out", str(out / name)], check=True)
-    rows: list[list[float]] = json.loads(curve.read_text(encoding="utf-8"))
-    return rows
+        subprocess.run([*script, "--out", str(folder)], check=True)
+    return folder
 
 
-def figures(planner: str, file: Path, test: str, tested: Sequence[str]) -> dict[str, list[float]]:
+def figures(
+    planners: Sequence[Path | str], file: Path, test: str, tested: Sequence[str]
+) -> dict[str, list[float]]:
     """Success in IDM traffic and scores, with intervals over the scenes, unless a file has them."""
     if not file.is_file():
         scenes, found = ccdiff_env.load(test), {}
         for traffic in tested:
-            draws = SEEDS if "ccdiff" in traffic else SEEDS[:1]
-            rows = [row for k in draws for row in play(scenes, planner, TRAFFIC[traffic], seed=k)]
+            draws = product(planners, SEEDS if "ccdiff" in traffic else SEEDS[:1])
+            rows = [r for p, k in draws for r in play(scenes, str(p), TRAFFIC[traffic], seed=k)]
             for figure in ("success", "score") if traffic == "idm" else ("score",):
                 found[f"{figure} {traffic}"] = [round(v, 4) for v in mean_interval(rows, figure)]
         file.write_text(json.dumps(found), encoding="utf-8")
@@ -136,8 +136,6 @@ def table(rows: list[dict[str, Any]]) -> str:
     """Return a table in Markdown, with the columns that its rows have."""
     heads: dict[str, Column | str] = {
         "title": "planner",
-        "action": "action",
-        "budget": "equal",
         "traffic": "trained in",
         "decisions": "decisions",
         "cpu_s": "CPU s",
@@ -145,17 +143,22 @@ def table(rows: list[dict[str, Any]]) -> str:
         "score idm": Column("score, IDM"),
         "score ccdiff": Column("score, CCDiff"),
         "score ccdiff-1": Column("score, CCDiff at criticality 1"),
-        "less live": Column("less live CCDiff", sign="+"),
-        "p": "p",
+        "time cpu_s": "CPU s",
+        "time score": Column("score", interval=False),
+        "time less live": Column("less live CCDiff", sign="+"),
+        "time p": "p",
+        "decisions cpu_s": "CPU s, equal decisions",
+        "decisions score": Column("score", interval=False),
+        "decisions less live": Column("less live CCDiff", sign="+"),
+        "decisions p": "p",
     }
     heads = {name: head for name, head in heads.items() if any(row.get(name) for row in rows)}
-    forms = {"decisions": "{:,}", "cpu_s": "{:.0f}"}
 
     def cell(row: dict[str, Any], name: str) -> Cell:
         value = row.get(name, "")
-        if not value:
-            return ""
-        return tuple(value) if " " in name else forms.get(name, "{}").format(value)
+        if isinstance(value, list):
+            return tuple(value)
+        return str(value) if isinstance(value, str) or name.endswith(" p") else f"{value:,.0f}"
 
     shown = [[cell(row, name) for name in heads] for row in rows]
     return str(Table([*heads.values()], shown))
@@ -192,7 +195,7 @@ def traffics(args: argparse.Namespace) -> None:
             pace = paces["ccdiff" if budget == "decisions" else traffic]
             run = trained_in(args, ego, traffic, args.seconds * pace, seed)
             runs.setdefault((ego, budget, traffic), []).append(run)
-    table_rows: list[dict[str, Any]] = []
+    table_rows: dict[tuple[str, str], dict[str, Any]] = {}
     for (ego, budget, traffic), of in runs.items():
         if traffic == "ccdiff" and budget == "decisions":  # the same as for equal time
             continue
@@ -202,16 +205,17 @@ def traffics(args: argparse.Namespace) -> None:
         )
         own, other = ([*scene_means(rows, "score").values()] for rows in (some, live))
         less, p = difference(np.subtract(own, other))
-        row: dict[str, Any] = {"title": ego, "budget": budget, "traffic": traffic}
-        row |= {"decisions": of[0]["decisions"], "cpu_s": np.mean([run["cpu_s"] for run in of])}
-        row |= {"score ccdiff-1": [round(v, 4) for v in mean_interval(some, "score")]}
+        row = table_rows.setdefault((ego, traffic), {"title": ego, "traffic": traffic})
+        row.setdefault("decisions", of[0]["decisions"])
+        row[f"{budget} cpu_s"] = float(np.mean([run["cpu_s"] for run in of]))
+        row[f"{budget} score"] = [round(v, 4) for v in mean_interval(some, "score")]
         if traffic != "ccdiff":
-            row |= {"less live": [round(v, 4) for v in less], "p": round(p, 4)}
-        table_rows.append(row)
+            row[f"{budget} less live"] = [round(v, 4) for v in less]
+            row[f"{budget} p"] = round(p, 4)
     kept = {"command": "python -m tools.expectations --traffics", "seconds": args.seconds}
     places = {"scenes": other_place(args), "trained_on": place_from(args)}
     kept |= {name: place.split if place.path else str(place) for name, place in places.items()}
-    write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, table_rows)
+    write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, [*table_rows.values()])
 
 
 def main() -> None:
@@ -236,18 +240,20 @@ def main() -> None:
     if args.parts:
         args.only = [f"part_{name}" for name in PARTS]
     for name in args.only:
-        title, action, _ = TRAININGS[name]
-        curve = trained(name, out)
+        folders = [trained(name, out, k) for k in (SEEDS if name == "ppo" else SEEDS[:1])]
         if name == "ppo":
-            rows.append({"title": "PPO, untrained", "action": action})
-            found = figures(str(out / name / "untrained.zip"), out / "untrained.json", test, tested)
-            rows[-1] |= found
+            untrained = [folder / "untrained.zip" for folder in folders]
+            found = figures(untrained, out / "untrained.json", test, tested)
+            rows.append({"title": "PPO, untrained", **found})
+        curves = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
+        curve = np.mean(curves, axis=0).tolist()
         made = {"decisions": int(curve[-1][0]), "cpu_s": curve[-1][1], "curve": curve}
-        rows.append({"title": title, "action": action, **made})
-        rows[-1] |= figures(str(out / name / "ego.zip"), out / f"{name}.json", test, tested)
-    for planner, (title, action) in ({} if args.parts else OTHERS).items():
-        found = figures(planner, out / f"{planner}.json", test, tested)
-        rows.append({"title": title, "action": action, **found})
+        learned = [folder / "ego.zip" for folder in folders]
+        found = figures(learned, out / f"{name}.json", test, tested)
+        rows.append({"title": TRAININGS[name][0], **made, **found})
+    for planner, title in ({} if args.parts else OTHERS).items():
+        found = figures([planner], out / f"{planner}.json", test, tested)
+        rows.append({"title": title, **found})
     which = "--parts" if args.parts else f"--only {' '.join(args.only)}"
     kept = {"command": f"python -m tools.expectations {which}", "scenes": test}
     kept |= {"trained_on": TRAIN, "chosen_on": TRAIN}
