@@ -3,7 +3,7 @@
     python examples/known_and_unseen.py --dataroot <nuscenes> --split train+train_val \
         --test-split val --counts 40 160 640 --seeds 3
 
-Egos learn in log replay, in traffic that reacts, and as any vehicle in both, with forks and hidden
+Egos learn in log replay, in traffic that reacts, and as any vehicle in both, with hidden
 differences. It prints a table, and draws ``curve.png``. The same command again goes on.
 """
 
@@ -33,9 +33,9 @@ from ccdiff_env.system.table import Column, Table
 
 TRAININGS = {
     "log replay": ("--traffic", "replay"),
-    "any vehicle, reacting traffic, forks, differences": (
+    "any vehicle, reacting traffic, differences": (
         *("--any-ego", "--traffic", "replay", "styles"),
-        *("--forks", "0.3", "--differences", "0.1"),
+        *("--differences", "0.1"),
     ),
     "reacting traffic": ("--traffic", "styles"),
 }

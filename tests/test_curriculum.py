@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ccdiff_env import AgentVectorEnv, EgoEnv, embedded_scenes, make_vec, parallel_env
-from ccdiff_env.envs.backtrack import Backtrack
 from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.worlds.curriculum import Curriculum, SceneWeights
@@ -177,52 +176,3 @@ def test_failures_weigh_more_and_no_scene_is_forgotten():
     for bad in ({"num_scenes": 0}, {"rate": 0.0}, {"least": 1.5}):
         with pytest.raises(ConfigError, match="num_scenes, rate and least"):
             SceneWeights(**{"num_scenes": 2, **bad})
-
-
-def hastily(share, steps=60):
-    """Worlds whose egos go ahead, some episodes from before a crash; what was seen and kept."""
-    env = make_vec(
-        6,
-        traffic="ccdiff",
-        ccdiff={"denoising_steps": 1, "criticality": 2.0},
-        decision_steps=3,
-        autoreset_mode="same_step",
-        info="end",
-        on_off_road="ignore",
-        num_threads=2,
-    )
-    env.reset(seed=0)
-    backtrack = Backtrack(env, share, seed=4)
-    native, seen, begun, expected, again = env.worlds.native, [], [[] for _ in range(6)], [], []
-    for _ in range(steps):
-        *_, terminated, truncated, info = env.step(np.tile(np.float32([0.3, 0.0]), (6, 1)))
-        ended, failed = terminated | truncated, np.zeros(6, bool)
-        for i in np.flatnonzero(ended):
-            failed[i] = info["final_info"]["metrics"]["collision"][i] > 0
-            if failed[i]:  # a snapshot every 5 decisions of 0.3 s, 10 to 20 before the crash
-                expected.append([b for b, t in begun[i] if 10 <= len(seen) + 1 - t <= 20])
-            begun[i] = []
-        again += [(int(i), len(seen), ended[i]) for i in backtrack.step(ended, failed)]
-        seen.append(np.stack([env.worlds.observation(i)[0] for i in range(6)]))
-        if len(seen) % 5 == 0:
-            for i in range(6):
-                begun[i].append((native.digest(i), len(seen)))
-    return env, backtrack, np.array(seen), [choice for choice in expected if choice], again
-
-
-def test_episodes_begin_before_failures_in_other_futures():
-    env, backtrack, seen, expected, again = hastily(1.0)
-    assert len(backtrack.bank) == len(expected) > 3
-    assert len(again) > 3
-    assert all(ended for *_, ended in again)
-    for state, choices in zip(backtrack.bank, expected, strict=True):
-        env.restore(0, state)
-        assert env.worlds.native.digest(0) in choices
-    states = [env.restore(0, state) for state in backtrack.bank]
-    for i, t, _ in again:
-        assert any(np.array_equal(seen[t, i], obs) for obs in states)
-    assert np.array_equal(hastily(1.0)[2], seen), "same seeds, same bits"
-    *_, never = hastily(0.0, steps=30)
-    assert not never
-    with pytest.raises(ConfigError, match="share"):
-        Backtrack(env, 1.5, seed=0)

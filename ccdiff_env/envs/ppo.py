@@ -18,7 +18,6 @@ from torch import nn
 
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
-from ccdiff_env.envs.backtrack import Backtrack
 from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.errors import DatasetNotFoundError
 from ccdiff_env.planners import load
@@ -123,22 +122,15 @@ class Worlds:
         begun = zip(self.envs, self.parts, strict=True)
         self.obs = np.concatenate([env.reset(seed=seed + part.start)[0] for env, part in begun])
         self.aside = ASIDE if isinstance(config.action.dynamics, AssistedLimits) else 0.0
-        self.backtracks = [
-            Backtrack(env, args.forks, seed + part.start)
-            if args.forks and traffic not in ("replay", "bank")
-            else None
-            for env, part, traffic in zip(self.envs, self.parts, shares, strict=True)
-        ]
 
     def step(self, actions: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
-        for env, part, backtrack in zip(self.envs, self.parts, self.backtracks, strict=True):
+        for env, part in zip(self.envs, self.parts, strict=True):
             before = self.obs[part, self.acceleration].copy()
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
             change_mps2 = 10.0 * np.abs(self.obs[part, self.acceleration] - before)
             end, seen = terminated | truncated, self.obs[part]
-            failed = end
             ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
             reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
             rough = np.clip(change_mps2 / self.decision_s / 3.0 - 1.0, 0.0, 1.0)
@@ -151,12 +143,9 @@ class Worlds:
                 metrics = info["final_info"]["metrics"]
                 reward[end] += AT_FAULT * metrics["at_fault"][end]
                 reward[end] += WRONG_WAY * metrics["wrong_way"][end]
-                failed = end & ((metrics["collision"] > 0.0) | (metrics["off_road"] > 0.0))
                 self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
             rewards.append(reward)
             ends.append(end)
-            for i in [] if backtrack is None else backtrack.step(end, failed):
-                self.obs[part.start + i] = env.worlds.observation(i)[0]
         found = np.concatenate(cut) if cut else np.empty(0, np.int64)
         return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
 

@@ -10,10 +10,9 @@ from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
 from ccdiff_env.worlds.policy_file import LEARNED
 
-#: Traffic of training: what reacts, and all; ``styles`` is IDM of three tempers, ``learned`` CCDiff
+#: Traffic of training; ``styles`` is IDM of three tempers, ``learned`` CCDiff
 #: whose adversaries the shipped policy chooses, ``bank`` what ``--bank`` recorded.
-LIVE = ("idm", "styles", EGOS, LEARNED, *NETWORKS)
-TRAFFIC = ("replay", *LIVE, "bank")
+TRAFFIC = ("replay", "idm", "styles", EGOS, LEARNED, *NETWORKS, "bank")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,12 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         help="hidden gains and sizes of 1 ± up to this, and delays of up to two steps",
-    )
-    parser.add_argument(
-        "--forks",
-        type=float,
-        default=0.0,
-        help="share of the episodes in live traffic that begin 3 to 6 s before a failure",
     )
     parser.add_argument(
         "--anchor", help="policy to stay near: as --start without .pt, or zero (default: none)"
@@ -91,11 +84,6 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
-    if not 0.0 <= args.forks <= 1.0 or (args.forks and not set(args.traffic) & set(LIVE)):
-        raise ConfigError(
-            f"--forks is {args.forks}, expected a share of episodes, 0 to 1, and --traffic with "
-            f"one of {', '.join(LIVE)}"
-        )
     if args.style and (args.start or args.anchor not in (None, "zero")):
         raise ConfigError("--style: a policy of other observations can be no --start or --anchor")
     try:
