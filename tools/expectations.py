@@ -146,11 +146,9 @@ def table(rows: list[dict[str, Any]]) -> str:
         "time cpu_s": "CPU s",
         "time score": Column("score", interval=False),
         "time less live": Column("less live CCDiff", sign="+"),
-        "time p": "p",
         "decisions cpu_s": "CPU s, equal decisions",
         "decisions score": Column("score", interval=False),
         "decisions less live": Column("less live CCDiff", sign="+"),
-        "decisions p": "p",
     }
     heads = {name: head for name, head in heads.items() if any(row.get(name) for row in rows)}
 
@@ -158,7 +156,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         value = row.get(name, "")
         if isinstance(value, list):
             return tuple(value)
-        return str(value) if isinstance(value, str) or name.endswith(" p") else f"{value:,.0f}"
+        return value if isinstance(value, str) else f"{value:,.0f}"
 
     shown = [[cell(row, name) for name in heads] for row in rows]
     return str(Table([*heads.values()], shown))
