@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 /// Smoothing of annotated tracks, s³: where a key frame that is left out is foretold best among the values that leave
-/// 99 % of the annotations within 0.15 m (`benchmarks/log_motion.py`). Poses of the ego are not smoothed.
+/// 99 % of the annotations within 0.15 m (`tests/test_scenes_oracle.py`). Poses of the ego are not smoothed.
 pub(crate) const ANNOTATION_SMOOTHING_S3: f64 = 0.003;
 
 /// State at one step, global frame, f64.
