@@ -2,9 +2,8 @@
 
 - *ego steps per second* of the vector environment, reset and step through Python, resets included,
   a plan every 0.5 s, DDIM with five steps, one sample, and in one step; the ego is driven by IDM.
-- *plans per second* (one world planned once) and milliseconds per vehicle and plan, per vehicle and
-  simulated frame (five frames a plan), for both presets. The ``paper`` network has fresh weights:
-  its speed does not depend on them.
+- *plans per second* (one world planned once) and milliseconds per vehicle and plan, and per vehicle
+  and simulated frame (five frames a plan).
 
 ``--models all`` (or names, ``ctg,ccdiff``) compares the networks instead: plans per second of
 one world each in batches of E, and seconds for a guided scene of 10 s: K = 5, a plan every 0.5 s,
@@ -18,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import tempfile
 import time
 from pathlib import Path
 
@@ -27,27 +25,13 @@ import numpy as np
 import ccdiff_env
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.traffic import episodes
-from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
+from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 from ccdiff_env.traffic import NETWORKS, SWIFT
 
 ENVS = (1, 8, 32, 64)
 STEP = 40
-
-
-def paper_weights(scenes: SceneSet, folder: str) -> Path:
-    """Write fresh weights of the paper's preset."""
-    require_networks()
-    from ccdiff_env import _models
-
-    model, training = _models.model_preset("paper")
-    trainer = _models.Trainer(
-        list(scenes[:1]), [], model, training, device="cpu", stride=10, estimate=True
-    )
-    path = Path(folder) / "paper.safetensors"
-    trainer.export(str(path), '{"data": "none: fresh weights"}')
-    return path
 
 
 def ego_steps(scenes: SceneSet, steps: int, traffic: str = "ccdiff", **options: object) -> None:
@@ -94,11 +78,6 @@ def plans(
         )
 
 
-#: Seconds per guided scene on one RTX 4090 that RiskFlow's authors print (arXiv 2606.06423; K = 5,
-#: a plan every 0.5 s): the released code, all agents, rasters of 224 x 224, 100 denoising steps.
-PUBLISHED_S = {"ccdiff": 225.0, "ctgpp": 1090.0, "RiskFlow": 48.6}
-
-
 def guided_scenes(names: list[str], scenes: SceneSet, count: int) -> None:
     """Print the seconds of a guided scene of 10 s, one scene at a time."""
     chosen = [SceneSet([scene]) for scene in scenes[:count]]
@@ -108,14 +87,10 @@ def guided_scenes(names: list[str], scenes: SceneSet, count: int) -> None:
         clock = (time.perf_counter() - start) / count
         busy = (time.process_time() - busy) / count
         vehicles = np.mean([episode.controlled.sum() for episode in played])
-        published = (
-            f"; published, on an RTX 4090: {PUBLISHED_S[name]:g} s" if name in PUBLISHED_S else ""
-        )
         print(
             f"  {name:12s}: {busy:6.2f} s of processor, {clock:6.2f} of the clock per scene of "
-            f"{vehicles:.1f} driven vehicles{published}"
+            f"{vehicles:.1f} driven vehicles"
         )
-    print(f"  published, on an RTX 4090: RiskFlow {PUBLISHED_S['RiskFlow']:g} s")
 
 
 def compare(names: list[str], scenes: SceneSet, rounds: int) -> None:
@@ -157,8 +132,6 @@ def main() -> None:
             ego_steps(scenes, args.steps, ccdiff=ccdiff, num_threads=args.threads)
     print("Plans, DDIM with 5 steps, one sample:")
     plans("fast", shipped_weights(), scenes, args.rounds, 5)
-    with tempfile.TemporaryDirectory() as folder:
-        plans("paper", paper_weights(scenes, folder), scenes, 1, 5)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,5 @@
 // Agents and what belongs to them: trails, paths ahead, plans, influences, collisions, names.
 
-
 /** Draws the agents of one run at a fractional step. Coordinates are metres; y points north. */
 class Actors {
   constructor(run) {
@@ -21,7 +20,7 @@ class Actors {
     if (layers.trails) this.trails(context, at, poses, theme, pixel);
     if (options.focus >= 0) this.ahead(context, step, options.focus, theme, pixel);
     if (layers.plans) this.plans(context, step, theme, pixel, options.focus);
-    const hit = this.hitAgents(step);
+    const hit = new Set(this.recent(step).flatMap((event) => [event.agent, event.partner]));
     for (const agent of this.run.order) {
       const arrived = this.run.arrived(agent, step), pose = poses[agent];
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
@@ -50,14 +49,7 @@ class Actors {
         const from = step - Math.round(count * (LOOK.TRAIL_PARTS - segment) / LOOK.TRAIL_PARTS);
         const to = step - Math.round(count * (LOOK.TRAIL_PARTS - segment - 1) / LOOK.TRAIL_PARTS);
         context.globalAlpha = 0.08 + 0.42 * (segment + 1) / LOOK.TRAIL_PARTS;
-        context.beginPath();
-        let open = false;
-        for (let i = Math.max(from, 0); i <= to; i++) {
-          if (!run.valid(agent, i)) { open = false; continue; }
-          if (open) context.lineTo(run.a.x[base + i], run.a.y[base + i]);
-          else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
-          open = true;
-        }
+        const open = this.trace(context, agent, Math.max(from, 0), to);
         if (open && segment === LOOK.TRAIL_PARTS - 1) context.lineTo(pose.x, pose.y);
         context.stroke();
       }
@@ -65,21 +57,27 @@ class Actors {
     context.globalAlpha = 1;
   }
 
+  /** Begin a path along an agent's places at some steps; returns whether it is there at the last. */
+  trace(context, agent, first, last) {
+    const { run } = this, { x, y } = run.a;
+    let open = false;
+    context.beginPath();
+    for (let step = first; step <= last; step++) {
+      const i = agent * run.numSteps + step, there = run.valid(agent, step);
+      if (there && open) context.lineTo(x[i], y[i]);
+      else if (there) context.moveTo(x[i], y[i]);
+      open = there;
+    }
+    return open;
+  }
+
   /** The rest of an agent's path in this run: a broad band. */
   ahead(context, step, agent, theme, pixel) {
-    const { run } = this, base = agent * run.numSteps;
     context.strokeStyle = this.colour(agent, theme);
     context.globalAlpha = LOOK.PATH_ALPHA;
     context.lineCap = context.lineJoin = "round";
     context.lineWidth = Math.max(1.6, 3 * pixel);
-    context.beginPath();
-    let open = false;
-    for (let i = step; i < run.numSteps; i++) {
-      if (!run.valid(agent, i)) { open = false; continue; }
-      if (open) context.lineTo(run.a.x[base + i], run.a.y[base + i]);
-      else context.moveTo(run.a.x[base + i], run.a.y[base + i]);
-      open = true;
-    }
+    this.trace(context, agent, step, this.run.numSteps - 1);
     context.stroke();
     context.globalAlpha = 1;
   }
@@ -144,9 +142,7 @@ class Actors {
     context.fillStyle = colour;
     const hollow = kind === "vehicle" && this.run.still[agent];
     if (hollow && !hit) context.strokeStyle = colour;
-    if (kind === "pedestrian") this.walker(context, pixel);
-    else if (kind === "static") box(context, length, width, 0.05);
-    else box(context, length, width, Math.min(0.28 * width, 0.6));
+    shape(context, this.run.agents[agent], pixel);
     if (kind === "vehicle" && !hollow && theme === "light" && pixel < 0.25) {
       context.shadowColor = "rgba(20,28,38,.20)";
       context.shadowBlur = 6;
@@ -162,21 +158,7 @@ class Actors {
     context.restore();
   }
 
-  walker(context, pixel) {
-    context.beginPath();
-    context.arc(0, 0, Math.max(0.38, 2.2 * pixel), 0, 2 * Math.PI);
-  }
-
-  /** Red outlines: agents in a collision that began within the last moments. */
-  hitAgents(step) {
-    const hit = new Set();
-    for (const event of this.recent(step)) {
-      hit.add(event.agent);
-      if (event.partner >= 0) hit.add(event.partner);
-    }
-    return hit;
-  }
-
+  /** Collisions that began within the last moments. */
   recent(step) {
     return this.run.events.filter((e) =>
       e.kind === "collision" && e.step <= step && step - e.step < LOOK.MARK_S / this.run.dt);
@@ -232,14 +214,13 @@ class Actors {
     context.strokeStyle = COLOURS[theme].ghost;
     context.lineWidth = Math.max(0.1, 1.2 * pixel);
     context.setLineDash([0.6, 0.4]);
-    this.run.agents.forEach(({ kind, length, width }, agent) => {
-      const pose = kind === "static" ? null : this.run.pose(agent, at);
+    this.run.agents.forEach((body, agent) => {
+      const pose = body.kind === "static" ? null : this.run.pose(agent, at);
       if (!pose) return;
       context.save();
       context.translate(pose.x, pose.y);
       context.rotate(pose.heading);
-      if (kind === "pedestrian") this.walker(context, pixel);
-      else box(context, length, width, Math.min(0.28 * width, 0.6));
+      shape(context, body, pixel);
       context.stroke();
       context.restore();
     });
@@ -288,9 +269,11 @@ class Actors {
   }
 }
 
-function box(context, length, width, radius) {
+/** Outline of an agent that is at the origin and heads to the right. */
+function shape(context, { kind, length, width }, pixel) {
   context.beginPath();
-  context.roundRect(-length / 2, -width / 2, length, width, radius);
+  if (kind === "pedestrian") context.arc(0, 0, Math.max(0.38, 2.2 * pixel), 0, 2 * Math.PI);
+  else context.roundRect(-length / 2, -width / 2, length, width, kind === "static" ? 0.05 : Math.min(0.28 * width, 0.6));
 }
 
 function windscreen(context, length, width, ink) {

@@ -13,13 +13,9 @@ async function inflate(element) {
   return new Response(stream).arrayBuffer();
 }
 
-/** The run of a data element. */
+/** The run of a data element: header and arrays. */
 async function readRun(element) {
-  return unpackRun(await inflate(element));
-}
-
-/** Header and arrays of one run. Numbers of agents A, steps T. */
-function unpackRun(buffer) {
+  const buffer = await inflate(element);
   const headerLength = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, headerLength)));
   let at = aligned(4 + headerLength);
@@ -30,7 +26,7 @@ function unpackRun(buffer) {
     const values = new Type(buffer, at, length);
     at = aligned(at + values.byteLength);
     if (entry.delta) undoDeltas(values, entry.shape[entry.shape.length - 1]);
-    arrays[entry.name] = entry.step ? toFloats(values, entry.step, entry.base) : values;
+    arrays[entry.name] = entry.step ? Float32Array.from(values, (v) => entry.base + entry.step * v) : values;
   }
   return new Run(header, arrays);
 }
@@ -45,12 +41,6 @@ function undoDeltas(values, rowLength) {
     for (let i = row + 1; i < row + rowLength; i++) values[i] += values[i - 1];
 }
 
-function toFloats(values, step, base) {
-  const out = new Float32Array(values.length);
-  for (let i = 0; i < out.length; i++) out[i] = base + step * values[i];
-  return out;
-}
-
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
   constructor(header, arrays) {
@@ -59,7 +49,7 @@ class Run {
     this.a = arrays;
     this.still = this.agents.map((agent, index) => agent.driver !== "ego" && !this.moves(index));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
-    this.plans = header.plans.map((plan, index) => this.plan(plan, index));
+    this.plans = header.plans.map((plan, i) => ({ ...plan, x: arrays[`plan${i}x`], y: arrays[`plan${i}y`] }));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
     const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
     this.goal = goal && { agent: goal.agent, step: goal.step };
@@ -138,13 +128,7 @@ class Run {
 
   /** Least time to contact with anyone, seconds; the cap where nobody is met. */
   leastTtc(agent) {
-    const out = this.series(agent, () => this.ttcCap);
-    const { pairStart, pairA, pairB, pairTtc } = this.a;
-    for (let step = 0; step < this.numSteps; step++)
-      for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
-        if (pairA[k] === agent || pairB[k] === agent)
-          out[step] = Math.min(out[step], pairTtc[k]);
-    return out;
+    return this.series(agent, (_, step) => Math.min(this.meeting(agent, step)?.[2] ?? Infinity, this.ttcCap));
   }
 
   series(agent, value) {
@@ -163,11 +147,14 @@ class Run {
     return out;
   }
 
+  /** The first pair to meet that an agent is in, if there is one. */
+  meeting(agent, step) {
+    return this.pairs(step).filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
+  }
+
   /** The plan in force at a step: the last one made by then. */
   planAt(step) {
-    let found = null;
-    for (const plan of this.plans) if (plan.made_at <= step) found = plan;
-    return found;
+    return this.plans.filter((plan) => plan.made_at <= step).at(-1) ?? null;
   }
 
   /** Influences at a step as [from, to, weight]: the plan's graph, else pairs that meet soon. */
@@ -184,10 +171,6 @@ class Run {
       out.push([a, b, weight], [b, a, weight]);
     }
     return out;
-  }
-
-  plan(header, index) {
-    return { ...header, x: this.a[`plan${index}x`], y: this.a[`plan${index}y`] };
   }
 }
 

@@ -407,6 +407,8 @@ function wireMap(pane, drive) {
   });
 }
 
+const plainKey = ({ key }) => (key.length === 1 ? key.toLowerCase() : key);
+
 function wire(drive) {
   const names = [...document.querySelectorAll("script.run")].map((node) => node.dataset.scene);
   for (const name of names) $("scene").append(new Option(name, name));
@@ -440,9 +442,7 @@ function wire(drive) {
     $("copy").textContent = said;
     setTimeout(() => { $("copy").textContent = "Share this drive"; }, 2000);
   });
-  $("again").addEventListener("click", () => drive.begin());
-  $("next").addEventListener("click", () => actions.n());
-  const toggle = { heading: () => { drive.headingUp = !drive.headingUp; }, ghost: () => { drive.layers.ghost = !drive.layers.ghost; } };
+  const zoomed = (factor) => () => drive.camera.zoom(factor, 0, 0, 0, 0, true);
   const actions = {
     r: () => drive.begin(),
     n: () => {
@@ -450,22 +450,22 @@ function wire(drive) {
       opened();
     },
     p: () => drive.pause(), " ": () => drive.pause(),
-    h: toggle.heading, g: toggle.ghost,
-    t: () => setTheme(drive, drive.theme === "dark" ? "light" : "dark"),
-    "+": () => drive.camera.zoom(1.25, 0, 0, 0, 0, true), "=": () => drive.camera.zoom(1.25, 0, 0, 0, 0, true),
-    "-": () => drive.camera.zoom(0.8, 0, 0, 0, 0, true),
+    h: () => { drive.headingUp = !drive.headingUp; },
+    g: () => { drive.layers.ghost = !drive.layers.ghost; },
+    t: () => setTheme(drive),
+    "+": zoomed(1.25), "=": zoomed(1.25), "-": zoomed(0.8),
     "?": () => $("help").showModal(),
   };
-  for (const [id, key] of [["reset", "r"], ["heading", "h"], ["ghost", "g"], ["theme", "t"], ["help-button", "?"]])
-    $(id).addEventListener("click", (event) => {
-      actions[key]();
+  for (const button of document.querySelectorAll("[id][data-key]"))
+    button.addEventListener("click", (event) => {
+      actions[button.dataset.key]();
       drive.touch();
-      if (event.detail > 0 && key !== "?") document.activeElement.blur();
+      if (event.detail > 0 && !$("help").open) document.activeElement.blur();
     });
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
     if (!event.target.matches("body, .map, #help *")) return;
-    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key, driven = DRIVE_KEYS[key];
+    const key = plainKey(event), driven = DRIVE_KEYS[key];
     if (!driven && !actions[key]) return;
     event.preventDefault();
     if (driven) drive.hold(driven, true);
@@ -473,7 +473,7 @@ function wire(drive) {
     drive.touch();
   });
   addEventListener("keyup", (event) => {
-    const driven = DRIVE_KEYS[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    const driven = DRIVE_KEYS[plainKey(event)];
     if (driven) drive.hold(driven, false);
   });
   addEventListener("blur", () => [...drive.held].forEach((key) => drive.hold(key, false)));
@@ -488,11 +488,7 @@ function wire(drive) {
     button.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") set(true)(event); });
     button.addEventListener("keyup", set(false));
   }
-  for (const [key, what] of HELP) {
-    const row = element("div", "key");
-    row.append(element("kbd", "", key), element("span", "", what));
-    $("keys").append(row);
-  }
+  listKeys(HELP);
   new ResizeObserver(() => drive.touch()).observe($("app"));
   const script = asked.has("drive") ? read(asked.get("drive")) : null;
   return opened().then(() => script && drive.begin(script));

@@ -3,41 +3,34 @@
 class Ground {
   constructor(run) {
     const { mapX, mapY } = run.a;
-    const cursor = { at: 0 };
-    const layers = {};
-    for (const [name, layer] of Object.entries(run.layers)) {
-      layers[name] = layer.map((entry) => readRings(entry, mapX, mapY, cursor));
+    let at = 0; // the points follow each other in all layers' order
+    const ring = (length) => Array.from({ length }, () => [mapX[at], mapY[at++]]);
+    this.paths = {};
+    for (const [name, entries] of Object.entries(run.layers)) {
+      const shapes = entries.map((lengths) => lengths.map(ring)), rings = shapes.flat();
+      this.paths[name] = pathOf(rings, !name.includes("lane") && !name.includes("dividers"));
+      if (name === "lanes") this.chevrons = chevronsOf(rings);
+      if (name === "crossings") this.crossings = shapes.map(zebraOf);
     }
-    const joined = (name, close) => pathOf((layers[name] || []).flat(), close);
-    this.road = joined("drivable", true);
-    this.walkways = joined("walkways", true);
-    this.carparks = joined("carparks", true);
-    this.stops = joined("stops", true);
-    this.roadDividers = joined("road_dividers", false);
-    this.laneDividers = joined("lane_dividers", false);
-    this.lanes = joined("lanes", false);
-    this.chevrons = chevronsOf((layers.lanes || []).flat());
-    this.crossings = (layers.crossings || []).map(zebraOf);
   }
 
   /** Draw through the transform that is set; pixel is the size of a CSS pixel in metres. */
   draw(context, colours, pixel) {
+    const { paths } = this;
     context.lineJoin = "round";
     context.lineCap = "butt";
-    this.fill(context, this.walkways, colours.walkway);
-    context.strokeStyle = colours.kerb;
-    context.lineWidth = Math.max(0.3, 1.6 * pixel);
-    context.stroke(this.road);
-    this.fill(context, this.road, colours["drivable area"]);
-    this.fill(context, this.carparks, colours["car park"]);
-    this.fill(context, this.stops, colours["stop area"]);
+    this.fill(context, paths.walkways, colours.walkway);
+    this.stroke(context, paths.drivable, colours.kerb, Math.max(0.3, 1.6 * pixel), []);
+    this.fill(context, paths.drivable, colours["drivable area"]);
+    this.fill(context, paths.carparks, colours["car park"]);
+    this.fill(context, paths.stops, colours["stop area"]);
     for (const crossing of this.crossings) this.zebra(context, crossing, colours.crossing);
-    this.stroke(context, this.laneDividers, colours["lane divider"], Math.max(0.14, pixel), [LOOK.LANE_DASH_M, LOOK.LANE_DASH_M]);
-    this.stroke(context, this.roadDividers, colours["road divider"], Math.max(0.18, pixel), []);
+    this.stroke(context, paths.lane_dividers, colours["lane divider"], Math.max(0.14, pixel), [LOOK.LANE_DASH_M, LOOK.LANE_DASH_M]);
+    this.stroke(context, paths.road_dividers, colours["road divider"], Math.max(0.18, pixel), []);
   }
 
   drawLanes(context, colours, pixel) {
-    this.stroke(context, this.lanes, colours["centre line"], Math.max(0.1, 0.9 * pixel), [LOOK.CENTRE_DASH_M, LOOK.CENTRE_GAP_M]);
+    this.stroke(context, this.paths.lanes, colours["centre line"], Math.max(0.1, 0.9 * pixel), [LOOK.CENTRE_DASH_M, LOOK.CENTRE_GAP_M]);
     if (pixel < 0.3) this.stroke(context, this.chevrons, colours["centre line"], Math.max(0.14, pixel), []);
   }
 
@@ -60,16 +53,6 @@ class Ground {
     this.stroke(context, crossing.axis, colour, crossing.width, [LOOK.STRIPE_M, LOOK.STRIPE_M]);
     context.restore();
   }
-}
-
-/** Rings of one entry: a list of lengths; the points follow each other in all layers' order. */
-function readRings(lengths, mapX, mapY, cursor) {
-  return lengths.map((length) => {
-    const ring = [];
-    for (let i = cursor.at; i < cursor.at + length; i++) ring.push([mapX[i], mapY[i]]);
-    cursor.at += length;
-    return ring;
-  });
 }
 
 function pathOf(rings, close) {

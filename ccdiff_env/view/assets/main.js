@@ -17,7 +17,6 @@ const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
   lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
 };
-const toggleLoop = (p) => { p.loop = !p.loop; p.touch(); };
 const second = (player) => Math.round(1 / player.step);
 const zoomed = (factor) => (p) => { p.camera.zoom(factor, 0, 0, 0, 0, true); p.touch(); };
 const layer = (name) => (p) => p.toggle(name);
@@ -39,10 +38,10 @@ const KEYS = [
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
   ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
-  ["R", "loop", { r: toggleLoop }],
+  ["R", "loop", { r: (p) => { p.loop = !p.loop; p.touch(); } }],
   ["I", "save a picture", { i: (p) => savePicture(p) }],
-  ["D", "dark or light", { d: (p) => setTheme(p, p.theme === "dark" ? "light" : "dark") }],
-  ["S", "panels", { s: (p) => togglePanels(p) }],
+  ["D", "dark or light", { d: (p) => setTheme(p) }],
+  ["S", "panels", { s: (p) => { document.body.classList.toggle("bare"); p.touch(); } }],
   ["?", "this help", { "?": () => $("help").showModal() }],
 ];
 
@@ -62,7 +61,7 @@ async function main() {
     new EventsPanel($("events"), told, (run, event) => player.goTo(run, event));
     figures = new FiguresPanel($("figures"), told, seek);
   };
-  player.showing = (told) => fill(told);
+  player.showing = fill;
   fill(runs);
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
@@ -185,10 +184,6 @@ async function copyLink(player) {
 }
 
 function wireControls(player) {
-  $("play").addEventListener("click", () => player.togglePlay());
-  $("back").addEventListener("click", () => player.stepBy(-1));
-  $("forward").addEventListener("click", () => player.stepBy(1));
-  $("event").addEventListener("click", () => player.nextEvent(1));
   $("event").hidden = player.runs.every((run) => !run.events.length);
   $("events-part").hidden = $("event").hidden;
   for (const rate of RATES) $("rate").append(new Option(`${rate}×`, rate));
@@ -197,14 +192,7 @@ function wireControls(player) {
   for (const agent of player.runs[0].agents)
     if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
-  $("heading").addEventListener("click", () => player.headUp(!player.headingUp));
-  $("fit").addEventListener("click", () => player.fit());
-  $("loop").addEventListener("click", () => toggleLoop(player));
-  $("picture").addEventListener("click", () => savePicture(player));
-  $("theme").addEventListener("click", () => setTheme(player, player.theme === "dark" ? "light" : "dark"));
-  $("panels").addEventListener("click", () => togglePanels(player));
   $("link").addEventListener("click", () => copyLink(player));
-  $("help-button").addEventListener("click", () => $("help").showModal());
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
     if (layer === "ghost" && player.runs.length < 2) continue;
@@ -216,11 +204,7 @@ function wireControls(player) {
     chip.addEventListener("click", () => player.toggle(layer));
     $("layers").append(chip);
   }
-  for (const [key, what] of KEYS) {
-    const row = element("div", "key");
-    row.append(element("kbd", "", key), element("span", "", what));
-    $("keys").append(row);
-  }
+  listKeys(KEYS);
 }
 
 /** One run at a time, chosen by a slider while it plays; dots below it are what became of the ego in each. */
@@ -244,11 +228,6 @@ function wireSlider(player) {
   choose();
 }
 
-function togglePanels(player) {
-  document.body.classList.toggle("bare");
-  player.touch();
-}
-
 function showControls(player) {
   $("play").textContent = player.playing ? "❚❚" : "▶";
   $("play").setAttribute("aria-label", player.playing ? "pause" : "play");
@@ -257,7 +236,6 @@ function showControls(player) {
   $("follow").value = player.follow === null ? "" : player.follow;
   $("heading").setAttribute("aria-pressed", player.headingUp);
   $("loop").setAttribute("aria-pressed", player.loop);
-
   for (const layer of LAYERS) {
     const chip = $(`layer-${layer}`);
     if (chip) chip.setAttribute("aria-pressed", player.layers[layer]);
@@ -331,6 +309,8 @@ function wireKeys(player) {
     player.panes.slice(0, 9).forEach((_, index) => {
       actions[index + 1] = () => { player.show(index, Boolean(player.slid)); player.slid?.(); };
     });
+  for (const button of document.querySelectorAll("[data-key]"))
+    button.addEventListener("click", (event) => actions[button.dataset.key](player, event));
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
     // a dialog that was just closed keeps the focus until the next frame

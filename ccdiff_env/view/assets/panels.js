@@ -23,9 +23,7 @@ function captionsOf(run, agent, at) {
   if (run.arrived(agent, step)) captions.push(["state", "has reached its goal"]);
   if (kind !== "static") {
     captions.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
-    const least = run.pairs(step)
-      .filter(([a, b]) => a === agent || b === agent)
-      .sort((p, q) => p[2] - q[2])[0];
+    const least = run.meeting(agent, step);
     if (least) {
       const other = run.agents[least[0] === agent ? least[1] : least[0]];
       captions.push(["contact in", `${least[2].toFixed(1)} s with ${other.label}`]);
@@ -117,21 +115,13 @@ class FiguresPanel {
   }
 }
 
-/** First and last time of some runs. */
-function spanOf(runs) {
-  return [Math.min(...runs.map((run) => run.start)), Math.max(...runs.map((run) => run.end))];
-}
-
 /** A curve for each run that has a series, over the time of all of them, and a line at the cursor. */
 function drawCurves(canvas, runs, series, low, high, time, chrome) {
-  const ratio = window.devicePixelRatio || 1, { clientWidth: width, clientHeight: height } = canvas;
+  const { clientWidth: width, clientHeight: height } = canvas;
   if (!width) return;
-  resizeCanvas(canvas, width, height, ratio);
-  const context = canvas.getContext("2d"), [start, end] = spanOf(runs);
+  const context = clearedContext(canvas, width, height), [start, end] = spanOf(runs);
   const x = (t) => width * (t - start) / Math.max(end - start, 1e-6);
   const y = (v) => height - 2 - (height - 4) * (v - low) / (high - low);
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.clearRect(0, 0, width, height);
   context.fillStyle = chrome.track;
   context.fillRect(0, y(0) - 0.5, width, 1);
   context.lineWidth = 1.5;

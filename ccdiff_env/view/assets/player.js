@@ -35,12 +35,10 @@ class Pane {
     if (!this.width) return;
     const { camera, theme, layers } = player;
     const ratio = window.devicePixelRatio || 1, { width, height } = this;
-    resizeCanvas(this.canvas, width, height, ratio);
-    const context = this.canvas.getContext("2d");
+    const context = clearedContext(this.canvas, width, height);
     const colours = COLOURS[theme], pixel = 1 / camera.scale;
-    context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colours.ground;
-    context.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    context.fillRect(0, 0, width + 1, height + 1);
     camera.apply(context, width, height, ratio);
     this.ground.draw(context, colours, pixel);
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
@@ -97,8 +95,7 @@ class Player {
     this.stage = stage;
     this.camera = new Camera();
     this.panes = runs.map((run, index) => new Pane(stage, run, index));
-    this.start = Math.min(...runs.map((run) => run.start));
-    this.end = Math.max(...runs.map((run) => run.end));
+    [this.start, this.end] = spanOf(runs);
     this.step = Math.min(...runs.map((run) => run.dt));
     this.time = this.start + runs[0].opening;
     this.rate = 1;
@@ -258,9 +255,13 @@ class Player {
   /** Show all that moves. */
   fit() {
     const box = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const run of this.runs)
-      run.agents.forEach(({ kind }, agent) => {
-        if (kind !== "static") growBox(box, run, agent);
+    for (const { agents, numSteps, a: { x, y, valid } } of this.runs)
+      valid.forEach((there, i) => {
+        if (!there || agents[Math.floor(i / numSteps)].kind === "static") return;
+        [x[i], y[i]].forEach((value, axis) => {
+          box[axis] = Math.min(box[axis], value - 5);
+          box[axis + 2] = Math.max(box[axis + 2], value + 5);
+        });
       });
     if (!Number.isFinite(box[0])) return;
     this.follow = null;
@@ -287,16 +288,5 @@ class Player {
     if (next === undefined) return;
     this.playing = false;
     this.seek(next);
-  }
-}
-
-function growBox(box, run, agent) {
-  for (let step = 0; step < run.numSteps; step++) {
-    if (!run.valid(agent, step)) continue;
-    const i = agent * run.numSteps + step;
-    box[0] = Math.min(box[0], run.a.x[i] - 5);
-    box[1] = Math.min(box[1], run.a.y[i] - 5);
-    box[2] = Math.max(box[2], run.a.x[i] + 5);
-    box[3] = Math.max(box[3], run.a.y[i] + 5);
   }
 }

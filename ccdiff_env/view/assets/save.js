@@ -2,10 +2,8 @@
 
 /** The panes as they lie on the screen, drawn onto a canvas. */
 function drawStage(player, canvas) {
-  const ratio = window.devicePixelRatio || 1, stage = player.stage.getBoundingClientRect();
-  const context = canvas.getContext("2d"), colours = COLOURS[player.theme];
-  resizeCanvas(canvas, 2 * Math.round(stage.width / 2), 2 * Math.round(stage.height / 2), ratio);
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  const stage = player.stage.getBoundingClientRect(), colours = COLOURS[player.theme];
+  const context = clearedContext(canvas, 2 * Math.round(stage.width / 2), 2 * Math.round(stage.height / 2));
   context.fillStyle = colours.ground;
   context.fillRect(0, 0, stage.width, stage.height);
   context.textBaseline = "top";

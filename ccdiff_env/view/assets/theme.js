@@ -2,13 +2,23 @@
 
 const $ = (id) => document.getElementById(id);
 
-function setTheme(player, theme) {
+/** Show a theme, by default the other one. */
+function setTheme(player, theme = player.theme === "dark" ? "light" : "dark") {
   player.theme = theme;
   document.documentElement.dataset.theme = theme;
   player.touch();
 }
 
-/** what the colours mean. */
+/** Fill the help with keys and what they do. */
+function listKeys(keys) {
+  $("keys").append(...keys.map(([key, what]) => {
+    const row = element("div", "key");
+    row.append(element("kbd", "", key), element("span", "", what));
+    return row;
+  }));
+}
+
+/** What the colours mean. */
 function showLegend(player) {
   const key = `${player.theme} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
   if ($("legend").dataset.key === key) return;

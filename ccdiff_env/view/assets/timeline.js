@@ -10,10 +10,8 @@ class Timeline {
   constructor(canvas, runs, seek) {
     this.canvas = canvas;
     this.runs = runs;
-    this.start = Math.min(...runs.map((run) => run.start));
-    this.end = Math.max(...runs.map((run) => run.end));
+    [this.start, this.end] = spanOf(runs);
     this.seek = seek;
-    this.hover = null;
     this.listen();
   }
 
@@ -60,12 +58,8 @@ class Timeline {
 
   draw(time, colours) {
     const { canvas } = this;
-    const ratio = window.devicePixelRatio || 1;
     const width = canvas.clientWidth, height = canvas.clientHeight;
-    resizeCanvas(canvas, width, height, ratio);
-    const context = canvas.getContext("2d");
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
+    const context = clearedContext(canvas, width, height);
     const x = (t) => 10 + (width - 20) * (t - this.start) / this.span;
     const middle = height - 14;
     this.ticks(context, x, height, colours);
@@ -126,11 +120,20 @@ function line(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-/** Give a canvas as many pixels as its box has on the screen. */
-function resizeCanvas(canvas, width, height, ratio) {
+/** First and last time of some runs. */
+function spanOf(runs) {
+  return [Math.min(...runs.map((run) => run.start)), Math.max(...runs.map((run) => run.end))];
+}
+
+/** Context of an empty canvas that has as many pixels as its box has on the screen. */
+function clearedContext(canvas, width, height) {
+  const ratio = window.devicePixelRatio || 1, context = canvas.getContext("2d");
   const wide = Math.max(Math.round(width * ratio), 1), high = Math.max(Math.round(height * ratio), 1);
   if (canvas.width !== wide || canvas.height !== high) {
     canvas.width = wide;
     canvas.height = high;
   }
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return context;
 }
