@@ -36,7 +36,7 @@ class _Help(argparse.HelpFormatter):
         silent = any(default is none for none in (None, False, argparse.SUPPRESS)) or default == []
         if silent or not action.option_strings:
             return action.help
-        text = " ".join(default) if isinstance(default, list) else str(default)
+        text = " ".join(map(str, default)) if isinstance(default, list) else str(default)
         return f"{action.help or ''} (default: {text.replace('%', '%%')})"
 
 

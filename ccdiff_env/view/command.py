@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,18 +25,15 @@ from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
-#: Options that play a scene, and what they are without being given.
+#: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
     "driver": None,
     "seed": 0,
     "samples": None,
-    "criticality": (0.0,),
+    "criticality": [0.0],
     "save": None,
     "slider": False,
 }
-LEVELS = tuple(0.25 * k for k in range(9))  #: Criticalities under a slider.
-IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
-#: Options of images and videos likewise.
 DRAWN: dict[str, Any] = {
     "step": None,
     "follow": None,
@@ -46,15 +43,10 @@ DRAWN: dict[str, Any] = {
     "graph": False,
     "theme": "light",
 }
-
-
-@dataclass(frozen=True)
-class Titled:
-    """A run and its name on the page."""
-
-    rollout: Rollout
-    title: str
-    shared: str = ""  #: What is so of all runs that were played together.
+LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
+IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
+#: Runs, their titles, and what is so of all of them where they were played together.
+Runs = tuple[list[Rollout], list[str], str]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,19 +83,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{EGO_HELP}; several are shown beside each other (default: idm; replay where "
         "--compare has the log, so that the traffic alone differs)",
     )
-    play.add_argument("--seed", type=int, help="seed of the episode (default: 0)")
+    play.add_argument("--seed", type=int, help="seed of the episode")
     play.add_argument("--samples", type=int, help=f"samples per plan (default: {SAMPLES})")
     play.add_argument(
         "--criticality",
         type=float,
         nargs="+",
-        help="0: realistic traffic of a network; 1: guided; several are shown beside each other "
-        "(default: 0)",
+        help="0: realistic traffic of a network; 1: guided; several are shown beside each other",
     )
     play.add_argument(
         "--slider",
         action="store_true",
-        default=None,
         help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
     )
     play.add_argument(
@@ -114,15 +104,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     draw.add_argument("--step", type=int, help="step of an image (default: the one that matters)")
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
-    draw.add_argument("--span", type=float, help="metres across an image (default: 90)")
+    draw.add_argument("--span", type=float, help="metres across an image")
     draw.add_argument(
         "--size",
         type=int,
         help="pixels of each run's sides (default: 720; of a GIF 480, and 360 side by side)",
     )
-    draw.add_argument("--speed", type=float, help="pace of a video (default: 1)")
-    draw.add_argument("--graph", action="store_true", default=None, help="draw the causal graph")
-    draw.add_argument("--theme", choices=render.THEMES, help="ground of an image (default: light)")
+    draw.add_argument("--speed", type=float, help="pace of a video")
+    draw.add_argument("--graph", action="store_true", help="draw the causal graph")
+    draw.add_argument("--theme", choices=render.THEMES, help="ground of an image")
+    parser.set_defaults(**PLAYED, **DRAWN)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -139,52 +130,55 @@ def run(args: argparse.Namespace) -> int:
         listed = ", ".join(f".{name}" for name in ("html", *IMAGES))
         raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
     if args.traffic is None:
-        _settle(args, PLAYED, "plays a scene: give --traffic, too")
+        _refuse(args, PLAYED, "plays a scene: give --traffic, too")
     if suffix not in IMAGES:
-        _settle(args, DRAWN, "goes with an image: --out that ends in .png, .svg, .gif or .mp4")
+        _refuse(args, DRAWN, "goes with an image: --out that ends in .png, .svg, .gif or .mp4")
     elif args.open:
         raise ConfigError("--open shows pages, not images")
-    if args.slider:
-        if suffix in IMAGES or args.compare:
-            raise ConfigError("--slider is for a page of runs that are played, without --compare")
-        args.criticality = args.criticality or LEVELS
-    _settle(args, PLAYED | DRAWN)
-    runs = _played(args) if args.traffic is not None else [_found(args, args.what)]
-    runs += [_found(args, word, like=runs[0].rollout) for word in args.compare]
-    out = args.out or Path(file_name(runs[0].rollout.scene.name, ".html"))
+    if args.slider and (suffix in IMAGES or args.compare):
+        raise ConfigError("--slider is for a page of runs that are played, without --compare")
+    runs, titles, shared = _played(args) if args.traffic is not None else _found(args, args.what)
+    for word in args.compare:
+        found, named, _ = _found(args, word, like=runs[0])
+        runs, titles = runs + found, titles + named
+    out = args.out or Path(file_name(runs[0].scene.name, ".html"))
     if suffix in IMAGES:
-        _image(args, runs, out, suffix)
+        _image(args, runs, titles if len(runs) > 1 else [runs[0].scene.name], out, suffix)
         print(out)
         return 0
-    first, *beside = (run.rollout for run in runs)
-    titles = [run.title for run in runs] if beside else None
-    write_page(first, out, compare=beside, titles=titles, shared=runs[0].shared, slider=args.slider)
+    write_page(
+        runs[0],
+        out,
+        compare=runs[1:],
+        titles=titles if len(runs) > 1 else None,
+        shared=shared,
+        slider=args.slider,
+    )
     say_page(out, open_it=args.open)
     return 0
 
 
-def _settle(args: argparse.Namespace, options: Mapping[str, Any], refused: str = "") -> None:
-    """Give options that were not given their defaults; or refuse those that were."""
+def _refuse(args: argparse.Namespace, options: Mapping[str, Any], why: str) -> None:
+    """Refuse options that are not their defaults."""
     for name, default in options.items():
-        given = getattr(args, name)
-        if refused and given is not None:
-            raise ConfigError(f"--{name} {refused}")
-        if not refused and given is None:
-            setattr(args, name, default)
+        if getattr(args, name) != default:
+            raise ConfigError(f"--{name} {why}")
 
 
-def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Titled:
-    rollout = find_rollout(word, place_from(args), like=like)
-    if is_drive(word):
-        return Titled(rollout, "your drive")
-    return Titled(rollout, Path(word).stem if Path(word).is_file() else word)
+def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Runs:
+    title = "your drive" if is_drive(word) else word
+    if Path(word).is_file():
+        title = Path(word).stem
+    return [find_rollout(word, place_from(args), like=like)], [title], ""
 
 
-def _played(args: argparse.Namespace) -> list[Titled]:
+def _played(args: argparse.Namespace) -> Runs:
     if Path(args.what).is_file():
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
     levels = args.criticality
+    if args.slider and levels == PLAYED["criticality"]:
+        levels = LEVELS
     for level in levels:
         if not 0.0 <= level <= MAX_CRITICALITY:
             raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
@@ -193,30 +187,26 @@ def _played(args: argparse.Namespace) -> list[Titled]:
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
     if args.samples is not None and not {*args.traffic, *drivers} & set(NETWORKS):
         raise ConfigError(f"--samples is for networks, but --traffic is {' '.join(args.traffic)}")
-    if args.save is not None and len(args.traffic) * len(drivers) * len(levels) > 1:
+    choices = list(product(args.traffic, drivers, levels))
+    if args.save is not None and len(choices) > 1:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
     scene = find_scene(args.what, place_from(args))
     runs, parts = [], []
     samples = {} if args.samples is None else {"num_samples": args.samples}
-    for traffic, driver, level in product(args.traffic, drivers, levels):
+    for traffic, driver, level in choices:
         planned = {traffic, driver} & set(NETWORKS)
-        rollout = play_scene(
-            scene,
-            traffic=traffic,
-            driver=driver,
-            seed=args.seed,
-            ccdiff={**samples, "criticality": level} if planned else {},
+        ccdiff = {**samples, "criticality": level} if planned else {}
+        runs.append(
+            play_scene(scene, traffic=traffic, driver=driver, seed=args.seed, ccdiff=ccdiff)
         )
-        runs.append(rollout)
         guided = f"criticality {level:g}" if any(levels) else ""
         ego = f"ego {planner_title(driver)}" if len(drivers) > 1 else ""
         parts.append((DRIVER_TITLES.get(traffic, traffic), guided, ego))
-    titles, shared = factored(parts)
     if args.save is not None:
         runs[0].save(args.save)
-    return [Titled(run, title, shared) for run, title in zip(runs, titles, strict=True)]
+    return (runs, *factored(parts))
 
 
 def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
@@ -230,17 +220,18 @@ def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
 
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:
-    refused = "does not go with a folder, which gives pages"
     if args.compare not in ([], [LOG]):
         raise ConfigError('of the options only --compare "log" goes with a folder')
-    _settle(args, PLAYED | DRAWN | {"traffic": None}, refused)
-    out = args.out or folder / "replays"
-    pages = write_pages(folder, out, compare_log=bool(args.compare))
+    unfit = PLAYED | DRAWN | {"traffic": None}
+    _refuse(args, unfit, "does not go with a folder, which gives pages")
+    pages = write_pages(folder, args.out or folder / "replays", compare_log=bool(args.compare))
     say_page(pages[0], open_it=args.open)
     return 0
 
 
-def _image(args: argparse.Namespace, runs: list[Titled], out: Path, kind: str) -> None:
+def _image(
+    args: argparse.Namespace, runs: list[Rollout], titles: list[str], out: Path, kind: str
+) -> None:
     pixels = args.size or ((360 if len(runs) > 1 else 480) if kind == "gif" else 720)
     options: dict[str, Any] = {
         "size": (pixels, pixels),
@@ -249,27 +240,18 @@ def _image(args: argparse.Namespace, runs: list[Titled], out: Path, kind: str) -
         "graph": args.graph,
         "theme": args.theme,
     }
-    first, *others = (run.rollout for run in runs)
-    titles = [run.title for run in runs] if others else [first.scene.name]
+    videos = [Video(run, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     if kind in ("gif", "mp4"):
         if args.step is not None:
             raise ConfigError(f"--step is of an image, but --out is {out}")
-        save_video(
-            first,
-            out,
-            compare=others,
-            titles=titles,
-            speed=args.speed,
-            progress=lambda steps: shown(steps, what=out.name),
-            **options,
-        )
+        progress = partial(shown, what=out.name)
+        save_video(videos, out, speed=args.speed, progress=progress)
         return
-    videos = [Video(run.rollout, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
         render.save(side_by_side(videos, step), out)
-    elif others:
+    elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")
     else:
         write_aside(out, videos[0].svg(step))

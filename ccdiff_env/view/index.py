@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import warnings
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
-from ccdiff_env.view.render import THEMES, Image
+from ccdiff_env.view.render import THEMES, data_address
 from ccdiff_env.view.sources import log_rollout
 from ccdiff_env.view.video import Video
 
@@ -80,26 +78,19 @@ def entry(rollout: Rollout, title: str, page: str) -> Entry:
         title=title,
         line=subtitle(rollout),
         outcome=fate,
-        images=tuple(_data_address(_thumbnail(rollout, moment, theme)) for theme in THEMES),
+        images=tuple(_thumbnail(rollout, moment, theme) for theme in THEMES),
     )
 
 
-def _thumbnail(rollout: Rollout, opening_s: float | None, theme: str) -> Image:
+def _thumbnail(rollout: Rollout, opening_s: float | None, theme: str) -> str:
     """The moment that matters, else the middle."""
     video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme)
     last = rollout.num_steps - 1
-    if opening_s is None:
-        return video.frame(last // 2)
-    return video.frame(min(round((opening_s + LEAD_S) / rollout.dt_s), last))
-
-
-def _data_address(image: Image) -> str:
-    from ccdiff_env.view.render import pillow
-
-    buffer = io.BytesIO()
-    # With fewer colours those of small things, as the ego's, are lost.
-    pillow().fromarray(image).quantize(256).save(buffer, format="PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    step = last // 2
+    if opening_s is not None:
+        step = min(round((opening_s + LEAD_S) / rollout.dt_s), last)
+    # with fewer colours those of small things, as the ego's, are lost
+    return data_address(video.frame(step), 256)
 
 
 def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = None) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.rollout import Rollout
@@ -42,26 +40,17 @@ def rollout_html(rollout: Rollout) -> str:
 def scene_html(scene: Scene) -> str:
     """Return an image of the middle of the log, and one line on the scene."""
     # imported here: most programs show no notebook
-    from ccdiff_env.view.render import pillow
+    from ccdiff_env.view.render import data_address
 
-    line = html.escape(scene_line(scene))
-    try:
-        library = pillow()
-    except MissingFeatureError:
-        return f"<p>{line}</p>"
+    name, location, seconds, agents, _ = scene_row(scene)
+    parts = [name, location, f"{seconds} s", counted(int(agents), "agent")]
+    line = html.escape(" · ".join(part for part in parts if part))
     centre = "ego" if "ego" in scene.agent_ids else (0.0, 0.0)
     image = scene.render(scene.num_steps // 2, size=(560, 360), centre=centre)
-    buffer = io.BytesIO()
-    library.fromarray(image).quantize(64).save(buffer, format="PNG", optimize=True)
-    data = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img src="data:image/png;base64,{data}" alt="{line}"><p>{line}</p>'
-
-
-def scene_line(scene: Scene) -> str:
-    """Return name, place, seconds and agents of a scene in a line."""
-    seconds = (scene.num_steps - 1) * scene.dt
-    parts = [scene.name, scene.location, f"{seconds:.1f} s", counted(scene.num_agents, "agent")]
-    return " · ".join(part for part in parts if part)
+    try:
+        return f'<img src="{data_address(image, 64)}" alt="{line}"><p>{line}</p>'
+    except MissingFeatureError:
+        return f"<p>{line}</p>"
 
 
 def scene_set_html(scenes: SceneSet) -> str:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlencode
 
-from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import write_aside
@@ -76,7 +75,7 @@ def page_html(
         "subtitle": html.escape(line),
         "home": "" if home is None else f'<a href="{quote(home[0])}">{html.escape(home[1])}</a>',
         "style": part("page.css"),
-        "settings": _json({**look(), "slider": slider}),
+        "settings": as_json({**look(), "slider": slider}),
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
@@ -88,10 +87,8 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
 
     Tables of the class ``sorts`` are sorted by a click.
     """
-    texts = {"title": html.escape(title), "line": html.escape(line)}
-    script = part("plain.js")
-    parts = {**texts, "style": style, "body": body, "script": script}
-    return filled_page(part("plain.html"), parts)
+    parts = {"title": html.escape(title), "line": html.escape(line), "style": style, "body": body}
+    return filled_page(part("plain.html"), parts | {"script": part("plain.js")})
 
 
 def filled_page(template: str, parts: Mapping[str, str]) -> str:
@@ -121,42 +118,20 @@ def look() -> dict[str, Any]:
     """Return what pages draw by, the same as images: colours by theme and name, titles of drivers
     in the order of the legend, times and lengths by name.
     """
-    return {"colours": colours(), "drivers": DRIVER_TITLES, "look": render.LOOK}
+    colours = {
+        theme: {name: f"#{bytes(rgb).hex()}" for name, rgb in render.all_colours(theme).items()}
+        for theme in render.THEMES
+    }
+    return {"colours": colours, "drivers": DRIVER_TITLES, "look": render.LOOK}
 
 
-def colours() -> dict[str, dict[str, str]]:
-    """Return the colours of images by theme, ``"#rrggbb"``: of drivers, the map and the marks."""
-    found = {}
-    for theme in render.THEMES:
-        legend = render.legend(theme)
-        drivers = {n: legend[render.DRIVERS[number]] for n, _, number in _native.drivers()}
-        found[theme] = {name: _hex(rgb) for name, rgb in {**legend, **drivers}.items()}
-    return found
-
-
-def _hex(rgb: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*rgb)
-
-
-def _json(value: object) -> str:
-    """JSON that cannot end the element it stands in."""
+def as_json(value: object) -> str:
+    """Return JSON that cannot end the element it stands in."""
     return json.dumps(value, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def write_page(
-    rollout: Rollout,
-    path: str | Path,
-    *,
-    compare: Rollout | Sequence[Rollout] | None = None,
-    titles: Sequence[str] | None = None,
-    shared: str = "",
-    home: tuple[str, str] | None = None,
-    slider: bool = False,
-) -> int:
-    """Write :func:`page_html` to a file; returns its size in bytes."""
-    page = page_html(
-        rollout, compare=compare, titles=titles, shared=shared, home=home, slider=slider
-    )
-    data = page.encode()
+def write_page(rollout: Rollout, path: str | Path, **options: Any) -> int:
+    """Write :func:`page_html`, which takes the options, to a file; returns its size in bytes."""
+    data = page_html(rollout, **options).encode()
     write_aside(Path(path), data)
     return len(data)

@@ -111,7 +111,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     parts = {
         "site": html.escape(f"{site}/" if site else "", quote=True),
         "style": part("page.css") + part("drive.css"),
-        "settings": json.dumps(settings, separators=(",", ":")).replace("<", "\\u003c"),
+        "settings": page.as_json(settings),
         "module": _packed(module),
         "weights": "\n".join(
             f'<script class="weights" type="text/plain">{_packed(each.read_bytes())}</script>'

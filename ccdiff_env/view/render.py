@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -37,6 +39,12 @@ def legend(theme: str = "light") -> dict[str, tuple[int, int, int]]:
         ConfigError: If the theme is not one of :data:`THEMES`.
     """
     return dict(_native.render_legend(theme))
+
+
+def all_colours(theme: str = "light") -> dict[str, tuple[int, int, int]]:
+    """Return :func:`legend`, with further drivers by name."""
+    colours = legend(theme)
+    return colours | {name: colours[DRIVERS[number]] for name, number in _NUMBERS.items()}
 
 
 def draw(
@@ -105,13 +113,18 @@ def draw(
     """
     position = _points("position_m", position_m)
     num_agents = len(position)
+    heading = np.ascontiguousarray(heading_rad, dtype=np.float32)
+    if heading.ndim != 1:
+        raise ShapeError(f"heading_rad has shape {list(heading.shape)}, expected [A]")
     if centre_m is None:
         centre_m = (float(position[0, 0]), float(position[0, 1])) if num_agents else (0.0, 0.0)
+    if len(names) not in (0, num_agents):
+        raise ShapeError(f"names has {len(names)} entries, expected {num_agents}, one per agent")
     none = np.zeros(num_agents, bool)
     marks = [none if m is None else np.asarray(m, bool) for m in (collided, parked, arrived)]
     return _native.render_arrays(
         position,
-        _vector("heading_rad", heading_rad),
+        heading,
         _points("size_m", size_m),
         _numbers("kind", kind, KINDS, num_agents),
         _numbers("driver", driver, DRIVERS, num_agents),
@@ -127,10 +140,10 @@ def draw(
         plans=[(_points("plan", p), _number("driver", d, DRIVERS)) for p, d in plans],
         arrows=list(arrows),
         collisions_m=_points("collisions_m", collisions_m),
-        names=_names(names, num_agents),
+        names=[*names],
         caption=caption,
         scale_bar=scale_bar,
-        legend=_legend_rows(legend, theme),
+        legend=_legend_rows(list(legend), theme),
         theme=theme,
         svg=svg,
     )
@@ -216,6 +229,13 @@ def pillow() -> ModuleType:
     return library
 
 
+def data_address(image: Image, colours: int) -> str:
+    """Return the address of an image that is its own data, a PNG of so many colours."""
+    buffer = io.BytesIO()
+    pillow().fromarray(image).quantize(colours).save(buffer, format="PNG", optimize=True)
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
 def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
     """Images as one array [T, H, W, 3]."""
     array: npt.NDArray[Any]
@@ -235,23 +255,14 @@ def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
     return np.ascontiguousarray(array)
 
 
-def _names(names: Sequence[str], num_agents: int) -> list[str]:
-    if len(names) not in (0, num_agents):
-        raise ShapeError(f"names has {len(names)} entries, expected {num_agents}, one per agent")
-    return [*names]
-
-
 def _legend_rows(
-    listed: Iterable[tuple[str, str]], theme: str
+    listed: Sequence[tuple[str, str]], theme: str
 ) -> list[tuple[tuple[int, int, int], str]]:
-    colours = legend(theme)
-    colours |= {name: colours[DRIVERS[number]] for name, number in _NUMBERS.items()}
-    rows = []
-    for name, title in listed:
+    colours = all_colours(theme)
+    for name, _ in listed:
         if name not in colours:
             raise ConfigError(f"legend has {name!r}, expected one of {', '.join(colours)}")
-        rows.append((colours[name], title))
-    return rows
+    return [(colours[name], title) for name, title in listed]
 
 
 def _points(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
@@ -260,13 +271,6 @@ def _points(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
         return np.zeros((0, 2), np.float32)
     if array.ndim != 2 or array.shape[1] != 2:
         raise ShapeError(f"{what} has shape {list(array.shape)}, expected [N, 2]")
-    return array
-
-
-def _vector(what: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    array = np.ascontiguousarray(value, dtype=np.float32)
-    if array.ndim != 1:
-        raise ShapeError(f"{what} has shape {list(array.shape)}, expected [A]")
     return array
 
 

@@ -75,6 +75,11 @@ class Video:
         return self._rollout.num_steps
 
     @property
+    def dt_s(self) -> float:
+        """Seconds between steps."""
+        return self._rollout.dt_s
+
+    @property
     def moment(self) -> int:
         """The step that matters: of a contact, else the middle."""
         if self._fate.tone == "bad":
@@ -264,32 +269,23 @@ def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
 
 
 def save_video(
-    rollout: Rollout,
+    videos: Sequence[Video],
     path: str | Path,
     *,
-    compare: Sequence[Rollout] = (),
-    titles: Sequence[str] | None = None,
     speed: float = 1.0,
     progress: Callable[[Iterable[float]], Iterable[float]] = iter,
-    **options: object,
 ) -> None:
     """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
     world.
 
-    Motion between steps is drawn, too: :data:`FPS` images a second. ``titles`` names the runs, by
-    default by scene; ``progress`` goes over the moments; ``options`` are those of :class:`Video`.
+    Motion between steps is drawn, too: :data:`FPS` images a second. ``progress`` goes over the
+    moments.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
     fps = FPS.get(Path(path).suffix.lower(), 10.0)
-    runs = (rollout, *compare)
-    names = titles or [run.scene.name for run in runs]
-    videos = [
-        Video(run, title=name, **options)  # type: ignore[arg-type]
-        for run, name in zip(runs, names, strict=True)
-    ]
-    last = max(video.num_steps for video in videos) - 1
-    count = int(np.ceil(last * rollout.dt_s * fps / speed - 1e-9))
-    moments = [k * speed / (fps * rollout.dt_s) for k in range(count)] + [float(last)]
+    last, dt_s = max(video.num_steps for video in videos) - 1, videos[0].dt_s
+    count = int(np.ceil(last * dt_s * fps / speed - 1e-9))
+    moments = [k * speed / (fps * dt_s) for k in range(count)] + [float(last)]
     images = [side_by_side(videos, at) for at in progress(moments)]
     render.save(images + images[-1:] * round(HOLD_S * fps), path, fps=fps)
