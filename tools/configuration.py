@@ -365,10 +365,9 @@ def page(found: list[Table]) -> str:
         "",
         "Options of worlds and drivers are dataclasses, with defaults, units and ranges in",
         "[options.py](../ccdiff_env/traffic/options.py). Any field is a keyword:",
-        '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Unknown names, wrong types and',
-        "numbers out of range are a `ConfigError` that names the field, the value and what is",
-        "expected. Options of networks are dictionaries. Sizes of networks are in",
-        "[config.rs](../rust/nets/src/config.rs); their presets in the [reference](reference.md).",
+        '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Options of networks are dictionaries;',
+        "their sizes are in [config.rs](../rust/nets/src/config.rs), presets in the",
+        "[reference](reference.md).",
     ]
     seen = set[str]()
     for table in found:

@@ -209,7 +209,7 @@ def _verify(args: argparse.Namespace) -> int:
         )
     there = record.processor
     if found.differing and there != processor():
-        print(f"made on {there}, this is {processor()}: networks may round differently")
+        print(f"made on {there}, this is {processor()}: torch may round differently")
     return 1 if found.differing else 0
 
 

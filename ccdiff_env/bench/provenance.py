@@ -71,7 +71,7 @@ def commit() -> str | None:
 
 @lru_cache(maxsize=1)
 def processor() -> str:
-    """Return the name of the processor: networks round differently on other kinds."""
+    """Return the name of the processor: torch rounds differently on other kinds."""
     try:
         lines = read_text("/proc/cpuinfo").splitlines()
     except (OSError, DatasetError):

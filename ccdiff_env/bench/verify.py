@@ -22,7 +22,7 @@ from ccdiff_env.planners.built_in import ego_driver, is_of_package
 from ccdiff_env.system.progress import shown
 
 #: How far an action of a learned planner of the package may be from what it chooses here:
-#: processors multiply matrices of float32 in different orders.
+#: numpy and torch multiply matrices in another order on another processor.
 TOLERANCE = 1e-3
 
 
@@ -50,7 +50,7 @@ def verify(
 
     No code of others runs: drivers of the world and planners of the package are played by name, and
     their recorded actions must be those that they choose; of all other planners the recorded
-    actions are played. Batches are played as a whole, as they were: networks round differently in
+    actions are played. Batches are played as a whole, as they were: torch rounds differently in
     others.
 
     Args:
