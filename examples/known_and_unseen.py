@@ -1,10 +1,10 @@
-"""How an ego fares in scenes it learned in and in others, over the number of scenes: a curve.
+"""How an ego fares in scenes it learned in and in others, over the number of scenes.
 
     python examples/known_and_unseen.py --dataroot <nuscenes> --split train+train_val \
         --test-split val --counts 40 160 640 --seeds 3
 
 Egos learn in log replay, in traffic that reacts, and as any vehicle in both, with hidden
-differences. It prints a table, and draws ``curve.png``. The same command again goes on.
+differences. It prints tables. The same command again goes on.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ TRAININGS = {
     ),
     "reacting traffic": ("--traffic", "styles"),
 }
-COLOURS = ("tab:blue", "tab:orange", "tab:green")
 TESTS = ("replay", "idm", "ccdiff-1")
 FIGURES = {
     "score": Column("score", interval=False),
@@ -107,42 +106,15 @@ def main() -> None:
             for row in job.result()
         }
 
-    def values(figure: str, title: str, count: int, scenes: str, traffic: str) -> np.ndarray:
-        seeds = range(args.seeds)
-        return np.array([found[title, count, s, scenes, traffic][figure] for s in seeds])
-
-    places = [(scenes, t) for t in tests for scenes in ("known", "unseen")]
+    places = [(scenes, traffic) for traffic in tests for scenes in ("known", "unseen")]
     for figure, column in FIGURES.items():
-        heads = [replace(column, head=f"{t}, {scenes}") for scenes, t in places]
-        rows = [
-            [title, n, *(float(values(figure, title, n, *place).mean()) for place in places)]
-            for title in TRAININGS
-            for n in args.counts
-        ]
+        heads = [replace(column, head=f"{traffic}, {scenes}") for scenes, traffic in places]
+        rows = []
+        for title, count in product(TRAININGS, args.counts):
+            of = [[found[(title, count, s, *at)][figure] for s in range(args.seeds)] for at in places]
+            rows.append([title, count, *(float(np.mean(values)) for values in of)])
         print(f"{Table(['training', 'scenes', *heads], rows, column.title)}\n")
     print(f"Means of {args.seeds} trainings of {args.decisions} decisions, {args.dynamics}.")
-    draw(args, tests[-1], values)
-
-
-def draw(args: argparse.Namespace, traffic: str, values) -> None:
-    """Draw the scores in one traffic over the number of scenes."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
-    for title, colour in zip(TRAININGS, COLOURS, strict=True):
-        for scenes, line in (("known", "--"), ("unseen", "-")):
-            curves = np.stack([values("score", title, n, scenes, traffic) for n in args.counts])
-            axes.plot(args.counts, curves.mean(1), line, color=colour, label=f"{title}: {scenes}")
-            axes.scatter(np.repeat(args.counts, args.seeds), curves.ravel(), 8, color=colour)
-    axes.set(xscale="log", xlabel="scenes of training", ylabel=f"score, {TRAFFIC[traffic].label}")
-    axes.set_xticks(args.counts, [str(n) for n in args.counts], minor=False)
-    axes.minorticks_off()
-    axes.legend(frameon=False, fontsize="small")
-    figure.savefig(args.out / "curve.png", dpi=150)
-    print(f"{args.out / 'curve.png'}")
 
 
 if __name__ == "__main__":

@@ -105,14 +105,6 @@ def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
     return _requirements(maturin.get_requires_for_build_editable(config_settings))
 
 
-def get_requires_for_build_sdist(config_settings: Any = None) -> list[str]:
-    """Return what maturin needs."""
-    import maturin
-
-    requirements: list[str] = maturin.get_requires_for_build_sdist(config_settings)
-    return requirements
-
-
 def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
     """Make both modules and a wheel of them."""
     import maturin
@@ -130,11 +122,13 @@ def build_editable(folder: str, config_settings: Any = None, metadata: str | Non
     return str(maturin.build_editable(folder, config_settings, metadata))
 
 
-def build_sdist(folder: str, config_settings: Any = None) -> str:
-    """Make a source distribution: the files that git tracks."""
+def __getattr__(name: str) -> Any:
+    """Return maturin's hooks of source distributions: the files that git tracks."""
+    if name not in ("build_sdist", "get_requires_for_build_sdist"):
+        raise AttributeError(name)
     import maturin
 
-    return str(maturin.build_sdist(folder, config_settings))
+    return getattr(maturin, name)
 
 
 if __name__ == "__main__":

@@ -84,27 +84,23 @@ class SceneFiles(Sequence[Scene]):
         """Return a scene, or a part of the files."""
         if isinstance(key, slice):
             return SceneFiles(self.files[key], self._cache_directory)
-        index = range(len(self.files))[key]
-        if index not in self._kept:
-            self._keep(index, self._read([index])[0][0])
-        self._kept.move_to_end(index)
-        return self._kept[index]
+        return self._at([range(len(self.files))[key]])[0]
 
-    def _keep(self, index: int, scene: Scene) -> None:
-        self._kept[index] = scene
+    def _at(self, indices: Sequence[int]) -> list[Scene]:
+        """Scenes of some files, fewer than are kept; those that are not there are read."""
+        missing = [i for i in indices if i not in self._kept]
+        if missing:
+            self._kept.update(zip(missing, self._read(missing)[0], strict=True))
+        for index in indices:
+            self._kept.move_to_end(index)
         while len(self._kept) > _KEPT:
             self._kept.popitem(last=False)
+        return [self._kept[i] for i in indices]
 
     def __iter__(self) -> Iterator[Scene]:
         parts = range(0, len(self.files), _AT_ONCE)
         for start in shown(parts, what="scenes") if len(parts) > 1 else parts:
-            part = range(start, min(start + _AT_ONCE, len(self.files)))
-            missing = [i for i in part if i not in self._kept]
-            read = dict(zip(missing, self._read(missing)[0], strict=True)) if missing else {}
-            scenes = [read[i] if i in read else self._kept[i] for i in part]
-            for index, scene in read.items():
-                self._keep(index, scene)
-            yield from scenes
+            yield from self._at(range(start, min(start + _AT_ONCE, len(self.files))))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SceneFiles) and self.files == other.files

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, is_dataclass
+from functools import cache
+from typing import Any, get_args, get_origin, get_type_hints
 
 
 @dataclass(frozen=True)
@@ -98,20 +99,8 @@ class LoadReport:
     @classmethod
     def from_json(cls, text: str) -> LoadReport:
         """Read what the native loader wrote."""
-        data: dict[str, Any] = json.loads(text)
-        return cls(
-            dataroot=data["dataroot"],
-            version=data["version"],
-            scenes=tuple(_scene(entry) for entry in data["scenes"]),
-            missing=tuple(data["missing"]),
-            empty=tuple(data["empty"]),
-            missing_maps=tuple(data["missing_maps"]),
-            maps=tuple(
-                MapReport(m["location"], m["layers"], tuple(m["notes"])) for m in data["maps"]
-            ),
-            cache=CacheReport(**{**data["cache"], "notes": tuple(data["cache"]["notes"])}),
-            timing=Timing(**data["timing"]),
-        )
+        report: LoadReport = _made(cls, json.loads(text))
+        return report
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain containers, ready for JSON."""
@@ -156,9 +145,17 @@ class LoadReport:
         return "\n".join(_lines(self))
 
 
-def _scene(entry: dict[str, Any]) -> SceneReport:
-    dropped = tuple(Dropped(**d) for d in entry["dropped"])
-    return SceneReport(**{**entry, "dropped": dropped, "notes": tuple(entry["notes"])})
+_hints = cache(get_type_hints)
+
+
+def _made(kind: Any, value: Any) -> Any:
+    """A value of JSON as a record, a tuple, or as it is."""
+    if is_dataclass(kind):
+        hints = _hints(kind)
+        return kind(**{name: _made(hints[name], part) for name, part in value.items()})  # type: ignore[operator]
+    if get_origin(kind) is tuple:
+        return tuple(_made(get_args(kind)[0], part) for part in value)
+    return value
 
 
 def _some(names: tuple[str, ...]) -> str:

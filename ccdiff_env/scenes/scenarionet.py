@@ -10,7 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -250,16 +250,8 @@ class _Features:
         self._surfaces: list[Polygon] = []
         self._heights = Heights(source.part("metadata").get("dataset"))
         self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
-        self.layers: MapLayers = {
-            "drivable_area": [],
-            "ped_crossings": [],
-            "walkways": [],
-            "stop_lines": [],
-            "carpark_areas": [],
-            "road_dividers": [],
-            "lane_dividers": [],
-            "lanes": [],
-        }
+        given = set(MapLayers.__annotations__) - {"elevation_m"}
+        self.layers: MapLayers = {name: [] for name in sorted(given)}  # type: ignore[assignment]
         features = source.part("map_features")
         lanes: dict[str, tuple[Lane, Mapping[str, Any]]] = {}
         for key, feature in features.items():
@@ -339,10 +331,8 @@ class _Features:
         elif kind.startswith("ROAD_LINE_"):
             # yellow lines part the directions of traffic
             points = self._points(key, feature, "polyline")
-            if "YELLOW" in kind:
-                self._add_line("road_dividers", layers["road_dividers"], points)
-            else:
-                self._add_line("lane_dividers", layers["lane_dividers"], points)
+            name = "road_dividers" if "YELLOW" in kind else "lane_dividers"
+            self._add_line(name, layers[name], points)  # type: ignore[literal-required]
         elif kind in _ROAD_EDGES:
             self._add_line("edges", self._edges, self._points(key, feature, "polyline"))
         elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK", "DRIVEWAY"):
@@ -528,15 +518,12 @@ def read_scenarios(
     if not scenes:
         raise DatasetError(f"no scenario with agents in {path}; without agents: {empty}")
     seconds = time.perf_counter() - started
-    report_of_all = LoadReport(
+    return scenes, replace(
+        LoadReport.blank(),
         dataroot=os.fspath(path),
         version="scenarionet",
         scenes=tuple(reports),
-        missing=(),
         empty=tuple(empty),
-        missing_maps=(),
-        maps=(),
         cache=CacheReport(None, 0, len(scenes), 0, ()),
         timing=Timing(0.0, 0.0, 0.0, seconds, seconds),
     )
-    return scenes, report_of_all
