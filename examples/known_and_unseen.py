@@ -111,8 +111,11 @@ def main() -> None:
         heads = [replace(column, head=f"{traffic}, {scenes}") for scenes, traffic in places]
         rows = []
         for title, count in product(TRAININGS, args.counts):
-            of = [[found[(title, count, s, *at)][figure] for s in range(args.seeds)] for at in places]
-            rows.append([title, count, *(float(np.mean(values)) for values in of)])
+            means = [
+                float(np.mean([found[(title, count, s, *at)][figure] for s in range(args.seeds)]))
+                for at in places
+            ]
+            rows.append([title, count, *means])
         print(f"{Table(['training', 'scenes', *heads], rows, column.title)}\n")
     print(f"Means of {args.seeds} trainings of {args.decisions} decisions, {args.dynamics}.")
 
