@@ -5,10 +5,6 @@
 - *plans per second* (one world planned once) and milliseconds per vehicle and plan, and per vehicle
   and simulated frame (five frames a plan).
 
-``--models all`` (or names, ``ctg,ccdiff``) compares the networks instead: plans per second of
-one world each in batches of E, and seconds for a guided scene of 10 s: K = 5, a plan every 0.5 s,
-five samples, two gradient steps in each of four denoising steps (elsewhere eight on the output).
-
 Seconds are of the clock and of the processor (all threads); the latter do not depend on what else
 the machine does.
 """
@@ -23,12 +19,10 @@ from pathlib import Path
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.traffic import episodes
 from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
-from ccdiff_env.traffic import NETWORKS, SWIFT
+from ccdiff_env.traffic import SWIFT
 
 ENVS = (1, 8, 32, 64)
 STEP = 40
@@ -55,54 +49,24 @@ def ego_steps(scenes: SceneSet, steps: int, traffic: str = "ccdiff", **options: 
         env.close()
 
 
-def plans(
-    name: str, weights: Path, scenes: SceneSet, rounds: int, solver_steps: int | None = None
-) -> None:
-    """Print the speed of plans; ``solver_steps`` for networks that denoise."""
+def plans(weights: Path, scenes: SceneSet, rounds: int, solver_steps: int) -> None:
+    """Print the speed of plans."""
     model = TrajectoryModel(weights)
-    options = {} if solver_steps is None else {"solver_steps": solver_steps}
     for envs in ENVS:
         part = [scenes[i % len(scenes)] for i in range(envs)]
         steps = [STEP] * envs
-        vehicles = sum(len(p.agents) for p in model.plan(part, steps, **options))
+        vehicles = sum(len(p.agents) for p in model.plan(part, steps, solver_steps=solver_steps))
         start, busy = time.perf_counter(), time.process_time()
         for _ in range(rounds):
-            model.plan(part, steps, **options)
+            model.plan(part, steps, solver_steps=solver_steps)
         clock = (time.perf_counter() - start) / rounds
         busy = (time.process_time() - busy) / rounds
         print(
-            f"  {name}, E = {envs:3d}, {vehicles:4d} vehicles: {envs / clock:7.1f} plans/s of the "
+            f"  E = {envs:3d}, {vehicles:4d} vehicles: {envs / clock:7.1f} plans/s of the "
             f"clock, {envs / busy:7.1f} per second of one processor, "
             f"{1e3 * busy / vehicles:7.2f} ms of it per vehicle and plan, "
             f"{1e3 * busy / vehicles / 5:6.3f} per vehicle and frame"
         )
-
-
-def guided_scenes(names: list[str], scenes: SceneSet, count: int) -> None:
-    """Print the seconds of a guided scene of 10 s, one scene at a time."""
-    chosen = [SceneSet([scene]) for scene in scenes[:count]]
-    for name in names:
-        start, busy = time.perf_counter(), time.process_time()
-        played = [episodes(scene, METHODS[name], num_controlled=5)[0] for scene in chosen]
-        clock = (time.perf_counter() - start) / count
-        busy = (time.process_time() - busy) / count
-        vehicles = np.mean([episode.controlled.sum() for episode in played])
-        print(
-            f"  {name:12s}: {busy:6.2f} s of processor, {clock:6.2f} of the clock per scene of "
-            f"{vehicles:.1f} driven vehicles"
-        )
-
-
-def compare(names: list[str], scenes: SceneSet, rounds: int) -> None:
-    """Print the speed of networks beside each other."""
-    print("Plans, one sample, not guided:")
-    for name in names:
-        plans(name, shipped_weights(name), scenes, rounds)
-    if "ccdiff" in names:
-        names = [*names, "ccdiff_one_step"]
-        plans(names[-1], shipped_weights(one_step=True), scenes, rounds, 1)
-    print("Guided scenes of 10 s, K = 5, five samples (SimNet: one):")
-    guided_scenes(names, scenes, 4 * rounds)
 
 
 def main() -> None:
@@ -111,16 +75,11 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=50, help="steps per measurement")
     parser.add_argument("--rounds", type=int, default=3, help="plans per measurement")
     parser.add_argument("--threads", type=int, default=1, help="threads of worlds and of torch")
-    parser.add_argument("--models", help="names of networks, comma-separated, or all")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = str(args.threads)
     scenes = scenes_from(args)
     vehicles = np.mean([int(s.tracks()["valid"][:, STEP].sum()) for s in scenes])
     print(f"{len(scenes)} scenes, {vehicles:.1f} agents at a time, {args.threads} thread(s)")
-    if args.models is not None:
-        known = [name for name in NETWORKS if name != SWIFT and shipped_weights(name).exists()]
-        compare(known if args.models == "all" else args.models.split(","), scenes, args.rounds)
-        return
     for traffic in ("idm", SWIFT, "idm", SWIFT):
         print(f"Ego-v0 in {traffic} traffic, criticality 1 where there is one")
         ccdiff = {"ccdiff": {"criticality": 1.0}} if traffic == SWIFT else {}
@@ -130,8 +89,9 @@ def main() -> None:
             print(f"Ego-v0 in CCDiff traffic, {guided}, denoising steps: {denoising_steps}")
             ccdiff = {"criticality": criticality, "denoising_steps": denoising_steps}
             ego_steps(scenes, args.steps, ccdiff=ccdiff, num_threads=args.threads)
-    print("Plans, DDIM with 5 steps, one sample:")
-    plans("fast", shipped_weights(), scenes, args.rounds, 5)
+    for steps in (5, 1):
+        print(f"Plans, denoising steps: {steps}, one sample")
+        plans(shipped_weights(one_step=steps == 1), scenes, args.rounds, steps)
 
 
 if __name__ == "__main__":
