@@ -18,11 +18,6 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import Place
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
-__all__ = [
-    "HORIZON_STEPS", "Drive", "is_drive", "play_drive", "read_drive", "top_speed_mps",
-    "world_config",
-]  # fmt: skip
-
 HORIZON_STEPS = 150
 #: Who drives the others, as the page offers it.
 TRAFFIC = {
@@ -36,11 +31,11 @@ MAX_CRITICALITY = 2.0
 
 def world_config(traffic: str, criticality: float = 0.0) -> WorldConfig:
     """Return the configuration that the page plays with."""
-    network: dict[str, Any] = {
-        "criticality": criticality,
-        **({"num_samples": 4} if criticality > 0.0 and traffic != SWIFT else {}),
-        **({"denoising_steps": 1} if KINDS[traffic].denoises else {}),
-    }
+    network: dict[str, Any] = {"criticality": criticality}
+    if criticality > 0.0 and traffic != SWIFT:
+        network["num_samples"] = 4
+    if KINDS[traffic].denoises:
+        network["denoising_steps"] = 1
     options: dict[str, Any] = {traffic: network} if traffic in NETWORKS else {}
     return WorldConfig().with_options(
         traffic=traffic, horizon_steps=HORIZON_STEPS, autoreset="disabled", **options
@@ -91,10 +86,8 @@ def is_drive(text: str) -> bool:
 
 
 def read_drive(link: str) -> Drive:
-    """Read a link that *Share this drive* has made.
-
-    Raises:
-        ConfigError: If a part of the link is missing, unknown or out of range.
+    """Read a link that *Share this drive* has made; a :class:`ConfigError` names a part of it that
+    is missing, unknown or out of range.
     """
     found = {name: values[-1] for name, values in parse_qs(urlsplit(link).fragment).items()}
     if missing := {"scene", "traffic", "drive"} - set(found):
@@ -121,15 +114,8 @@ def read_drive(link: str) -> Drive:
 
 
 def play_drive(link: str, place: Place | str | None = None) -> Rollout:
-    """Play a link again: the states have the bits that they had on the page.
-
-    Args:
-        link: What *Share this drive* has made.
-        place: Where its scene is; the embedded ones by default.
-
-    Raises:
-        ConfigError: If the link is not one.
-        UnknownNameError: If there is no such scene.
+    """Play a link again, in a scene of a place, the embedded ones by default: the states have the
+    bits that they had on the page. Raises as :func:`read_drive`, and :class:`UnknownNameError`.
     """
     from ccdiff_env.envs import EgoEnv
     from ccdiff_env.record.recorder import Recorder

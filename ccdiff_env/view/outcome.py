@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -177,17 +178,13 @@ def _late(rollout: Rollout, agent: int) -> str:
     log = rollout.scene.tracks()
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     ways = (
-        (rollout.position[agent], rollout.valid[agent]),
-        (log["position"][agent, steps], log["valid"][agent, steps]),
+        rollout.position[agent, rollout.valid[agent]],
+        log["position"][agent, steps][log["valid"][agent, steps]],
     )
-    if all(_reach_m(position[valid]) < WAITED_M for position, valid in ways):
+    reaches_m = [np.linalg.norm(way - way[:1], axis=-1).max(initial=0.0) for way in ways]
+    if max(reaches_m) < WAITED_M:
         return "waited, as in its log"
     return f"not at its goal in {(rollout.num_steps - 1) * rollout.dt_s:.1f} s"
-
-
-def _reach_m(position: npt.NDArray[np.float32]) -> float:
-    """How far from its first position [N, 2] something gets."""
-    return float(np.linalg.norm(position - position[:1], axis=-1).max(initial=0.0))
 
 
 def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
@@ -228,19 +225,15 @@ def _leaves_road_in_log(rollout: Rollout) -> Any:
     speed = np.where(valid, np.linalg.norm(tracks["velocity"], axis=-1), 0.0)
     parked: npt.NDArray[np.bool_] = speed.max(axis=1, initial=0.0) <= PARKED_MPS
     near = round(NEAR_S / rollout.dt_s)
-    outside: npt.NDArray[np.bool_] | None = None
+    outside = cache(lambda: _outside(rollout, steps))
 
     def dull(agent: int, step: int) -> bool:
-        nonlocal outside
         if rollout.agent_ids[agent] == "ego":
             return False
         appears = step == 0 or not rollout.valid[agent, step - 1]
         if appears or parked[agent]:
             return True
-        if outside is None:
-            outside = _outside(rollout, steps)
-        around = outside[agent, max(step - near, 0) : step + near + 1]
-        return bool(around.any())
+        return bool(outside()[agent, max(step - near, 0) : step + near + 1].any())
 
     return dull
 

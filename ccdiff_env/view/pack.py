@@ -52,11 +52,8 @@ _LINES = ("road_dividers", "lane_dividers")
 
 
 def pack(rollout: Rollout, title: str) -> str:
-    """Return the text of a rollout's data element: base64 of the compressed bytes.
-
-    Args:
-        rollout: What to show.
-        title: Short name of the run on the page.
+    """Return the text of a rollout's data element, base64 of the compressed bytes; ``title`` is the
+    short name of the run on the page.
     """
     arrays = _Arrays()
     layers = _add_map(arrays, rollout)
@@ -109,23 +106,21 @@ def _padded(data: bytes) -> bytes:
 def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     """What the header says of a run."""
     scene = rollout.scene
-    agents = []
-    kinds, sizes = scene.agent_types, scene.sizes
-    for i, (label, long) in enumerate(agent_titles(scene)):
-        agents.append(
-            {
-                "id": rollout.agent_ids[i],
-                "label": label,
-                "title": long,
-                "kind": kinds[i],
-                "length": round(float(sizes[i, 0]), 2),
-                "width": round(float(sizes[i, 1]), 2),
-                "driver": driver_of(rollout, i),
-                "drivenBy": ego_title(rollout)
-                if rollout.agent_ids[i] == "ego"
-                else driver_title(rollout, i),
-            }
-        )
+    kinds, ids = scene.agent_types, rollout.agent_ids
+    sizes = scene.sizes.astype(float).round(2).tolist()
+    agents = [
+        {
+            "id": ids[i],
+            "label": label,
+            "title": long,
+            "kind": kinds[i],
+            "length": sizes[i][0],
+            "width": sizes[i][1],
+            "driver": driver_of(rollout, i),
+            "drivenBy": ego_title(rollout) if ids[i] == "ego" else driver_title(rollout, i),
+        }
+        for i, (label, long) in enumerate(agent_titles(scene))
+    ]
     fate = outcome(rollout)
     return {
         "title": title,
@@ -178,8 +173,7 @@ def _add_pairs(arrays: _Arrays, rollout: Rollout) -> None:
     arrays.whole("pairStart", starts, "u4")
     arrays.whole("pairA", np.concatenate(first), "u2")
     arrays.whole("pairB", np.concatenate(second), "u2")
-    ttc_steps = np.concatenate(seconds)
-    arrays.whole("pairTtc", ttc_steps, "u1")
+    arrays.whole("pairTtc", np.concatenate(seconds), "u1")
     arrays.entries[-1] |= {"step": TTC_STEP_S, "base": 0.0}
 
 

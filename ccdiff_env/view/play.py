@@ -32,8 +32,6 @@ from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
-__all__ = ["SCENES", "playground_html", "write_playground"]
-
 #: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
 #: criticality 2. In the first it is hit at criticality 1, as is who holds the accelerator alone.
 SCENES = (
@@ -75,8 +73,7 @@ def run(args: argparse.Namespace) -> int:
 def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
     """Write the page of some scenes, :data:`SCENES` by default.
 
-    Raises:
-        MissingFeatureError: If the module was not compiled.
+    A module that was not compiled is a :class:`MissingFeatureError`.
     """
     if not MODULE.exists():
         raise MissingFeatureError(
@@ -87,11 +84,8 @@ def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
 
 
 def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str:
-    """Return the page as HTML that needs nothing else.
-
-    Args:
-        module: WebAssembly, as ``tools.playground`` compiles it.
-        scenes: What can be played; :data:`SCENES` by default.
+    """Return the page of some scenes, :data:`SCENES` by default, as HTML that needs nothing else;
+    the module is WebAssembly, as ``tools.playground`` compiles it.
     """
     ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
     settings = {
@@ -115,7 +109,10 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "module": _packed(module),
         "weights": "\n".join(
             f'<script class="weights" type="text/plain">{_packed(each.read_bytes())}</script>'
-            for each in map(_weights, (name for name in TRAFFIC if name in NETWORKS))
+            # of one step where they denoise
+            for name in TRAFFIC
+            if name in NETWORKS
+            for each in [shipped_weights(name, one_step=KINDS[name].denoises)]
         ),
         "ego": _packed(tensor_bytes(ego.tensors, {})),
         "engine": part("engine.js"),
@@ -123,11 +120,6 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "script": "\n".join(map(part, SCRIPTS)),
     }
     return page.filled_page(part("drive.html"), parts)
-
-
-def _weights(name: str) -> Path:
-    """File of the weights of a network, of one step where it denoises."""
-    return shipped_weights(name, one_step=KINDS[name].denoises)
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:

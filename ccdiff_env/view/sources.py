@@ -100,13 +100,8 @@ def play_scene(
 def find_rollout(
     name: str, place: Place | str = DEFAULT, *, like: Rollout | None = None
 ) -> Rollout:
-    """Return the rollout that a word of the command line names.
-
-    Args:
-        name: File of a rollout, link to a drive, else name of a scene. ``"log"`` is the log of
-            ``like``.
-        place: Where scenes are looked for, as :func:`ccdiff_env.load` takes it.
-        like: The run that this one is compared with.
+    """Return the rollout that a word of the command line names: a file of one, a link to a drive,
+    else a scene of a place; ``"log"`` is the log of ``like``, with which it is compared.
 
     Raises:
         UnknownNameError: If there is neither such a file nor such a scene.
@@ -125,11 +120,7 @@ def find_rollout(
 
 
 def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
-    """Return a scene of a place by name.
-
-    Raises:
-        UnknownNameError: If there is no such scene.
-    """
+    """Return a scene of a place by name; none is an :class:`UnknownNameError`."""
     try:
         return load(place, names=[name])[0]
     except UnknownNameError as error:

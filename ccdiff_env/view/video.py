@@ -49,7 +49,7 @@ class Video:
         follow = follow if follow is not None else rollout.agent_ids[0]
         if follow not in rollout.agent_ids:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
-        self._rollout = rollout
+        self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
         self._size, self._span_m, self._up_rad = size, span_m, up_rad
         self._middle = rollout.agent_ids.index(follow)
         self._graph, self._captions, self.theme = graph, captions, theme
@@ -57,27 +57,15 @@ class Video:
         self._fate = outcome(rollout)
         self._parked = parked(rollout)
         self._there = _there(rollout)
-        self._centres = (
-            _centres(rollout, self._middle)
-            if centre_m is None
-            else np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
-        )
+        self._centres = _centres(rollout, self._middle)
+        if centre_m is not None:
+            self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._names = [short for short, _ in agent_titles(rollout.scene)]
         self._legend = _legend(rollout, self._drivers) if captions else []
         if graph:
             self._legend += [("causal arrow", "may influence")]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
-
-    @property
-    def num_steps(self) -> int:
-        """Steps that can be drawn."""
-        return self._rollout.num_steps
-
-    @property
-    def dt_s(self) -> float:
-        """Seconds between steps."""
-        return self._rollout.dt_s
 
     @property
     def moment(self) -> int:
@@ -91,10 +79,8 @@ class Video:
         return str(self._drawn(at, svg=True))
 
     def frame(self, at: float) -> render.Image:
-        """Draw a step, or a moment between two, as an image [H, W, 3].
-
-        Raises:
-            ConfigError: If the rollout has no such step.
+        """Draw a step, or a moment between two, as an image [H, W, 3]; a :class:`ConfigError` says
+        which steps there are.
         """
         image: render.Image = self._drawn(at)
         return image
@@ -221,14 +207,14 @@ class Video:
 
 def parked(rollout: Rollout) -> npt.NDArray[np.bool_]:
     """Return which vehicles [A] never leave the place at which they are first; never the ego."""
-    found = np.zeros(len(rollout.agent_ids), bool)
+    found = []
     for i, (name, kind) in enumerate(
         zip(rollout.agent_ids, rollout.scene.agent_types, strict=True)
     ):
         way = rollout.position[i, rollout.valid[i]]
         far = np.linalg.norm(way - way[:1], axis=1).max(initial=0.0)
-        found[i] = kind == "vehicle" and name != "ego" and far <= LOOK["PARKED_M"]
-    return found
+        found.append(kind == "vehicle" and name != "ego" and far <= LOOK["PARKED_M"])
+    return np.array(found, bool)
 
 
 def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:
