@@ -18,6 +18,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ccdiff_env.bench.plots import name_ends, new_plot
+from ccdiff_env.view.render import data_address, pillow
+from ccdiff_env.view.sources import find_scene, play_scene
+from ccdiff_env.view.video import Video
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,12 +79,8 @@ def _svg(plot: Plot, alt: str) -> str:
 
 def _smaller(found: re.Match[str]) -> str:
     """The address of an image with fewer colours."""
-    from PIL import Image
-
-    image = Image.open(io.BytesIO(base64.b64decode(found[1]))).convert("RGB").quantize(96)
-    file = io.BytesIO()
-    image.save(file, format="PNG", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+    image = pillow().open(io.BytesIO(base64.b64decode(found[1]))).convert("RGB")
+    return data_address(np.asarray(image), 96)
 
 
 def _drawn(axes: Axes, look: Look, **options: Any) -> None:
@@ -263,9 +262,6 @@ def dial() -> str:
 
 def _stills() -> list[tuple[float, Any]]:
     """One moment of one crossing at criticality 0, 1 and 2."""
-    from ccdiff_env.view.sources import find_scene, play_scene
-    from ccdiff_env.view.video import Video
-
     scene, found, moment = find_scene(STILL_SCENE), [], None
     for level in (1.0, 0.0, 2.0):
         run = play_scene(scene, driver="replay", ccdiff={"criticality": level})

@@ -29,6 +29,11 @@ PLAIN = (
 )  # fmt: skip
 #: Sizes stored with weights, which the page leaves to the source.
 SIZES = ("MapConfig", "ModelConfig", "Normalisation")
+#: Annotations of forms without parts.
+PLAIN_FORMS = {
+    **{"flag": "bool", "count": "int", "number": "float", "text": "str", "any": "Any"},
+    "span": "tuple[float, float]",
+}
 #: Fields that classes of Python have in another form.
 OWN_FORM = {"WorldConfig": "named_drivers", "PythonOptions": "model"}
 HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
@@ -74,14 +79,15 @@ from ccdiff_env.traffic.options import <used>
 from ccdiff_env.traffic.python import PythonTraffic
 
 '''
-#: Keywords by the class of dictionaries that adds them to those before: environments have arguments
-#: of these names, or set them themselves.
+#: Classes of keywords, whose they are, and those that each adds to the one before: environments
+#: have arguments of these names, or set them themselves.
 KEYWORDS = {
-    "SelectionKeywords": (),
-    "AgentKeywords": ("reward", "style", "driver", "decision_steps"),
-    "EgoKeywords": ("ego", "adversaries", "adversary_shaping"),
+    "SelectionKeywords": ("the selection of adversaries", ""),
+    "AgentKeywords": ("environments of several agents", "reward style driver decision_steps"),
+    "EgoKeywords": ("environments of one ego per world", "ego adversaries adversary_shaping"),
     "WorldKeywords": (
-        *("observation", "controlled", "num_slots", "ranking", "num_adversaries", "autoreset"),
+        "configurations of worlds",
+        "observation controlled num_slots ranking num_adversaries autoreset",
     ),
 }
 #: What keywords take beside what fields hold.
@@ -90,12 +96,6 @@ MORE = {
     "driver": " | PythonTraffic",
     "controlled": " | list[str]",
     "reward": " | str",
-}
-_OF = {
-    "SelectionKeywords": "the selection of adversaries",
-    "AgentKeywords": "environments of several agents",
-    "EgoKeywords": "environments of one ego per world",
-    "WorldKeywords": "configurations of worlds",
 }
 #: Keywords that are no fields of the configuration of worlds: fields of its actions and rasters.
 SHORT = {"dynamics": "ActionConfig", "discrete": "ActionConfig", "grid": "ActionConfig",
@@ -110,14 +110,22 @@ def tables() -> list[Table]:
     return [*json.loads(_native.config_tables()), *json.loads(_models.config_tables())]
 
 
-def _choices(form: Any) -> Iterator[Mapping[str, Any]]:
-    """Choices in a form, those in tables left out."""
+def _parts(form: Any, tables: bool) -> Iterator[Any]:
+    """Names of the tables in a form, those in choices left out; or choices likewise."""
     if isinstance(form, dict):
         ((kind, inner),) = form.items()
-        if kind in ("one_of", "kinds"):
+        if kind not in ("table", "one_of", "kinds"):
+            yield from _parts(inner, tables)
+        elif tables == (kind == "table"):
             yield inner
-        elif kind != "table":
-            yield from _choices(inner)
+
+
+def _choices(form: Any) -> Iterator[Mapping[str, Any]]:
+    return _parts(form, tables=False)
+
+
+def _tables_in(form: Any) -> Iterator[str]:
+    return _parts(form, tables=True)
 
 
 def _named(table: Table) -> str:
@@ -127,14 +135,7 @@ def _named(table: Table) -> str:
 
 def _annotation(form: Any) -> str:
     if isinstance(form, str):
-        return {
-            "flag": "bool",
-            "count": "int",
-            "number": "float",
-            "text": "str",
-            "span": "tuple[float, float]",
-            "any": "Any",
-        }[form]
+        return PLAIN_FORMS[form]
     ((kind, inner),) = form.items()
     if kind == "one_of":
         return str(inner["name"])
@@ -212,15 +213,10 @@ def _with_comment(line: str, text: str) -> list[str]:
 def _class(table: Table) -> str:
     first, *more = (_python(part) for part in _text(table["doc"]))
     summary, _, rest = first.partition(". ")
-    paragraphs = [p for p in (rest, *more) if p]
+    paragraphs = [f'"""{summary.rstrip(".")}."""', *(p for p in (rest, *more) if p)]
     lines = ["@dataclass(frozen=True, kw_only=True)", f"class {_named(table)}(Options):"]
-    if paragraphs:
-        lines += [_wrapped(f'"""{summary.rstrip(".")}.', "    ", "    "), ""]
-        lines += "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs).split("\n")
-        lines += ['    """', ""]
-    else:
-        text = _wrapped(f'"""{summary.rstrip(".")}."""', "    ", "    ")
-        lines += [text.removesuffix('"""') + '\n    """' if "\n" in text else text, ""]
+    text = "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs)
+    lines += [text if "\n" not in text else text.replace('."""', ".", 1) + '\n    """', ""]
     for entry in table["fields"]:
         if OWN_FORM.get(table["name"]) == entry["name"]:
             continue
@@ -295,11 +291,11 @@ def keywords(found: list[Table]) -> str:
     kinds = {k["name"]: k["options"] for k in _native.driver_kinds() if k["options"]}
     kinds["python"] = "PythonTraffic"
     fields |= {n: f"{t} | Mapping[str, Any]" for n, t in kinds.items() if n not in fields}
-    late = {name for names in KEYWORDS.values() for name in names}
+    late = {name for _, names in KEYWORDS.values() for name in names.split()}
     lines, base = [], "TypedDict"
-    for name, own in KEYWORDS.items():
-        shown = own or [n for n in fields if n not in late]
-        lines += [f"class {name}({base}, total=False):", f'    """Keywords of {_OF[name]}."""', ""]
+    for name, (of, own) in KEYWORDS.items():
+        shown = own.split() or [n for n in fields if n not in late]
+        lines += [f"class {name}({base}, total=False):", f'    """Keywords of {of}."""', ""]
         lines += [*(f"    {n}: {fields[n]}" for n in shown), "", ""]
         base = name
     text = "\n".join(lines)
@@ -323,15 +319,6 @@ def plan_fields() -> str:
             doc += f", [{', '.join(axes)}]" if ". " not in doc else f". [{', '.join(axes)}]"
         lines += _with_comment(f"    {name}: {annotation}", doc + ".")
     return _formatted(PLAN_HEAD.replace("<fields>", "\n".join(lines)))
-
-
-def _tables_in(form: Any) -> Iterator[str]:
-    if isinstance(form, dict):
-        ((kind, inner),) = form.items()
-        if kind == "table":
-            yield inner
-        elif kind not in ("one_of", "kinds"):
-            yield from _tables_in(inner)
 
 
 def _below_plain(table: Table, found: list[Table]) -> bool:
@@ -385,15 +372,10 @@ def page(found: list[Table]) -> str:
                     continue
                 seen.add(choice["name"])
                 lines += ["", f"`{entry['name']}`:", ""]
-                lines += [
-                    f"* `{v['name']}`{_linked(v['form'])}: {' '.join(_text(v['doc']))}"
-                    for v in choice["variants"]
-                ]
+                for v in choice["variants"]:
+                    links = "".join(f" ([{n}](#{n.lower()}))" for n in _tables_in(v["form"]))
+                    lines.append(f"* `{v['name']}`{links}: {' '.join(_text(v['doc']))}")
     return "\n".join(lines) + "\n"
-
-
-def _linked(form: Any) -> str:
-    return "".join(f" ([{name}](#{name.lower()}))" for name in _tables_in(form))
 
 
 #: Files that are written, and what makes each of them.

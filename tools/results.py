@@ -24,6 +24,9 @@ from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.methods import label_of
+from ccdiff_env.bench.planner_report import short_name
+from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
@@ -253,9 +256,6 @@ def _figure(rows: list[dict[str, str]], name: str) -> list[float | None]:
 
 def render(name: str, chosen: str | None = None, only: str | None = None) -> str:
     """Return the table of a name, in Markdown, from what its run kept; all of it by default."""
-    from ccdiff_env.bench.methods import label_of
-    from ccdiff_env.bench.planners import TRAFFIC
-
     table = TABLES[name]
     if chosen is not None:
         heads = [head.strip() for head in chosen.split(",")]
@@ -289,8 +289,6 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
 
 def _grid(kept: dict[str, Any], column: Column) -> str:
     """One figure of every method, in a column per K at the first T, then per T at K = 5."""
-    from ccdiff_env.bench.methods import label_of
-
     rows = [row for row in kept["rows"] if row["K"] != "0"]  # which is the log
     cells = {(row["K"], row["replan_s"]): f"K = {row['K']}" for row in rows}
     first = next(iter(cells))[1]
@@ -306,9 +304,6 @@ def _grid(kept: dict[str, Any], column: Column) -> str:
 
 def _planner(name: str) -> str:
     """Title of a planner, with a dagger where it uses what a vehicle cannot know."""
-    from ccdiff_env.bench.planner_report import short_name
-    from ccdiff_env.bench.planners import is_privileged
-
     return short_name(name) + (" †" if is_privileged(name) else "")
 
 
