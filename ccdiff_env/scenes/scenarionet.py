@@ -23,6 +23,7 @@ from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, Scen
 from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
 from ccdiff_env.scenes.scenario_heights import Heights, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
+from ccdiff_env.scenes.scenarionet_export import OWN_LAYERS
 from ccdiff_env.scenes.scene_types import Lane, MapLayers, Polygon
 from ccdiff_env.system.files import reading
 
@@ -39,7 +40,6 @@ _KINDS_OF_CATEGORIES = {"vehicle.motorcycle": "motorcycle", "vehicle.bicycle": "
 
 _EGO_ID = "ego"
 _INDEX_FILES = ("dataset_summary.pkl", "dataset_mapping.pkl")
-_LINKS = ("exit_lanes", "entry_lanes")
 _ROAD_EDGES = ("ROAD_EDGE_BOUNDARY", "ROAD_EDGE_MEDIAN", "ROAD_EDGE_UNKNOWN", "ROAD_EDGE")
 _CENTRELINE_SPACING_M = 1.0
 
@@ -193,12 +193,7 @@ def _own_layers(source: ScenarioFields, origin: F64) -> MapLayers | None:
             found.append({"exterior": ring(polygon["exterior"], name), "holes": holes})
         return found
 
-    layers: MapLayers = {
-        "drivable_area": polygons("drivable_area"),
-        "walkways": polygons("walkways"),
-        "stop_lines": polygons("stop_lines"),
-        "carpark_areas": polygons("carpark_areas"),
-    }
+    layers: MapLayers = {name: polygons(name) for name in OWN_LAYERS}  # type: ignore[assignment]
     if own.get("elevation_m") is not None:
         name = f"{where}.elevation_m"
         heights = source.mapping(own["elevation_m"], name).items()
@@ -355,29 +350,21 @@ class _Features:
             self._heights.add(name, points[:, 2])
 
     def _link(self, lanes: Mapping[str, tuple[Lane, Mapping[str, Any]]]) -> None:
+        """Note who follows whom; lanes that are named and not in the file are left out."""
         index = {key: i for i, key in enumerate(lanes)}
         edges: set[tuple[int, int]] = set()
-        for key, (_, feature) in lanes.items():
-            here = index[key]
-            exits, entries = (self._linked(index, key, feature, n) for n in _LINKS)
-            edges.update((here, other) for other in exits)
-            edges.update((other, here) for other in entries)
+        for here, (key, (_, feature)) in enumerate(lanes.items()):
+            for name in ("exit_lanes", "entry_lanes"):
+                where = f"map_features[{key!r}].{name}"
+                for other in self._source.items(feature.get(name), where):
+                    there = index.get(self._source.text(other, where))
+                    if there is not None:
+                        edges.add((here, there) if name == "exit_lanes" else (there, here))
         listed = [lane for lane, _ in lanes.values()]
         for start, end in sorted(edges):
             listed[start]["successors"].append(end)
             listed[end]["predecessors"].append(start)
         self.layers["lanes"] = listed
-
-    def _linked(
-        self, index: Mapping[str, int], key: str, feature: Mapping[str, Any], name: str
-    ) -> list[int]:
-        """Lanes that a lane names; those that are not in the file are left out."""
-        where = f"map_features[{key!r}].{name}"
-        names = [
-            self._source.text(other, where)
-            for other in self._source.items(feature.get(name), where)
-        ]
-        return [index[other] for other in names if other in index]
 
 
 def _tracks(source: ScenarioFields, num_steps: int, ego: str | None) -> list[_Track]:
@@ -440,36 +427,30 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
     return scene, report
 
 
-def _heights(tracks: Sequence[_Track]) -> npt.NDArray[np.float32]:
-    """Elevations [A, T] of the ground below all agents, 0 where it is not told."""
-    heights = [t.elevation if t.elevation is not None else np.zeros(len(t.valid)) for t in tracks]
-    return np.stack(heights).astype(np.float32)
-
-
-def _places(tracks: Sequence[_Track], origin: F64) -> npt.NDArray[np.float32]:
-    """Places [N, 3] at which agents are, with the elevation of the ground."""
-    valid = np.stack([track.valid for track in tracks])
-    position = np.stack([track.position for track in tracks]) - origin
-    return np.column_stack([position[valid], _heights(tracks)[valid]]).astype(np.float32)
-
-
 def _assembled(
     source: ScenarioFields, name: str, dt: float, tracks: Sequence[_Track]
 ) -> tuple[Scene, dict[str, int], str]:
     valid = np.stack([track.valid for track in tracks])
-    position = np.stack([track.position for track in tracks])
     origin = _origin(source, tracks)
+    position = np.stack([track.position for track in tracks]) - origin
     told = all(track.elevation is not None for track in tracks)
-    vehicles = [track for track in tracks if track.kind == "vehicle"] or tracks[:1]
-    places = _places(tracks, origin)
-    features = _Features(source, origin, _places(vehicles, origin), places if told else None)
+    # elevations [A, T] of the ground below all agents, 0 where it is not told
+    heights = np.stack(
+        [np.zeros(valid.shape[1]) if t.elevation is None else t.elevation for t in tracks]
+    )
+    vehicles = [i for i, track in enumerate(tracks) if track.kind == "vehicle"] or [0]
+    seeds, places = (
+        np.column_stack([position[i][valid[i]], heights[i][valid[i]]]).astype(np.float32)
+        for i in (vehicles, slice(None))
+    )
+    features = _Features(source, origin, seeds, places if told else None)
     scene = Scene.from_arrays(
         name,
         agent_ids=[track.id for track in tracks],
         agent_types=[track.kind for track in tracks],
         agent_categories=[track.category for track in tracks],
         sizes=np.array([track.size for track in tracks], dtype=np.float32),
-        position=np.where(valid[..., None], position - origin, 0.0).astype(np.float32),
+        position=np.where(valid[..., None], position, 0.0).astype(np.float32),
         heading=np.stack([track.heading for track in tracks]).astype(np.float32),
         velocity=np.stack([track.velocity for track in tracks]).astype(np.float32),
         valid=valid,
@@ -479,7 +460,7 @@ def _assembled(
         source=f"scenarionet {source.name(('metadata.dataset',), 'unknown')}",
         origin=(float(origin[0]), float(origin[1])),
         map_layers=features.layers,
-        elevation_m=_heights(tracks) if told and features.has_levels else None,
+        elevation_m=heights.astype(np.float32) if told and features.has_levels else None,
         mend=False,
     )
     counts = {

@@ -4,12 +4,10 @@ const SCALE_LIMITS = [0.6, 80]; // pixels a metre
 
 /** Centre in metres, pixels a metre, and the direction of the map that points to the right. */
 class Camera {
-  constructor() {
-    this.x = 0;
-    this.y = 0;
-    this.scale = 7;
-    this.right = 0;
-  }
+  x = 0;
+  y = 0;
+  scale = 7;
+  right = 0;
 
   /** Transform from metres to the pixels of a pane of this size (canvas pixels: ratio a CSS pixel). */
   apply(context, width, height, ratio) {
@@ -65,7 +63,7 @@ class Camera {
 
 /**
  * Mouse, touch and wheel on a canvas.
- * handlers: drag(dx, dy), zoom(factor, x, y), hover(x, y) or hover(null), tap(x, y).
+ * handlers: zoom(factor, x, y) and, if wanted, drag(dx, dy), hover(x, y) or hover(null), tap(x, y).
  */
 function listenToGestures(canvas, handlers) {
   const pointers = new Map();
@@ -91,7 +89,7 @@ function listenToGestures(canvas, handlers) {
   canvas.addEventListener("pointermove", (event) => {
     const now = place(event), before = pointers.get(event.pointerId);
     if (!before) {
-      if (event.pointerType === "mouse") handlers.hover(now.x, now.y);
+      if (event.pointerType === "mouse") handlers.hover?.(now.x, now.y);
       return;
     }
     const dx = now.x - before.x, dy = now.y - before.y;
@@ -101,23 +99,21 @@ function listenToGestures(canvas, handlers) {
     if (pointers.size === 2) {
       const wide = distance();
       const [p, q] = [...pointers.values()];
-      handlers.drag(dx / 2, dy / 2);
+      handlers.drag?.(dx / 2, dy / 2);
       if (spread > 0) handlers.zoom(wide / spread, (p.x + q.x) / 2, (p.y + q.y) / 2);
       spread = wide;
-    } else {
-      handlers.drag(dx, dy);
-    }
+    } else handlers.drag?.(dx, dy);
   });
 
   const release = (event) => {
     if (!pointers.delete(event.pointerId)) return;
     if (event.type !== "pointerup" || moved >= 5 || pointers.size) return;
     const { x, y } = place(event);
-    handlers.tap(x, y);
+    handlers.tap?.(x, y);
   };
   canvas.addEventListener("pointerup", release);
   canvas.addEventListener("pointercancel", release);
-  canvas.addEventListener("pointerleave", () => handlers.hover(null));
+  canvas.addEventListener("pointerleave", () => handlers.hover?.(null));
 
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

@@ -79,7 +79,7 @@ class Way extends Ground {
 
   /** Outline of the ego to beat. */
   drawRival(context, pixel) {
-    const { track, size: [length, width], step } = this.rival;
+    const { track, step } = this.rival, { length, width } = this.log.agents[0];
     const at = Math.min(Math.round(step), track.length / STATE - 1) * STATE, [x, y, heading] = track.slice(at, at + 3);
     context.save();
     context.translate(x, y);
@@ -125,7 +125,13 @@ class Drive {
     this.panes[0].ground = new Way(run, log);
     this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive, ← → to steer: orange vehicles want to hit you"));
     this.recording = new Actors(log);
-    wireMap(this.panes[0], this);
+    const { canvas } = this.panes[0];
+    listenToGestures(canvas, {
+      zoom: (factor, x, y) => {
+        this.camera.zoom(factor, x, y, canvas.clientWidth, canvas.clientHeight, true);
+        this.touch();
+      },
+    });
     this.camera.scale = Math.max(Math.min(this.panes[0].width, this.panes[0].height) / 75, 5);
     await this.begin();
   }
@@ -195,15 +201,10 @@ class Drive {
       const found = await this.rivals.ask("rival", given);
       if (this.key !== key) return;
       this.results[name] = found;
-      if (name === "trained") this.panes[0].ground.rival = { track: found.track, size: this.size(0), step: 0 };
+      if (name === "trained") this.panes[0].ground.rival = { track: found.track, step: 0 };
       if (this.outcome) this.showCard();
       this.touch();
     }
-  }
-
-  size(i) {
-    const agent = this.runs[0].agents[i];
-    return [agent.length, agent.width];
   }
 
   /** Write the present states into the run. */
@@ -394,17 +395,6 @@ class Drive {
     $("heading").setAttribute("aria-pressed", this.headingUp);
     $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
-}
-
-function wireMap(pane, drive) {
-  const nothing = () => {};
-  listenToGestures(pane.canvas, {
-    drag: nothing, hover: nothing, tap: nothing,
-    zoom(factor, x, y) {
-      drive.camera.zoom(factor, x, y, pane.width, pane.height, true);
-      drive.touch();
-    },
-  });
 }
 
 const plainKey = ({ key }) => (key.length === 1 ? key.toLowerCase() : key);

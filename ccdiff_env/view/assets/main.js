@@ -49,10 +49,10 @@ async function main() {
   const runs = [];
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
 
-  let timeline = null, figures = null;
+  let figures = null;
   const player = new Player(runs, $("stage"), () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
-  timeline = new Timeline($("timeline"), runs, seek);
+  const timeline = new Timeline($("timeline"), runs, seek);
   /** Fill the panels: with what all runs, or one of them, have to tell. */
   const fill = (told) => {
     for (const id of ["events", "figures"]) $(id).replaceChildren();
@@ -66,7 +66,15 @@ async function main() {
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
   document.body.classList.toggle("many", runs.length > 2);
-  const said = new Herald($("said"), runs);
+  let before = null; // the time at which was told last what happens
+  const tell = (time) => {
+    const since = before;
+    before = time;
+    if (since === null || time <= since || time - since > 1) return;
+    const now = runs.flatMap((run) => run.events.filter((event) =>
+      flagged(event) && run.timeOf(event) > since && run.timeOf(event) <= time + 1e-6));
+    if (now.length) $("said").textContent = now.map((event) => event.text).join("; ");
+  };
 
   let shown = 0;
   const update = () => {
@@ -75,7 +83,7 @@ async function main() {
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
-    said.at(player.time);
+    tell(player.time);
     timeline.speak(player.time);
     figures.showAgent(player.focus);
     figures.draw(player.time, chrome);
@@ -90,7 +98,10 @@ async function main() {
     wirePane(pane, player);
     pane.enlarge.addEventListener("click", () => player.show(index));
   });
-  showAbout(runs);
+  for (const run of runs) {
+    $("about").append(element("div", "captions about"));
+    showCaptions($("about").lastChild, run.title, run.about);
+  }
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   player.frameNeighbours();
   const asked = readAddress(player);
@@ -102,24 +113,6 @@ async function main() {
   for (const pane of player.panes) sizes.observe(pane.canvas);
   window.replay = player; // for the curious, and for tests
   document.body.dataset.ready = "yes";
-}
-
-/** Says aloud what happens when the cursor comes to it. */
-class Herald {
-  constructor(node, runs) {
-    this.node = node;
-    this.runs = runs;
-    this.before = null;
-  }
-
-  at(time) {
-    const before = this.before;
-    this.before = time;
-    if (before === null || time <= before || time - before > 1) return;
-    const now = this.runs.flatMap((run) => run.events.filter((event) =>
-      flagged(event) && run.timeOf(event) > before && run.timeOf(event) <= time + 1e-6));
-    if (now.length) this.node.textContent = now.map((event) => event.text).join("; ");
-  }
 }
 
 /**
@@ -262,14 +255,6 @@ function showFocus(player) {
   const marks = knowing.map((run) => player.runs.indexOf(run));
   const run = knowing[0];
   showCaptions(list, run.agents[run.indexOf.get(player.focus)].title, rows, marks);
-}
-
-function showAbout(runs) {
-  for (const run of runs) {
-    const list = element("div", "captions about");
-    showCaptions(list, run.title, run.about);
-    $("about").append(list);
-  }
 }
 
 function wirePane(pane, player) {
