@@ -5,11 +5,11 @@ checked for collisions and road departures, rewarded and observed. Resets of end
 included (SAME_STEP), background agents are moved but not counted. One thread: steps per second of
 its processor time; more: per second of the clock. Best of some rounds.
 
-- *make_vec*: the vector environment on the embedded scenes, default configuration; ``copy=False``
-  and ``info="end"`` as a learner would choose, and the defaults (``copy=True, info="full"``).
+- *make_vec*: the vector environment on the embedded scenes, default configuration, but
+  ``copy=False`` and ``info="end"`` as a learner would choose.
 - *equal work*: the worlds beneath, all vehicles controlled, with 7 + 63 x 7 + 200 x 7 = 1,848
-  floats each: the work that other simulators' figures are quoted for. ``--scenes`` names real
-  roads: the eight scenes of most vehicles, before the embedded city with 64 of them.
+  floats each: the work that other simulators' figures are quoted for. It needs real roads, the
+  eight scenes of most vehicles in ``--scenes``.
 
 The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone.
 """
@@ -28,9 +28,6 @@ import ccdiff_env
 from ccdiff_env.config import ObservationConfig, WorldConfig
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import Worlds, scene_set
-
-VEHICLES = 64
-LOGGED_STEPS = 140
 
 
 def best_s(step: Callable[[], object], threads: int, rounds: int) -> float:
@@ -67,36 +64,10 @@ class Steps:
         )
 
 
-def crowded() -> Scene:
-    """Return an embedded map with 64 vehicles on its lanes, which drive straight on slowly."""
-    scene = ccdiff_env.embedded_scenes("train")[0]
-    layers = scene.map_layers()
-    lines = [np.asarray(lane["centreline"]) for lane in layers["lanes"]]
-    points = np.concatenate([line[:-1] for line in lines])
-    ahead = np.concatenate([np.diff(line, axis=0) for line in lines])
-    chosen = np.linspace(0, len(points) - 1, VEHICLES).astype(int)
-    heading = np.arctan2(ahead[chosen, 1], ahead[chosen, 0])
-    velocity = 2.0 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    times = 0.1 * np.arange(LOGGED_STEPS)[None, :, None]
-    shape = (VEHICLES, LOGGED_STEPS)
-    return Scene.from_arrays(
-        "crowded",
-        agent_ids=["ego", *(f"car-{i}" for i in range(1, VEHICLES))],
-        agent_types=["vehicle"] * VEHICLES,
-        sizes=np.tile(np.float32([4.5, 1.9, 1.6]), (VEHICLES, 1)),
-        position=(points[chosen][:, None] + velocity[:, None] * times).astype(np.float32),
-        heading=np.broadcast_to(heading[:, None], shape).astype(np.float32),
-        velocity=np.broadcast_to(velocity[:, None], (*shape, 2)).astype(np.float32),
-        valid=np.ones(shape, np.bool_),
-        map_layers=layers,
-    )
-
-
-def vector_env(envs: int, traffic: str, threads: int, **options: object) -> Steps:
+def vector_env(envs: int, traffic: str, threads: int) -> Steps:
     """Return a vector environment that has begun, as what steps it."""
-    env = ccdiff_env.make_vec(
-        envs, traffic=traffic, num_threads=threads, autoreset_mode="same_step", **options
-    )
+    options = {"copy": False, "info": "end", "autoreset_mode": "same_step"}
+    env = ccdiff_env.make_vec(envs, traffic=traffic, num_threads=threads, **options)
     env.reset(seed=0)
     shape = env.action_space.shape
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, shape).astype(np.float32)
@@ -178,12 +149,7 @@ def table(rounds: int, source: str | None) -> None:
         equal_work(real, 64, 1).report("equal work, eight scenes", rounds)
     for traffic in ("replay", "idm"):
         for envs, n in sizes:
-            steps = vector_env(envs, traffic, n, copy=False, info="end")
-            steps.report(f"make_vec, {traffic}", rounds)
-    for envs in (1, 1024):
-        vector_env(envs, "replay", 1).report("make_vec, replay, copy, full info", rounds)
-    for envs, n in sizes:
-        equal_work([crowded()], envs, n).report("equal work, embedded city", rounds)
+            vector_env(envs, traffic, n).report(f"make_vec, {traffic}", rounds)
     one_of_many(rounds)
 
 
