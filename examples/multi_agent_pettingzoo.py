@@ -21,7 +21,6 @@ import ccdiff_env
 from ccdiff_env import AgentVectorEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
-from ccdiff_env.view import render
 
 
 def arguments() -> argparse.Namespace:
@@ -38,13 +37,11 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def play(env, act, scene: str, frames: list | None = None) -> dict[str, dict]:
+def play(env, act, scene: str) -> dict[str, dict]:
     """One episode; returns the metrics of every agent."""
     observations, _ = env.reset(seed=0, options={"scene": scene})
     metrics = {}
     while env.agents:
-        if frames is not None:
-            frames.append(env.render())
         actions = {name: act(observations[name]) for name in env.agents}
         observations, _, terminations, truncations, infos = env.step(actions)
         for name in infos:
@@ -74,7 +71,7 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     model.save(args.out / "shared.zip")
 
-    env = ccdiff_env.parallel_env(scenes=held_out, info="end", render_mode="rgb_array", **options)
+    env = ccdiff_env.parallel_env(scenes=held_out, info="end", **options)
     rng = np.random.default_rng(args.seed)
     policies = {
         "learned": lambda obs: model.predict(obs, deterministic=True)[0],
@@ -85,10 +82,7 @@ def main() -> None:
         ended = [m for s in held_out for m in play(env, act, s.name).values() if m]
         means = {k: np.mean([m[k] for m in ended]) for k in ("collision", "off_road", "progress")}
         print(f"  {name:8s}", "  ".join(f"{k} {v:.3f}" for k, v in means.items()))
-    frames: list = []
-    play(env, policies["learned"], held_out[0].name, frames)
-    render.save(frames, args.out / "episode.gif")
-    print(f"policy and video in {args.out}")
+    print(f"policy in {args.out}")
 
 
 if __name__ == "__main__":

@@ -26,10 +26,10 @@ class Video:
     """Draws steps of one rollout.
 
     ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id;
-    the first agent by default), or the point ``centre_m`` of the scene. ``up_rad`` points to the
-    top. ``graph`` draws the causal edges of the plan in force that reach the followed agent within
-    two hops; ``captions`` are title, time, verdict, names, scale bar and legend; ``theme`` is
-    ``"light"`` or ``"dark"``. A :class:`ConfigError` names an agent that is not there.
+    the first agent by default), or the point ``centre_m`` of the scene. ``graph`` draws the causal
+    edges of the plan in force that reach the followed agent within two hops; ``captions`` are
+    title, time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
+    :class:`ConfigError` names an agent that is not there.
     """
 
     def __init__(
@@ -40,7 +40,6 @@ class Video:
         span_m: float = 90.0,
         follow: str | None = None,
         centre_m: tuple[float, float] | None = None,
-        up_rad: float = np.pi / 2,
         graph: bool = False,
         captions: bool = True,
         theme: str = "light",
@@ -50,7 +49,7 @@ class Video:
         if follow not in rollout.agent_ids:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
-        self._size, self._span_m, self._up_rad = size, span_m, up_rad
+        self._size, self._span_m = size, span_m
         self._middle = rollout.agent_ids.index(follow)
         self._graph, self._captions, self.theme = graph, captions, theme
         self._title = rollout.scene.name if title is None else title
@@ -126,7 +125,6 @@ class Video:
             size=self._size,
             span_m=self._span_m,
             centre_m=(float(centre[0]), float(centre[1])),
-            up_rad=self._up_rad,
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else (),
             plans=list(self._planned(plan, selected=True)) if plan else (),
