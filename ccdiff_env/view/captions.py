@@ -71,18 +71,12 @@ def agent_titles(scene: Scene) -> list[tuple[str, str]]:
     titles = []
     names = zip(scene.agent_ids, scene.agent_types, scene.agent_categories, strict=True)
     for index, (name, kind, category) in enumerate(names):
-        if name == "ego":
-            titles.append(("ego", "ego"))
-            continue
-        what = next((c for c in (*_short(category), kind) if c), "agent")
-        titles.append((str(index), f"{index} · {what.replace('_', ' ')}"))
+        # vehicle.bus.rigid is a bus, human.pedestrian.adult an adult
+        first, *parts = category.split(".")
+        short = parts[0 if first == "vehicle" else -1] if parts else ""
+        what = (short or kind or "agent").replace("_", " ")
+        titles.append(("ego", "ego") if name == "ego" else (str(index), f"{index} · {what}"))
     return titles
-
-
-def _short(category: str) -> list[str]:
-    """``vehicle.bus.rigid`` is a bus, ``human.pedestrian.adult`` an adult."""
-    parts = category.split(".")
-    return [parts[1] if parts[0] == "vehicle" else parts[-1]] if len(parts) > 1 else []
 
 
 def is_log(rollout: Rollout) -> bool:
@@ -111,23 +105,19 @@ def ego_title(rollout: Rollout) -> str:
 
 def subtitle(rollout: Rollout) -> str:
     """Return one line on what is shown: where, who drives, how many."""
-    kinds = rollout.scene.agent_types
-    if is_log(rollout):
-        return " · ".join(filter(None, [rollout.scene.location, counted(len(kinds), "agent")]))
+    kinds, parts = rollout.scene.agent_types, [rollout.scene.location]
     background = Counter(
         DRIVER_TITLES.get(driver, driver)
         for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
-        if name != "ego" and kind == "vehicle"
+        if name != "ego" and kind == "vehicle" and not is_log(rollout)
     )
-    parts = [rollout.scene.location]
-    if "ego" in rollout.agent_ids:
+    if "ego" in rollout.agent_ids and not is_log(rollout):
         parts.append(f"ego: {ego_title(rollout)}")
     if background:
         parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
-    guided = len(guided_agents(rollout))
-    parts.append(f"{guided} guided" if guided else "")
-    parts.append(counted(len(kinds), "agent"))
-    return " · ".join(part for part in parts if part)
+    if guided := len(guided_agents(rollout)):
+        parts.append(f"{guided} guided")
+    return " · ".join(part for part in (*parts, counted(len(kinds), "agent")) if part)
 
 
 def about(rollout: Rollout) -> list[tuple[str, str]]:
@@ -153,9 +143,8 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
         drivers = {*rollout.driver_names, *rollout.driver_kinds}
         if drivers & {*NETWORKS}:  # they share CCDiff's options
             drivers.add("ccdiff")
-        policies = config.get("named_drivers")
-        known = policies if isinstance(policies, dict) else {}
-        used = {name: options for name, options in known.items() if name in drivers}
+        known = config.get("named_drivers")
+        used = {n: known[n] for n in known if n in drivers} if isinstance(known, dict) else {}
         config = {**config, "named_drivers": used}
         captions.extend(_changes(config, json.loads(_native.default_world_config())))
     return [(name, value) for name, value in captions if value]

@@ -50,14 +50,18 @@ def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
 
     In a log this is mostly noise of the annotations.
     """
-    speed = np.linalg.norm(rollout.velocity, axis=-1)
+    moving = np.linalg.norm(rollout.velocity, axis=-1) > MOVING_MPS
     ids = rollout.agent_ids
     events: list[RolloutEvent] = []
-    before: set[tuple[int, int]] = set()
+    before: set[tuple[int, int]] | None = None
     for step, (a, b, seconds) in enumerate(contacts(rollout)):
-        touching = {(int(i), int(j)) for i, j, s in zip(a, b, seconds, strict=True) if s <= 0.0}
-        for i, j in sorted(touching - before) if step else ():
-            if max(speed[i, step], speed[j, step]) > MOVING_MPS:
-                events.append(RolloutEvent(step, ids[i], ids[j], "overlap"))
+        meet = seconds <= 0.0
+        touching = set(zip(a[meet].tolist(), b[meet].tolist(), strict=True))
+        began = [] if before is None else sorted(touching - before)
+        events += [
+            RolloutEvent(step, ids[i], ids[j], "overlap")
+            for i, j in began
+            if moving[i, step] or moving[j, step]
+        ]
         before = touching
     return tuple(events)
