@@ -62,37 +62,29 @@ class _Track:
     elevation: F64 | None
 
 
-def _kind_of(type_name: str, category: str, own: object) -> str | None:
-    """Kind of an agent; files written by this package name it themselves."""
-    if own in _KINDS.values():
-        return str(own)
-    return _KINDS_OF_CATEGORIES.get(category) or _KINDS.get(type_name)
-
-
 def _states(
     source: ScenarioFields, key: str, track: Mapping[str, Any], num_steps: int
 ) -> _Track | None:
     """One track, or ``None`` (counted) where there is nothing to show."""
-    state = source.mapping(track.get("state"), f"tracks[{key!r}].state")
+    where = f"tracks[{key!r}]"
+    state = source.mapping(track.get("state"), f"{where}.state")
     own = track.get("metadata")
-    metadata = source.mapping({} if own is None else own, f"tracks[{key!r}].metadata")
-    type_name = source.text(track.get("type"), f"tracks[{key!r}].type") or "None"
-    category = source.text(metadata.get("type"), f"tracks[{key!r}].metadata.type") or type_name
-    kind = _kind_of(type_name, category, metadata.get("kind"))
+    metadata = source.mapping({} if own is None else own, f"{where}.metadata")
+    type_name = source.text(track.get("type"), f"{where}.type") or "None"
+    category = source.text(metadata.get("type"), f"{where}.metadata.type") or type_name
+    kind = _KINDS_OF_CATEGORIES.get(category) or _KINDS.get(type_name)
+    if metadata.get("kind") in _KINDS.values():  # of a file that this package wrote
+        kind = str(metadata["kind"])
     if kind is None:
         source.dropped["unknown type", category] += 1
         return None
 
     def values(name: str, columns: int | None = None) -> F64:
         if name not in state:
-            raise source.fault(
-                f"tracks[{key!r}].state", sorted(map(str, state)), f"an entry {name!r}"
-            )
-        array = source.array(state[name], f"tracks[{key!r}].state.{name}", columns=columns)
+            raise source.fault(f"{where}.state", sorted(map(str, state)), f"an entry {name!r}")
+        array = source.array(state[name], f"{where}.state.{name}", columns=columns)
         if len(array) != num_steps:
-            raise source.fault(
-                f"length of tracks[{key!r}].state.{name}", len(array), f"{num_steps}"
-            )
+            raise source.fault(f"length of {where}.state.{name}", len(array), f"{num_steps}")
         return array
 
     valid = values("valid") != 0
@@ -105,18 +97,18 @@ def _states(
         known = shown[np.isfinite(shown) & (shown > 0)]
         sizes.append(float(np.median(known)) if len(known) else 0.0)
     if min(sizes[:2]) <= 0:
-        raise source.fault(f"size of tracks[{key!r}]", sizes, "a positive length and width")
+        raise source.fault(f"size of {where}", sizes, "a positive length and width")
     heading = values("heading").copy()
     heading[valid] = np.unwrap(heading[valid])
     centre, velocity = values("position", 2), values("velocity", 2)[:, :2]
     position, elevation = centre[:, :2], ground(centre, sizes[2], valid)
     if elevation is None and centre.shape[1] > 2:
-        source.notes.append(f"no heights in tracks[{key!r}]: the scene is taken as flat")
+        source.notes.append(f"no heights in {where}: the scene is taken as flat")
     for name, array in (("position", position), ("heading", heading), ("velocity", velocity)):
         bad = valid & ~np.isfinite(array.reshape(num_steps, -1)).all(axis=1)
         if bad.any():
-            where = f"tracks[{key!r}].state.{name} at step {int(bad.argmax())}"
-            raise source.fault(where, array[bad][0], "finite numbers where valid")
+            step = f"{where}.state.{name} at step {int(bad.argmax())}"
+            raise source.fault(step, array[bad][0], "finite numbers where valid")
     size = (sizes[0], sizes[1], sizes[2])
     return _Track(key, kind, category, size, position, heading, velocity, valid, elevation)
 
