@@ -79,7 +79,7 @@ def page_html(
         "runs": data,
         "script": "\n".join(part(name) for name in SCRIPTS),
     }
-    return filled_page(part("page.html"), parts)
+    return filled_page("page.html", parts)
 
 
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
@@ -88,14 +88,15 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
     Tables of the class ``sorts`` are sorted by a click.
     """
     parts = {"title": html.escape(title), "line": html.escape(line), "style": style, "body": body}
-    return filled_page(part("plain.html"), parts | {"script": part("plain.js")})
+    return filled_page("plain.html", parts | {"script": part("plain.js")})
 
 
-def filled_page(template: str, parts: Mapping[str, str]) -> str:
-    """Return a filled template whose own script is the only one that a browser runs."""
+def filled_page(name: str, parts: Mapping[str, str], also: str = "") -> str:
+    """Return a filled template: browsers run its own script, what is ``also`` allowed, and no more."""
+    template = part(name).replace("{{head}}\n", part("head.html"))
     script = f'\n(() => {{\n"use strict";\n{parts["script"]}\n}})();\n'
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    found = {**parts, "script": script, "policy": f"'sha256-{digest}'"}
+    found = {**parts, "script": script, "policy": f"'sha256-{digest}'{also}"}
     return re.sub(r"\{\{(\w+)\}\}", lambda hole: found[hole[1]], template)
 
 

@@ -103,6 +103,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     }
     site = os.environ.get("SITE_URL", "").removesuffix("/")
     parts = {
+        "title": "ccdiff-env playground",
         "site": html.escape(f"{site}/" if site else "", quote=True),
         "style": part("page.css") + part("drive.css"),
         "settings": page.as_json(settings),
@@ -119,7 +120,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         "scenes": "\n".join(map(_scene, load(DEFAULT, names=SCENES) if scenes is None else scenes)),
         "script": "\n".join(map(part, SCRIPTS)),
     }
-    return page.filled_page(part("drive.html"), parts)
+    return page.filled_page("drive.html", parts, " 'wasm-unsafe-eval'; worker-src blob:")
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:
