@@ -92,7 +92,7 @@ def plain_html(title: str, line: str, *, style: str, body: str) -> str:
 
 
 def filled_page(name: str, parts: Mapping[str, str], also: str = "") -> str:
-    """Return a filled template: browsers run its own script, what is ``also`` allowed, and no more."""
+    """Return a filled template: its own script, and what is ``also`` allowed, is all that runs."""
     template = part(name).replace("{{head}}\n", part("head.html"))
     script = f'\n(() => {{\n"use strict";\n{parts["script"]}\n}})();\n'
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
