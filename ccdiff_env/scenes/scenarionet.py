@@ -23,8 +23,7 @@ from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, Scen
 from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
 from ccdiff_env.scenes.scenario_heights import Heights, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
-from ccdiff_env.scenes.scenarionet_export import OWN_LAYERS
-from ccdiff_env.scenes.scene_types import Lane, MapLayers, Polygon
+from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, MapLayers, Polygon
 from ccdiff_env.system.files import reading
 
 #: Type and kind. The category tells motorcycles and bicycles apart where the data has one.

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.scenes import Scene
-from ccdiff_env.scenes.scene_types import Lane, Polygon
+from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, Polygon
 from ccdiff_env.system.files import write_aside
 
 __all__ = ["scenario_dict", "write_scenario"]
@@ -32,8 +32,6 @@ _TYPES = {
     "motorcycle": "CYCLIST",
     "static": "TRAFFIC_BARRIER",
 }
-#: Layers that ScenarioNet has no feature for.
-OWN_LAYERS = ("drivable_area", "walkways", "stop_lines", "carpark_areas")
 
 
 def _track(scene: Scene, agent_idx: int, tracks: Any, origin: F64) -> dict[str, Any]:

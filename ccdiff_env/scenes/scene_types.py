@@ -13,6 +13,10 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 
+#: Layers that ScenarioNet has no feature for.
+OWN_LAYERS = ("drivable_area", "walkways", "stop_lines", "carpark_areas")
+
+
 class Polygon(TypedDict):
     """A polygon with holes; rings are not closed."""
 
