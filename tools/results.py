@@ -81,6 +81,19 @@ _EGOS = (
     "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
     "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2"
 )
+_NUPLAN = Made(
+    "bench planners --planners nuplan:pdm_closed_planner,pdm "
+    "--traffic replay,idm,ccdiff-1 --seeds 0 --nuplan-score",
+    ("traffic", "figure"),
+    {
+        "original": Column("value", digits=3),
+        "ours": Column("other", digits=3),
+        "difference": Column("difference", digits=3, sign="+"),
+        "p": Column("p", digits=4),
+    },
+    where={"planner": "nuplan:pdm_closed_planner", "against": "pdm"},
+    file="pairs.csv",
+)
 _SCR, _ORR = Column("scr"), Column("orr", interval=False)
 _FDE, _CFD = Column("fde", digits=1, interval=False), Column("cfd", digits=1, interval=False)
 _COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
@@ -159,18 +172,11 @@ TABLES: dict[str, Made] = {
         },
         where={"scenarios": "avoidable"},
     ),
-    "nuplan": Made(
-        "bench planners --planners nuplan:pdm_closed_planner,pdm "
-        "--traffic replay,idm,ccdiff-1 --seeds 0 --nuplan-score",
-        ("traffic", "figure"),
-        {
-            "original": Column("value", digits=3),
-            "pdm": Column("other", digits=3),
-            "difference": Column("difference", digits=3, sign="+"),
-            "p": Column("p", digits=4),
-        },
-        where={"planner": "nuplan:pdm_closed_planner", "against": "pdm"},
-        file="pairs.csv",
+    "nuplan": _NUPLAN,
+    "nuplan_idm": replace(
+        _NUPLAN,
+        command=_NUPLAN.command.replace("pdm_closed_planner,pdm", "idm_planner,lane_idm"),
+        where={"planner": "nuplan:idm_planner", "against": "lane_idm"},
     ),
     "criticality": Made(
         "bench traffic --k Full --methods "
