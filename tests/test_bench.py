@@ -83,13 +83,11 @@ def test_control_sets_hold_moving_vehicles_only():
     for scene in ccdiff_env.embedded_scenes("val"):
         tracks = scene.tracks()
         speed = np.hypot(*tracks["velocity"][:, 31].T)
-        listed = list(scene.agent_ids)
         everyone = control_set(scene, "first", None)
         moving = {i for i in everyone if speed[i] > 0.5}
-        for ranking in ("cliques", "distance_cliques", "first", "random", "listed"):
-            names = [listed[i] for i in everyone] if ranking == "listed" else ()
-            assert set(control_set(scene, ranking, 100, listed=names)) == moving
-            assert set(control_set(scene, ranking, None, listed=names)) == set(everyone)
+        for ranking in ("cliques", "distance_cliques", "first", "random"):
+            assert set(control_set(scene, ranking, 100)) == moving
+            assert set(control_set(scene, ranking, None)) == set(everyone)
 
 
 def test_jobs_name_their_condition_and_the_floor_is_always_there():
@@ -262,6 +260,8 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
         assert (tmp_path / name).stat().st_size > 0
     assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
     assert "other settings: seed" in capsys.readouterr().err
+    assert cli.main([*command, "--methods", "idm", "--t", "abc"]) == 2
+    assert "--t is 'abc'" in capsys.readouterr().err
     planners = ["bench", "planners", "--out", str(tmp_path / "p"), "--quiet"]
     assert cli.main([*planners, "--planners", "idm", "--traffic", "replay,idm"]) == 0
     for name in ("table.tex", "episodes.csv", "figures.csv", "report.html"):
@@ -278,3 +278,35 @@ def test_rankings_that_ask_the_network_find_their_own_control_set():
         replan_steps=5, seed=0,
     )  # fmt: skip
     assert [row["num_controlled"] for row in rows] == [1, 1]
+
+
+def test_what_cannot_differ_is_not_played_twice():
+    one = "embedded/val?limit=1"
+    jobs = traffic_jobs(
+        one, ["idm", "ccdiff", "ccdiff_random", "ccdiff_no_enc"],
+        num_controlled=(2, 5, None), replan_steps=(5, 10), replan_controlled=(5,),
+    )  # fmt: skip
+    by_method: dict[str, set[tuple[int | None, int]]] = {}
+    for job in (job.arguments for job in jobs):
+        at = job["num_controlled"], job["replan_steps"]
+        by_method.setdefault(job["method"], set()).add(at)
+    assert by_method == {
+        "replay": {(0, 5)},
+        "idm": {(2, 5), (5, 5), (None, 5)},
+        "ccdiff": {(2, 5), (5, 5), (5, 10), (None, 5)},
+        "ccdiff_random": {(2, 5), (5, 5), (5, 10)},
+        "ccdiff_no_enc": {(2, 5), (5, 5), (5, 10), (None, 5)},
+    }
+    alone = traffic_jobs(one, ["ccdiff_random"], num_controlled=(None,))
+    assert [job.arguments["method"] for job in alone] == ["replay", "ccdiff_random"]
+
+
+def test_the_order_of_vehicles_does_not_matter_where_all_are_controlled():
+    rows = [
+        evaluate(
+            source=VAL, names=scene_names(VAL)[:1], method=method, num_controlled=None,
+            replan_steps=10, seed=0,
+        )
+        for method in ("ccdiff", "ccdiff_random", "ccdiff_greedy")
+    ]  # fmt: skip
+    assert rows[1:] == [rows[0]] * 2

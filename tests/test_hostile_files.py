@@ -306,6 +306,14 @@ def run_json(text):
     return read
 
 
+def ranking(text):
+    def read(path: Path) -> object:
+        path.write_text(text)
+        return read_ranking(path)
+
+    return read
+
+
 NESTED = "[" * 100_000
 F4 = np.float32
 #: What is read after one change, and words of the refusal.
@@ -408,6 +416,10 @@ DAMAGES = {
     ),
     "bank bomb": (packed_bank(lambda: [bytes(200 << 20)]), "0.scenes"),
     "bank of wide scenes": (packed_bank(wide_scenes), "far more.*0.scenes"),
+    **{
+        f"ranking {text}": (ranking(text), r"a\.x.*list of agent ids")
+        for text in ('{"a": "ego"}', '{"a": [1]}', '{"a": [["ego"]]}', '{"a": {"ego": 1}}')
+    },
     "half a letter": (run_json('"\\ud800"'), "run.json"),
 }  # fmt: skip
 

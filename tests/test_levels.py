@@ -246,8 +246,7 @@ def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
     nearest = [ids[agent] for agent in scene.ranked_vehicles(step, "ttc")]
     assert nearest == (["ego", "3", "2"] if apart else ["ego", "2", "3"])
     agents = np.array([ids.index(name) for name in ("ego", "2", "3")])
-    history = relations(scene, agents, step)
-    for near in (history.ttc, history.distance):
+    for near in relations(scene, agents, step):
         assert near[-1, 0, 2] > 0
         assert near[:, 1, ::2].any() != apart
     rollout = play(SceneSet([scene]))["rollout"]

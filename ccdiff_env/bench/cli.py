@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from ccdiff_env.bench.arguments import (
     PLANNERS,
@@ -44,11 +43,6 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         metavar="K",
         help="only these K with all of --t, others with the first (default: every K)",
     )
-    parser.add_argument(
-        "--listed",
-        metavar="FILE",
-        help="lists of vehicles (JSON) for the method ccdiff_listed (default: without it)",
-    )
     add_weights(parser)
     add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
@@ -58,23 +52,15 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import traffic_report as report
     from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.traffic import traffic_jobs
-    from ccdiff_env.traffic import read_ranking
 
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
-    listed = None
-    settings: dict[str, Any] = {}
-    if args.listed is not None:
-        listed = read_ranking(args.listed)
-        settings["listed"] = {name: list(ids) for name, ids in sorted(listed.items())}
-        methods += [] if "ccdiff_listed" in methods else ["ccdiff_listed"]
-    run = Run(args, "traffic", **settings)
+    run = Run(args, "traffic")
     jobs = traffic_jobs(
         run.source,
         methods,
         num_controlled=counts(args.k),
         replan_steps=replan_steps(args.t),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
-        listed=listed,
         weights=run.own_weights,
         seed=args.seed,
     )
@@ -170,7 +156,7 @@ def _scenarios(args: argparse.Namespace) -> int:
 
 def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser(
-        "realism", help="likelihood of the log under samples of traffic; calibration; reactivity"
+        "realism", help="likelihood of the log under samples of traffic; calibration"
     )
     add_run_arguments(parser)
     add_methods(parser, "replay,constant_velocity,idm,ccdiff_one_sample,ccdiff")

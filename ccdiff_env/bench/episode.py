@@ -16,16 +16,13 @@ from ccdiff_env.traffic import TrafficPlan
 PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
 
 
-@dataclass(frozen=True)
-class Relations:
-    """Normalised closeness of A vehicles in the history of an episode, [T, A, A] in [0, 1]."""
+def relations(
+    scene: Scene, agents: npt.NDArray[np.int64], step: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return normalised times to contact and distances of A agents in the log up to a step.
 
-    ttc: npt.NDArray[np.float32]
-    distance: npt.NDArray[np.float32]
-
-
-def relations(scene: Scene, agents: npt.NDArray[np.int64], step: int) -> Relations:
-    """Return times to contact and distances of agents in the log up to a step."""
+    Both are [T, A, A], in [0, 1].
+    """
     tracks = scene.tracks()
     past = slice(step - PAST_STEPS, step + 1)
     position, heading, velocity, valid = (
@@ -35,9 +32,9 @@ def relations(scene: Scene, agents: npt.NDArray[np.int64], step: int) -> Relatio
     speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
     heights = tracks["elevation_m"][agents, past].T if "elevation_m" in tracks else None
     sizes = scene.sizes[agents][:, :2]
-    return Relations(
-        ttc=causal.ttc(position, heading, speed, sizes, valid, elevation_m=heights),
-        distance=causal.distance(position, valid, elevation_m=heights, normalised=True),
+    return (
+        causal.ttc(position, heading, speed, sizes, valid, elevation_m=heights),
+        causal.distance(position, valid, elevation_m=heights, normalised=True),
     )
 
 
@@ -54,7 +51,6 @@ class Episode:
     position: npt.NDArray[np.float32]
     heading: npt.NDArray[np.float32]
     plans: list[TrafficPlan]
-    history: Relations
     start_step: int  #: Step of the log at which it starts.
     recorded: Rollout | None = None
 

@@ -19,8 +19,6 @@ import numpy.typing as npt
 from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, on_device
-from ccdiff_env.bench.planners import Traffic
-from ccdiff_env.bench.reactivity import reactions
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
 from ccdiff_env.errors import ConfigError, UnknownNameError
@@ -342,8 +340,7 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """Play scenes several times: one dictionary per scene, see :func:`scene_likelihoods`.
 
-    ``processor_s``: processor seconds of an episode, mean of the chunk; and the figures of
-    :func:`~ccdiff_env.bench.reactivity.reactions`.
+    ``processor_s``: processor seconds of an episode, mean of the chunk.
     """
     chosen = on_device(METHODS[method].with_weights(weights or {}), device)
     # without a network there is no chance
@@ -353,14 +350,11 @@ def evaluate(
     start = time.process_time()
     played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
     spent = (time.process_time() - start) / (count * len(scenes))
-    traffic = Traffic(chosen.label, chosen.driver, chosen.options())
-    reacted = reactions(scenes, traffic, seed=seed)
     return [
         {
             "scene": scene.name,
             **scene_likelihoods([p[i] for p in played], num_samples),
             "processor_s": spent,
-            **reacted.get(scene.name, {}),
         }
         for i, scene in enumerate(scenes)
     ]

@@ -22,7 +22,6 @@ class Method:
         driver: Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
         ranking: ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control
             set. With ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
-            With ``listed``, lists name it (:func:`~ccdiff_env.traffic.read_ranking`).
         ccdiff: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
         num_guided: Vehicles of the control set that guidance moves (the paper's mask of the top K);
             all of it for ``None``.
@@ -125,7 +124,6 @@ _RANKINGS = (
     ("random", "random ranking", "random"),
     ("greedy", "greedy cliques on G", "greedy"),
     ("gradient", "aligned gradients", "gradient"),
-    ("listed", "listed by a person", "listed"),
 )
 
 #: The methods by name. More may be added: a driver is all that one needs.

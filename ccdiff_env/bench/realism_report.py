@@ -20,9 +20,6 @@ _PLAIN = (
     Column("min_ade_m", "min ADE m"),
     Column("scr", "SCR"),
     Column("orr", "off road", "%", factor=100.0),
-    Column("contact_on_log", "contact, ego on its log"),
-    Column("contact_off_log", "contact, ego off its log"),
-    Column("low_ttc_off_log", "low ttc, ego off its log"),
     Column("processor_s", "processor s", digits=3, interval=False),
 )
 COLUMNS = (*_SHARED, *FEATURES, *(column.name for column in _PLAIN))  #: All figures of a method.
@@ -59,8 +56,7 @@ def tables(
     note = (
         f"{brackets(found.values())} Of {num_samples} episodes per scene and method: figures from "
         "another number cannot be compared. In parentheses: share of what the log replayed gets. "
-        "Own: a sample in the place of the log, the ceiling of a calibrated model. Ego off its "
-        "log: it brakes, swerves or turns off and does not react; new contacts with it."
+        "Own: a sample in the place of the log, the ceiling of a calibrated model."
     )
     return {"Likelihood of the log": [groups, note, parts], "Calibration": _ranks(found)}
 

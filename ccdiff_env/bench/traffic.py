@@ -24,7 +24,7 @@ from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
+from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
@@ -47,7 +47,6 @@ def traffic_jobs(
     num_controlled: Sequence[int | None] = (1, 2, 3, 4, 5, 10, None),
     replan_steps: Sequence[int] = (5,),
     replan_controlled: Sequence[int | None] | None = None,
-    listed: Mapping[str, Sequence[str]] | None = None,
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
 ) -> list[Job]:
@@ -61,26 +60,15 @@ def traffic_jobs(
         num_controlled: Numbers of controlled vehicles K; ``None`` is all.
         replan_controlled: Those K at which all periods are played, the first one alone at the
             others; all K for ``None``.
-        listed: Ids of vehicles by scene name, most important first, for ``ccdiff_listed``.
         weights: Weight files by driver, in place of the shipped ones.
 
     Raises:
         UnknownNameError: For a method that does not exist.
-        ConfigError: For ``ccdiff_listed`` without lists.
-        DatasetError: If scenes have no list, or a list names what cannot be controlled or names it
-            twice.
     """
     for name in methods:
         if name not in METHODS:
             raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
     names = scene_names(source)
-    lists: Mapping[str, Sequence[str]] = {}
-    if "ccdiff_listed" in methods:
-        if listed is None:
-            raise ConfigError(
-                "method 'ccdiff_listed' needs lists of vehicles, as --listed names them"
-            )
-        lists = _checked(listed, scenes_of(source))
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
         for k in num_controlled:
@@ -100,35 +88,11 @@ def traffic_jobs(
                 "replan_steps": n,
                 "seed": seed,
                 **({"weights": dict(weights)} if weights else {}),
-                **(
-                    {"lists": {scene: list(lists[scene]) for scene in part}}
-                    if METHODS[method].ranking == "listed"
-                    else {}
-                ),
             },
         )
         for method, k, n in conditions
         for i, part in enumerate(chunks(names, CHUNK))
     ]
-
-
-def _checked(lists: Mapping[str, Sequence[str]], scenes: SceneSet) -> Mapping[str, Sequence[str]]:
-    """Return lists of vehicles if every scene has one, of vehicles that may be controlled."""
-    missing = [scene.name for scene in scenes if scene.name not in lists]
-    if missing:
-        raise DatasetError(f"lists of vehicles: none for {', '.join(missing)}")
-    for scene in scenes:
-        known = {scene.agent_ids[i] for i in _vehicles(scene)}
-        listed = lists[scene.name]
-        for k, agent in enumerate(listed):
-            if agent not in known:
-                raise DatasetError(
-                    f"lists of vehicles: {scene.name}: {agent!r}, expected a vehicle that is on "
-                    f"the road at step {START_STEP}: {', '.join(sorted(known))}"
-                )
-            if agent in listed[:k]:
-                raise DatasetError(f"lists of vehicles: {scene.name}: {agent!r} twice")
-    return lists
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
@@ -144,27 +108,23 @@ def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     return kept
 
 
-def control_set(
-    scene: Scene, ranking: str, top_k: int | None, seed: int = 0, *, listed: Sequence[str] = ()
-) -> list[int]:
+def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) -> list[int]:
     """Return the first K moving vehicles of a ranking at the start of the episode.
 
-    With ``listed`` they are those that are ``listed`` by their ids. A short list is filled up by
-    time to contact, then distance. Vehicles that stand at the start never move in CCDiff traffic:
-    all rankings pass them over. ``None`` is all vehicles, the standing ones last.
+    A short ranking is filled up by time to contact, then distance. Vehicles that stand at the start
+    never move in CCDiff traffic: all rankings pass them over. ``None`` is all vehicles, the
+    standing ones last.
     """
     agents = _vehicles(scene)
     velocity = scene.tracks()["velocity"][agents, START_STEP]
     moving = np.linalg.norm(velocity, axis=-1) > STATIONARY_MPS
-    order = {scene.agent_ids[agent]: i for i, agent in enumerate(agents)}
-    history = relations(scene, agents, START_STEP)
+    ttc, distance = relations(scene, agents, START_STEP)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
         top_k=len(agents),
         valid=np.ones(len(agents), bool),
-        ttc=history.ttc,
-        distance=history.distance,
-        agents=[order[name] for name in listed],
+        ttc=ttc,
+        distance=distance,
         seed=seed,
     )
     movers = [int(agents[i]) for i in ranked.agents if moving[i]]
@@ -183,14 +143,12 @@ def episodes(
     options: Mapping[str, Any] | None = None,
     record: Collection[str] = (),
     explain: bool = False,
-    lists: Mapping[str, Sequence[str]] | None = None,
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
     K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
     ``replan_steps``. Neither ``record`` (names of scenes) nor ``explain`` (whether guided plans say
-    how their gradients agree) changes the episodes. ``lists`` are ids of vehicles by scene name,
-    for the ranking ``listed``.
+    how their gradients agree) changes the episodes.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -228,9 +186,7 @@ def episodes(
     chosen = [
         _vehicles(scene).tolist()
         if own
-        else control_set(
-            scene, method.ranking, num_controlled, seed, listed=(lists or {}).get(scene.name, ())
-        )
+        else control_set(scene, method.ranking, num_controlled, seed)
         for scene in scenes
     ]
     for i in everyone:
@@ -274,7 +230,6 @@ def _episode(
         agents=agents,
         chosen=list(chosen),
         controlled=np.isin(agents, chosen),
-        history=relations(scene, agents, START_STEP),
         start_step=START_STEP,
         motion=Motion(
             stacked["position"],
@@ -308,7 +263,6 @@ def evaluate_recorded(
     replan_steps: int,
     seed: int,
     weights: Mapping[str, str] | None = None,
-    lists: Mapping[str, Sequence[str]] | None = None,
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
@@ -321,7 +275,6 @@ def evaluate_recorded(
         seed=seed,
         record=record,
         explain=True,
-        lists=lists,
     )
     rows = [measure(episode, replan_steps) for episode in played]
     return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}
