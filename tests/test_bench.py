@@ -32,11 +32,15 @@ VAL = "embedded/val"
 SHIPPED = sorted({file.stem.split("_")[0] for file in weight_files()} & {*METHODS})
 
 
+def measured(method, num_controlled, scenes=1, replan_steps=5):
+    return evaluate(
+        source=VAL, names=scene_names(VAL)[:scenes], method=method, num_controlled=num_controlled,
+        replan_steps=replan_steps, seed=0,
+    )[0]  # fmt: skip
+
+
 def test_the_floor_replays_the_log():
-    rows = evaluate(
-        source=VAL, names=scene_names(VAL)[:3], method="replay", num_controlled=0, replan_steps=5,
-        seed=0,
-    )  # fmt: skip
+    rows = measured("replay", 0, 3)
     for row in rows:
         assert row["fde_m"] == row["ade_m"] == 0.0
         assert not row["collision"]["new"]
@@ -47,21 +51,12 @@ def test_the_floor_replays_the_log():
 
 @pytest.mark.parametrize("method", SHIPPED)
 def test_no_network_moves_a_scene_in_which_it_drives_nobody(method):
-    (row,) = evaluate(
-        source=VAL, names=scene_names(VAL)[:1], method=method, num_controlled=0, replan_steps=5,
-        seed=0,
-    )  # fmt: skip
+    (row,) = measured(method, 0)
     assert row["fde_m"] == row["ade_m"] == 0.0
 
 
 def test_only_the_control_set_leaves_the_log():
-    one, everyone = (
-        evaluate(
-            source=VAL, names=scene_names(VAL)[:2], method="constant_velocity", num_controlled=k,
-            replan_steps=5, seed=0,
-        )
-        for k in (1, None)
-    )  # fmt: skip
+    one, everyone = (measured("constant_velocity", k, 2) for k in (1, None))
     for row, full in zip(one, everyone, strict=True):
         assert row["num_controlled"] == 1
         assert full["num_controlled"] == full["num_agents"]
@@ -273,10 +268,7 @@ def test_all_methods_have_drivers_that_exist():
 
 
 def test_rankings_that_ask_the_network_find_their_own_control_set():
-    rows = evaluate(
-        source=VAL, names=scene_names(VAL)[:2], method="ccdiff_greedy", num_controlled=1,
-        replan_steps=5, seed=0,
-    )  # fmt: skip
+    rows = measured("ccdiff_greedy", 1, 2)
     assert [row["num_controlled"] for row in rows] == [1, 1]
 
 
@@ -302,11 +294,6 @@ def test_what_cannot_differ_is_not_played_twice():
 
 
 def test_the_order_of_vehicles_does_not_matter_where_all_are_controlled():
-    rows = [
-        evaluate(
-            source=VAL, names=scene_names(VAL)[:1], method=method, num_controlled=None,
-            replan_steps=10, seed=0,
-        )
-        for method in ("ccdiff", "ccdiff_random", "ccdiff_greedy")
-    ]  # fmt: skip
+    named = ("ccdiff", "ccdiff_random", "ccdiff_greedy")
+    rows = [measured(method, None, replan_steps=10) for method in named]
     assert rows[1:] == [rows[0]] * 2

@@ -165,5 +165,4 @@ def test_the_command_compares_methods(tmp_path, capsys):
     with (tmp_path / "figures.csv").open(encoding="utf-8") as file:
         rows = {row["method"]: row for row in csv.DictReader(file)}
     assert float(rows["replay"]["kinematic"]) > float(rows["idm"]["kinematic"])
-    for name in ("likelihoods.svg", "likelihoods.pdf", "report.html"):
-        assert (tmp_path / name).stat().st_size > 0
+    assert (tmp_path / "report.html").stat().st_size > 0

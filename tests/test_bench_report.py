@@ -13,7 +13,7 @@ from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
 from ccdiff_env.bench.plots import styles_of
-from ccdiff_env.bench.traffic import evaluate, evaluate_recorded
+from ccdiff_env.bench.traffic import evaluate
 from ccdiff_env.bench.traffic_report import Condition, choose_examples, examples_tables
 from ccdiff_env.system.table import document
 
@@ -214,8 +214,8 @@ def test_recording_traffic_changes_nothing():
         "source": VAL, "names": ["cut-in-03", "queue-03"], "method": "ccdiff", "num_controlled": 2,
         "replan_steps": 5, "seed": 0,
     }  # fmt: skip
-    rows, rollouts = evaluate_recorded(**arguments, record=["queue-03"])
-    assert rows == evaluate(**arguments)
+    rows, rollouts = evaluate(**arguments, record=["queue-03"])
+    assert rows == evaluate(**arguments)[0]
     rollout = rollouts.pop("queue-03")
     assert not rollouts
     assert rollout.num_steps == 101
@@ -271,6 +271,6 @@ def test_sorted_rows_keep_the_name_that_stood_above_them(browser, tmp_path):
 
 def test_without_matplotlib_a_plot_is_left_out_and_said(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(plots, "find_spec", lambda name: None)
-    assert plots.plot_matrix({"score": {("a", "b"): 0.5}}, "made against", tmp_path / "x") is None
+    assert plots.plot_robustness({}, {"ccdiff": 0.0}, str, tmp_path / "x") is None
     assert "pip install matplotlib" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())

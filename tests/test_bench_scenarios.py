@@ -18,7 +18,7 @@ from ccdiff_env.bench.cross_evaluation import (
     generation_jobs,
     set_folders,
 )
-from ccdiff_env.bench.cross_report import cross_rows, figures_table, plot, sets_table, tables
+from ccdiff_env.bench.cross_report import cross_rows, figures_table, sets_table, tables
 from ccdiff_env.bench.planners import TRAFFIC, Traffic, drive, play
 from ccdiff_env.bench.scenario_sets import (
     OPTIONS,
@@ -279,7 +279,6 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
     assert sets_table(sets, costs).rows == [figures]
     text = document(*tables(sets, costs, crossed))
     assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 | 2.0 |" in text
-    assert plot(crossed, tmp_path / "cross").stat().st_size > 0
 
 
 def test_a_limit_takes_the_first_scenes():

@@ -257,14 +257,15 @@ def test_benchmarks_take_a_model_by_its_path():
 
     path, source = f"{__name__}:Model", "embedded/val"
     names = ["cut-in-03"]
-    rows = traffic.evaluate(
+    rows, _ = traffic.evaluate(
         source=source, names=names, method=path, num_controlled=2, replan_steps=5, seed=0
     )
     assert [row["scene"] for row in rows] == names
     assert rows[0]["num_controlled"] == 2
     jobs = planners.planner_jobs(source, ["idm"], [path])
     arguments = {**jobs[0].arguments, "names": names}
-    assert 0.0 <= planners.evaluate(**arguments)[0]["score"] <= 1.0
+    ((row,), _) = planners.evaluate(**arguments)
+    assert 0.0 <= row["score"] <= 1.0
     (job, *_) = likelihood.likelihood_jobs(source, [path], num_samples=2)
     assert likelihood.evaluate(**{**job.arguments, "names": names})
     with pytest.raises(UnknownNameError, match="crazy"):

@@ -150,7 +150,6 @@ def _scenarios(args: argparse.Namespace) -> int:
             "figures.csv": report.figures_table(rows),
             "sets.csv": report.sets_table(sets, costs),
         },
-        report.plot(rows, run.folder / "cross"),
     )
 
 
@@ -166,9 +165,8 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _realism(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.intervals import figures, grouped, mean_interval
-    from ccdiff_env.bench.likelihood import GROUPS, likelihood_jobs
-    from ccdiff_env.bench.plots import plot_bars
+    from ccdiff_env.bench.intervals import figures, grouped
+    from ccdiff_env.bench.likelihood import likelihood_jobs
     from ccdiff_env.bench.realism_report import COLUMNS, tables
 
     run = Run(args, "realism", samples=args.samples)
@@ -181,12 +179,9 @@ def _realism(args: argparse.Namespace) -> int:
     )
     rows = run.episodes(jobs, "method")
     found = {method: of for (method,), of in grouped(rows, "method").items()}
-    heads = {group: group.replace("_half_s", " at 0.5 s") for group in GROUPS}
-    bars = {m: {h: mean_interval(of, g) for g, h in heads.items()} for m, of in found.items()}
     return run.report(
         "Realism",
         tables(found, args.samples),
         rows,
         {"figures.csv": figures(rows, ("method",), COLUMNS)},
-        plot_bars(bars, "likelihood of the log", run.folder / "likelihoods"),
     )

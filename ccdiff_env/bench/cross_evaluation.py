@@ -150,15 +150,7 @@ def cross_jobs(
     return recorded + planner_jobs(first.source, planners, [first.traffic], seed=seed)
 
 
-def evaluate_in_set(**arguments: Any) -> Rows:
-    """Drive scenarios of a set with a planner: one dictionary per scene.
-
-    The arguments, and what is raised, are those of :func:`evaluate_in_set_recorded` but ``record``.
-    """
-    return evaluate_in_set_recorded(**arguments)[0]
-
-
-def evaluate_in_set_recorded(
+def evaluate_in_set(
     *,
     folder: str,
     files: Mapping[str, str],
@@ -168,12 +160,12 @@ def evaluate_in_set_recorded(
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[Rows, dict[str, Rollout]]:
-    """Do the same as :func:`evaluate_in_set`, and record some scenes.
+    """Drive scenarios of a set with a planner, and record some.
 
     Args:
         folder, files, generator: Folder of the set, SHA-256 of its episodes by scene, the ego that
             it was made against.
-        planner, seed, record: As in :func:`ccdiff_env.bench.planners.drive`.
+        planner, seed, record: As in :func:`ccdiff_env.bench.planners.drive`, whose results follow.
         device: Not used, as no network drives; benchmarks pass it to all jobs.
 
     Raises:

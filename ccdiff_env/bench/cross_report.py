@@ -12,7 +12,6 @@ import numpy as np
 from ccdiff_env.bench.cross_evaluation import Costs
 from ccdiff_env.bench.intervals import LEAST_SCENES, figures, grouped, mean_interval
 from ccdiff_env.bench.planner_report import short_name
-from ccdiff_env.bench.plots import plot_matrix
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.bench.scenario_sets import ScenarioSet
 from ccdiff_env.bench.scenes import source_title
@@ -142,20 +141,3 @@ def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
             rows.append([scene, kind, f"{s.time_s:.1f}", *verdicts, *figures])
         found.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
     return found
-
-
-def plot(rows: Sequence[Row], path: Path) -> Path | None:
-    """Draw collisions and scores of every planner in every set."""
-    cells = grouped(rows, "generator", "planner")
-
-    def name(generator: str) -> str:
-        return "(reacting)" if generator == REACTING else short_name(generator)
-
-    values = {
-        figure: {
-            (name(g), short_name(p)): float(np.mean([row[figure] for row in of]))
-            for (g, p), of in cells.items()
-        }
-        for figure in ("collision", "score")
-    }
-    return plot_matrix(values, "made against", path)

@@ -103,9 +103,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     road = off_road(episode.scene, motion, replan_steps)
     displacement = motion.displacement(log)
     ade, fde = displacement.mean()
-    ade_controlled, fde_controlled = (
-        displacement.mean(controlled) if controlled.any() else (np.nan, np.nan)
-    )
+    fde_controlled = displacement.mean(controlled)[1] if controlled.any() else np.nan
     tracks = episode.scene.tracks()
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
@@ -114,67 +112,39 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         [getattr(p, name)[p.guided] for p in episode.plans if p.guided.any()]
         for name in ("realism_cost", "shift_sigmas")
     )
-    cosine, conflict_share = _conflict(episode.plans)
     return {
         "scene": episode.scene.name,
         "num_agents": len(episode.agents),
         "num_controlled": int(controlled.sum()),
         "collision": {v: bool(found.any(v)) for v in found.agents},
         "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
-        "kinds": [kind for kind in found.first_kind if kind is not None],
         "off_road": road and road.centroid_rate,
         "off_road_box": road and road.box_rate,
         "off_road_reference_impl": road and road.reference_impl_rate,
         "ade_m": _number(ade),
         "fde_m": _number(fde),
-        "ade_controlled_m": _number(ade_controlled),
         "fde_controlled_m": _number(fde_controlled),
         "comfort": motion.comfort().tolist(),
         "comfort_reference_impl": motion.comfort(axes="reference_impl").tolist(),
         "over_speed": known and bool(motion.over_speed(limit, counted=controlled).any()),
-        "over_speed_log": known and bool(log.over_speed(limit, counted=controlled).any()),
-        "excess_mps": _number(_excess(episode, limit) if known else np.nan),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
         "shift_sigmas": _number(np.concatenate(shift).mean() if shift else np.nan),
-        "gradient_cosine": _number(cosine),
-        "conflict_share": _number(conflict_share),
-        "graph_sparsity": _number(
-            np.mean([_sparsity(p.graph) for p in episode.plans]) if episode.plans else np.nan
-        ),
+        "conflict_share": _number(_conflict_share(episode.plans)),
     }
 
 
-def _excess(episode: Episode, limit_mps: float) -> float:
-    """Mean speed above a limit over all steps of controlled vehicles; NaN without any."""
-    move = np.diff(episode.position[episode.controlled], axis=1)
-    there = episode.motion.valid[episode.controlled]
-    speed = np.linalg.norm(move, axis=-1)[there[:, 1:] & there[:, :-1]] / episode.scene.dt
-    return float(np.maximum(speed - limit_mps, 0.0).mean()) if speed.size else np.nan
-
-
-def _conflict(plans: list[TrafficPlan]) -> tuple[float, float]:
-    """Cosine of the gradients of realism and guidance, and share of the denoising steps and samples
-    in which it is negative, means over guided vehicles that have a gradient and over plans; NaN
-    without any.
+def _conflict_share(plans: list[TrafficPlan]) -> float:
+    """Share of the denoising steps and samples in which the gradients of realism and guidance
+    oppose, mean over guided vehicles that have a gradient and over plans; NaN without any.
     """
-    explained = [
-        (p.realism_cosine[p.guided], p.conflict_share[p.guided])
+    shares = [
+        p.conflict_share[p.guided & (p.realism_cosine != 0.0)]
         for p in plans
         if p.realism_cosine is not None and p.conflict_share is not None
     ]
-    if not explained:
-        return np.nan, np.nan
-    cosine, share = (np.concatenate(parts) for parts in zip(*explained, strict=True))
-    pulled = cosine != 0.0
-    if not pulled.any():
-        return np.nan, np.nan
-    return float(cosine[pulled].mean()), float(share[pulled].mean())
-
-
-def _sparsity(graph: npt.NDArray[np.bool_]) -> float:
-    pairs = graph.shape[0] * (graph.shape[0] - 1)
-    return 1.0 if pairs == 0 else 1.0 - (graph.sum() - graph.shape[0]) / pairs
+    found = np.concatenate(shares) if shares else np.zeros(0)
+    return float(found.mean()) if found.size else np.nan
 
 
 def _number(value: Any) -> float | None:

@@ -36,7 +36,8 @@ class Job:
     """A function of this package and what it is called with.
 
     ``function`` is ``"module:function"``; it takes ``arguments``, returns what JSON can hold, and
-    depends on nothing else. ``name`` is the file of its result, without ``.json``. ``made_from``
+    depends on nothing else. What it returns beside that in a tuple, as recorded episodes, is
+    dropped. ``name`` is the file of its result, without ``.json``. ``made_from``
     are hashes of what else the result follows from: where one differs, the job is done again.
     """
 
@@ -58,7 +59,8 @@ class Job:
         use_one_thread()
         module, name = self.function.split(":")
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
-        return function(**self.arguments)
+        found = function(**self.arguments)
+        return found[0] if isinstance(found, tuple) else found
 
 
 def _run(job: Job) -> tuple[str, Any, float]:

@@ -64,13 +64,6 @@ def on_device(drivers: _T, device: str) -> _T:
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
 
-#: Objectives that seek speed on the road. The loss has a gradient above its limit only, therefore
-#: the limit is a walking pace; what counts as over-speed is decided by the metric.
-_OVER_SPEED = [
-    {"kind": "over_speed", "weight": -1.0, "limit_mps": 1.0},
-    {"kind": "map_collision", "weight": 1.0},
-]
-
 OWN_RANKINGS = ("greedy", "gradient")  #: Rankings that only a planning network can make.
 
 
@@ -180,14 +173,7 @@ for _name, _label in _NETWORKS.items():
         METHODS[f"{_name}_one_sample"] = Method(
             f"{_label}, no guidance, N=1", _driver, ccdiff={**_own, "num_samples": 1}
         )
-# the objective of the original: one vehicle is drawn to the ego, no other contact is sought
-METHODS["strive_target"] = dataclasses.replace(
-    METHODS["strive"],
-    label="STRIVE, one target",
-    ccdiff={**METHODS["strive"].ccdiff, "guidance": "strive_target", "collision_targets": "ego"},
-)
-# BITS chooses among its plans; moving them as well is its other composition
-METHODS["bits_guided"] = dataclasses.replace(METHODS["bits"], label="BITS, plans moved as well")
+# BITS chooses among its plans and does not move them
 METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
 #: Gradient steps as the authors have them (docs/rivals.md), of which those that do not denoise make
 #: four times as many. SimNet's are those of all.
@@ -208,13 +194,6 @@ for _name in ("strive", "ctg", "ctgpp", "ccdiff_equal"):
         label=f"{METHODS[_name].label}, published filter",
         guidance={"filter_weights": "unweighted"},
     )
-for _name in ("ccdiff", "ccdiff_equal", "ctg"):
-    METHODS[f"{_name}_over_speed"] = dataclasses.replace(
-        METHODS[_name],
-        label=f"{METHODS[_name].label}, over-speed",
-        guidance={"objectives": _OVER_SPEED},
-    )
-
 # next tokens: guided, one draw, careful, with routes told and without
 METHODS["tokens"] = Method(KINDS["tokens"].title, "tokens", ccdiff=_GUIDED)
 for _routes, _told in (("", {}), ("_routes", {"follow_route": True})):

@@ -213,14 +213,6 @@ def _sources(planner: str, traffic: str) -> dict[str, str | None]:
     return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
 
 
-def evaluate(**arguments: Any) -> list[dict[str, Any]]:
-    """Drive scenes with a planner: one dictionary of metrics and the score per scene.
-
-    The arguments, and what is raised, are those of :func:`evaluate_recorded` but ``record``.
-    """
-    return evaluate_recorded(**arguments)[0]
-
-
 def with_log(
     rows: Sequence[dict[str, Any]],
     source: str,
@@ -240,7 +232,7 @@ def _log_fails(
     return frozenset(row["scene"] for row in rows if row["score"] == 0.0)
 
 
-def evaluate_recorded(
+def evaluate(
     *,
     source: str,
     names: Sequence[str],
@@ -253,7 +245,7 @@ def evaluate_recorded(
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate`, and record some scenes.
+    """Drive scenes with a planner; rows and recorded scenes are those of :func:`drive`.
 
     Raises:
         ConfigError: If the planner, or the model of traffic, is no longer what ``sources`` are

@@ -14,7 +14,6 @@ from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.traffic_report import Condition
 from ccdiff_env.system.files import read_text, write_aside
-from ccdiff_env.system.table import Figure as Figure3
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,54 +147,6 @@ def name_ends(
             name, (x, y), xytext=(x + aside, last), color=colour, fontsize=fontsize, va="center",
             annotation_clip=False,
         )  # fmt: skip
-
-
-@_optional
-def plot_bars(table: Mapping[str, Mapping[str, Figure3]], ylabel: str, path: Path) -> Path | None:
-    """Draw figures in [0, 1] by method and name as groups of bars with intervals."""
-    figure, axes = new_plot(5.6, 3.8)
-    styles, width = styles_of(table), 0.8 / len(table)
-    names = list(next(iter(table.values())))
-    for i, (method, by_name) in enumerate(table.items()):
-        value, low, high = np.array(list(by_name.values())).T
-        axes.bar(
-            np.arange(len(names)) + (i - 0.5 * (len(table) - 1)) * width, value, width,
-            color=styles[method]["color"], yerr=[value - low, high - value], label=label_of(method),
-            error_kw={"linewidth": 1, "ecolor": "#000000"},
-        )  # fmt: skip
-    axes.set_xticks(np.arange(len(names)), names)
-    axes.set_ylabel(ylabel)
-    axes.set_ylim(0, 1)
-    axes.grid(axis="y", alpha=0.3)
-    axes.legend(fontsize=8, loc="upper left", framealpha=0)
-    return save_plot(figure, path)
-
-
-@_optional
-def plot_matrix(
-    values: Mapping[str, Mapping[tuple[str, str], float]], ylabel: str, path: Path
-) -> Path | None:
-    """Draw a figure in [0, 1] per panel: by row and column, with the number in each cell.
-
-    Collisions are red, scores green.
-    """
-    cells = next(iter(values.values()))
-    rows, columns = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-    size = (2.2 + (1.0 + 0.75 * len(columns)) * len(values), 1.8 + 0.5 * len(rows))
-    figure, axes = new_plot(*size, ncols=len(values), squeeze=False)
-    for axis, (title, of) in zip(axes[0], values.items(), strict=True):  # type: ignore[index]
-        table = np.array([[of.get((row, name), np.nan) for name in columns] for row in rows])
-        colours = "Reds" if title.startswith("collision") else "Greens"
-        axis.imshow(table, vmin=0.0, vmax=1.0, cmap=colours, aspect="auto")
-        for (i, j), value in np.ndenumerate(table):
-            if np.isfinite(value):
-                colour = "#ffffff" if value > 0.6 else "#000001"
-                axis.text(j, i, f"{value:.2f}", ha="center", va="center", color=colour, fontsize=8)
-        axis.set_xticks(range(len(columns)), columns, fontsize=8, rotation=30, ha="right")
-        axis.set_yticks(range(len(rows)), rows, fontsize=8)
-        axis.set_title(title, fontsize=10)
-        axis.set_ylabel(ylabel, fontsize=8)
-    return save_plot(figure, path)
 
 
 @_optional

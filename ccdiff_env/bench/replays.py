@@ -24,10 +24,9 @@ Pages = Mapping[tuple[str, str], str]  #: Addresses of pages by the names of job
 def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path, **run: Any) -> tuple[Pages, int]:
     """Play scenes of finished jobs again and write pages of them.
 
-    The function of a job is ``<name>``; ``<name>_recorded`` beside it takes the names of the scenes
-    to ``record`` too, and returns rows and rollouts by scene. Returned are the addresses of the
-    pages from the run folder, and how many episodes are not what the job had reported: networks
-    round differently on other machines.
+    Functions of the jobs take the names of the scenes to ``record`` too, and return rows and
+    rollouts by scene. Returned are the addresses of the pages from the run folder, and how many
+    episodes are not what the job had reported: networks round differently on other machines.
     """
     scenes: dict[str, set[str]] = {}
     jobs: dict[str, Job] = {}
@@ -54,7 +53,7 @@ def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path, **run: Any) ->
 def _again(job: Job, scenes: Sequence[str], folder: Path) -> Job:
     digest = hashlib.sha256("\n".join(scenes).encode()).hexdigest()[:8]
     arguments = {
-        "function": f"{job.function}_recorded",
+        "function": job.function,
         "arguments": dict(job.arguments),
         "scenes": list(scenes),
         "folder": str((folder / FOLDER).resolve()),

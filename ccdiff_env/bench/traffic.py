@@ -246,15 +246,7 @@ def _episode(
     )
 
 
-def evaluate(**arguments: Any) -> list[dict[str, Any]]:
-    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
-
-    The arguments are those of :func:`evaluate_recorded` but ``record``.
-    """
-    return evaluate_recorded(**arguments)[0]
-
-
-def evaluate_recorded(
+def evaluate(
     *,
     source: str,
     names: Sequence[str],
@@ -266,7 +258,10 @@ def evaluate_recorded(
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Do the same as :func:`evaluate`, and record some scenes."""
+    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
+
+    Returned beside them are the episodes of the scenes to ``record``, by name.
+    """
     played = episodes(
         scenes_of(source, names),
         on_device(METHODS[method].with_weights(weights or {}), device),

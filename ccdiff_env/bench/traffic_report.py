@@ -30,13 +30,9 @@ _MEANS: dict[str, tuple[str, float]] = {
     "fde": ("fde_m", 1.0),
     "fde_controlled": ("fde_controlled_m", 1.0),
     "sor": ("over_speed", 1.0),
-    "sor_log": ("over_speed_log", 1.0),
-    "excess": ("excess_mps", 1.0),
     "realism_cost": ("realism_cost", 1.0),
     "shift_sigmas": ("shift_sigmas", 1.0),
     "conflict_share": ("conflict_share", 1.0),
-    "gradient_cosine": ("gradient_cosine", 1.0),
-    "graph_sparsity": ("graph_sparsity", 1.0),
 }
 #: Comfort distances, of histograms that are summed over scenes, x 100.
 _COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
