@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 UV     := $(BIN)/uv
 STAMP  := $(VENV)/.deps
-EXTRAS := --extra models --extra dev --extra rl --extra viz --extra cluster --extra nuplan
+EXTRAS := --extra models --extra dev --extra rl --extra viz --extra nuplan
 SO     := ccdiff_env/_native.abi3.so ccdiff_env/_models.abi3.so
 RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Cargo.toml Cargo.lock
 

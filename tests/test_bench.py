@@ -13,7 +13,6 @@ import ccdiff_env
 from ccdiff_env import _native, cli
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import Traffic, play
-from ccdiff_env.bench.plots import _lines
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.run import episodes_table
 from ccdiff_env.bench.scenes import scene_names
@@ -36,7 +35,7 @@ def measured(method, num_controlled, scenes=1, replan_steps=5):
     return evaluate(
         source=VAL, names=scene_names(VAL)[:scenes], method=method, num_controlled=num_controlled,
         replan_steps=replan_steps, seed=0,
-    )[0]  # fmt: skip
+    )  # fmt: skip
 
 
 def test_the_floor_replays_the_log():
@@ -85,16 +84,6 @@ def test_control_sets_hold_moving_vehicles_only():
             assert set(control_set(scene, ranking, None)) == set(everyone)
 
 
-def test_jobs_name_their_condition_and_the_floor_is_always_there():
-    jobs = traffic_jobs(VAL, ["idm", "ccdiff"], num_controlled=(1, None), replan_steps=(5, 10))
-    found = conditions({**job.arguments, "k": job.arguments["num_controlled"]} for job in jobs)
-    assert Condition("replay", 0, 5) in found
-    assert Condition("ccdiff", None, 10) in found
-    assert Condition("idm", 1, 10) not in found
-    with pytest.raises(UnknownNameError, match="no method 'nobody'"):
-        traffic_jobs(VAL, ["nobody"])
-
-
 def _row(scene, collided, off_road, fde, histogram):
     return {
         "scene": scene, "collision": {"all": collided, "new": collided, "controlled_new": False},
@@ -141,13 +130,6 @@ def test_conditions_stand_by_number_and_intervals_are_never_nan():
     figures = summarise([*({**row, "fde_controlled_m": 2.0} for row in rows[1:]), rows[0]], rows)
     assert figures.value["fde_controlled"] == 2.0
     assert figures.figure("fde_controlled") == (2.0, 2.0, 2.0)
-
-
-def test_lines_of_a_plot_join_neighbours():
-    named = [(10, 5), (None, 5), (5, 20), (5, 10), (5, 5), (1, 5)]
-    lines = _lines([Condition("ccdiff", *c) for c in named])
-    assert [names for _, names in lines] == [["1", "5", "10", "Full"], ["", "1 s", "2 s"]]
-    assert [c.replan_steps for c in lines[1][0]] == [5, 10, 20]
 
 
 def test_a_row_of_an_episode_has_its_keys_and_figures_and_no_tape(tmp_path):
@@ -251,7 +233,7 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
     command = ["bench", "traffic", "--out", str(tmp_path), "--quiet", "--k", "1,Full"]
     assert cli.main([*command, "--methods", "idm"]) == 0
     assert "Floor" in capsys.readouterr().out
-    for name in ("table.md", "table.tex", "episodes.csv", "figures.csv", "scores.pdf", "run.json"):
+    for name in ("table.md", "table.tex", "episodes.csv", "figures.csv", "run.json"):
         assert (tmp_path / name).stat().st_size > 0
     assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
     assert "other settings: seed" in capsys.readouterr().err
@@ -289,6 +271,8 @@ def test_what_cannot_differ_is_not_played_twice():
         "ccdiff_random": {(2, 5), (5, 5), (5, 10)},
         "ccdiff_no_enc": {(2, 5), (5, 5), (5, 10), (None, 5)},
     }
+    with pytest.raises(UnknownNameError, match="no method 'nobody'"):
+        traffic_jobs(one, ["nobody"])
     alone = traffic_jobs(one, ["ccdiff_random"], num_controlled=(None,))
     assert [job.arguments["method"] for job in alone] == ["replay", "ccdiff_random"]
 

@@ -24,7 +24,7 @@ def played(method, num_controlled=2):
 
 def measured(method):
     arguments = {"source": VAL, "names": NAMES, "num_controlled": 2, "replan_steps": 5, "seed": 0}
-    return evaluate(**arguments, method=method)[0]
+    return evaluate(**arguments, method=method)
 
 
 def test_over_speed_is_that_of_the_log_where_the_log_is_replayed():

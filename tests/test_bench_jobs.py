@@ -1,4 +1,4 @@
-"""Benchmarks: jobs that go on where they stopped, whatever runs them."""
+"""Benchmarks: jobs that go on where they stopped, by any number of processes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ import pytest
 from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.planners import planner_jobs
 from ccdiff_env.bench.scenes import chunks, scene_names
-from ccdiff_env.bench.traffic import traffic_jobs
 from ccdiff_env.errors import ConfigError, DatasetError
 
 VAL = "embedded/val"
@@ -26,15 +25,6 @@ def square(x, log=None):
         with open(log, "a", encoding="utf-8") as file:
             file.write(f"{x}\n")
     return {"square": x * x}
-
-
-def fragile(x, marker):
-    """A job's function that takes its worker down the first time."""
-    if x == 1 and not os.path.exists(marker):
-        with open(marker, "w", encoding="utf-8"):
-            pass
-        os.kill(os.getpid(), signal.SIGKILL)
-    return x * x
 
 
 def sleepy(folder):
@@ -113,31 +103,6 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
     run_jobs(jobs, tmp_path / "one", progress=False)
     run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
     assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
-
-
-@pytest.mark.timeout(900)  # Ray starts each worker afresh, with torch
-def test_results_do_not_depend_on_the_backend_nor_on_a_lost_worker(tmp_path):
-    ray = pytest.importorskip("ray", reason="ray is not installed")
-    found_here = {"PYTHONPATH": os.pathsep.join([os.path.dirname(__file__), *sys.path])}
-    ray.init(
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        runtime_env={"env_vars": found_here},
-    )
-    try:
-        marker = str(tmp_path / "marker")
-        jobs = [
-            Job(f"job-{x}", f"{__name__}:fragile", {"x": x, "marker": marker}) for x in range(4)
-        ]
-        jobs += traffic_jobs("embedded/val", ["ccdiff_one_sample"], num_controlled=(1,))
-        jobs += planner_jobs("embedded/val", ["pdm"], ["ccdiff"])
-        run_jobs(jobs, tmp_path / "ray", backend="ray", progress=False)
-        assert os.path.exists(marker)
-        run_jobs(jobs, tmp_path / "local", progress=False)
-        assert results(jobs, tmp_path / "ray") == results(jobs, tmp_path / "local")
-    finally:
-        ray.shutdown()
 
 
 def test_damaged_results_and_doubled_names_are_refused(tmp_path):

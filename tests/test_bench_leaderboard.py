@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import pytest
@@ -12,7 +11,7 @@ from ccdiff_env.bench import leaderboard as module
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
-from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
+from ccdiff_env.errors import DatasetError
 from ccdiff_env_cli import main
 
 TEN = [0.0, 1.0] * 5
@@ -110,12 +109,6 @@ def test_where_the_data_lies_does_not_matter(tmp_path):
     assert order(table)[0] == [f"{IDM} (a) †", f"{IDM} (b) †"]
 
 
-def test_planners_without_code_are_marked(tmp_path):
-    made = [raw("idm", "replay", TEN), raw("mine:Ego", "replay", TEN, source="abc")]
-    (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
-    assert set(order(table)[0]) == {MARKED, "mine:Ego (no code)"}
-
-
 def test_privileged_planners_are_marked_and_scenes_that_the_log_fails_left_out_beside(tmp_path):
     hard = [raw("mine:Ego", "replay", [0.0] + [0.5] * 10, source="a", privileged=True)]
     hard[0]["result"][0]["log_fails"] = True
@@ -134,20 +127,6 @@ def test_two_states_of_a_planner_are_not_mixed(tmp_path):
     assert [order(table)[1][1:-2] for table in tables.values()] == [["Log replay"], ["IDM"]]
 
 
-def test_tables_of_a_run_are_not_read(tmp_path):
-    a = write_run(tmp_path / "a", raw("idm", "replay", [0.25] * 10))
-    (a / "scores.csv").write_text("planner,traffic,scene,score\nidm,replay,scene-00,1.0\n")
-    ((_, table),) = leaderboard(a).items()
-    assert "0.25" in table
-
-
-def test_a_score_is_what_its_parts_make(tmp_path):
-    made = raw("idm", "replay", [0.25] * 10)
-    made["result"][3]["score"] = 1.0
-    with pytest.raises(DatasetError, match=r"score of scene-03 is 1\.0, its parts make 0\.25"):
-        leaderboard(write_run(tmp_path / "a", made))
-
-
 def test_below_ten_scenes_there_is_no_interval_and_no_verdict(tmp_path):
     made = [raw("idm", "replay", [0.5] * 9), raw("pdm", "replay", [1.0] * 9)]
     (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
@@ -156,18 +135,9 @@ def test_below_ten_scenes_there_is_no_interval_and_no_verdict(tmp_path):
     assert "best" not in table
 
 
-def test_what_is_no_run_of_planners_is_refused(tmp_path):
-    with pytest.raises(DatasetNotFoundError, match=r"run\.json"):
-        leaderboard(tmp_path)
-    with pytest.raises(DatasetNotFoundError, match="no raw results"):
-        leaderboard(write_run(tmp_path / "e"))
-    with pytest.raises(ConfigError, match="traffic"):
-        leaderboard(write_run(tmp_path / "t", benchmark="traffic"))
+def test_runs_that_are_unfinished_or_in_no_known_traffic_are_refused(tmp_path):
     with pytest.raises(DatasetError, match="nonsense"):
         leaderboard(write_run(tmp_path / "n", raw("idm", "nonsense", [1])))
     unfinished = [raw("idm", "replay", TEN), raw("idm", "idm", TEN, seed=1)]
     with pytest.raises(DatasetError, match="10 of 20 episodes; finish the run"):
         leaderboard(write_run(tmp_path / "u", *unfinished))
-    (tmp_path / "u" / "raw" / "0.json").write_text(json.dumps({"result": [], "seconds": 1.0}))
-    with pytest.raises(DatasetError, match=r"0\.json"):
-        leaderboard(tmp_path / "u")

@@ -191,22 +191,9 @@ def test_files_that_are_not_those_of_the_manifest_are_refused(tmp_path, made):
         load_scenario_set(tmp_path)
     file.write_bytes(content)
 
-    for change, message in (
-        (lambda m: m.update(format="ccdiff-env scenarios 0"), "format 'ccdiff-env scenarios 0'"),
-        (lambda m: m.pop("scenarios"), "scenarios"),
-        (lambda m: m.pop("seed"), "seed"),
-        (lambda m: m["scenarios"][0].pop("sha256"), "sha256"),
-        (lambda m: m["scenarios"][0].update(file="../elsewhere.npz"), "not in the folder"),
-    ):
-        fields = json.loads(text)
-        change(fields)
-        path.write_text(json.dumps(fields), encoding="utf-8")
-        with pytest.raises(DatasetError, match=message):
-            load_scenario_set(tmp_path)
-    for broken in ("{", "[]"):
-        path.write_text(broken, encoding="utf-8")
-        with pytest.raises(DatasetError, match="damaged manifest"):
-            load_scenario_set(tmp_path)
+    path.write_text(text.replace("scenarios 1", "scenarios 0"), encoding="utf-8")
+    with pytest.raises(DatasetError, match="format 'ccdiff-env scenarios 0'"):
+        load_scenario_set(tmp_path)
     with pytest.raises(DatasetNotFoundError, match="no scenario set"):
         load_scenario_set(tmp_path / "nowhere")
     with pytest.raises(UnknownNameError, match="no scenario of scene 'queue-03'"):
@@ -256,7 +243,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
     episodes = [*rows("idm", "idm", 1, 1, 0), *rows("idm", "pdm", 1, 0, 0)]
     episodes += [*rows(None, "idm", 1, 1, 0), *rows(None, "pdm", 0, 0, 0)]
-    sets, costs = {"idm": made}, {"idm": (2.0, 0.1)}
+    sets = {"idm": made}
     crossed = cross_rows(sets, episodes)
     figures_table(crossed).write_csv(tmp_path / "figures.csv")
     with (tmp_path / "figures.csv").open(encoding="utf-8") as file:
@@ -275,10 +262,10 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
         ("idm", "idm", "avoidable"): (2, 0.5),
         ("idm", "pdm", "avoidable"): (2, 0.0),
     }
-    figures = ["idm", 3, 2, 0, 1, 0.5, 1.5, 1.0, 2.0, 0.1]
-    assert sets_table(sets, costs).rows == [figures]
-    text = document(*tables(sets, costs, crossed))
-    assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 | 2.0 |" in text
+    figures = ["idm", 3, 2, 0, 1, 0.5, 1.5, 1.0]
+    assert sets_table(sets).rows == [figures]
+    text = document(*tables(sets, crossed))
+    assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 |" in text
 
 
 def test_a_limit_takes_the_first_scenes():

@@ -24,7 +24,7 @@ from array_scenes import agent, array_scene
 import ccdiff_env
 from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, planners
 from ccdiff_env.bench import scenario_sets
-from ccdiff_env.bench.arguments import add_run_arguments
+from ccdiff_env.bench.cli import add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.run import Run
@@ -481,7 +481,7 @@ def made(tmp_path_factory):
 FIELDS = [field.name for field in dataclasses.fields(scenario_sets.Scenario)]
 MANIFESTS = [
     *({"scenarios": 0, name: value} for name in FIELDS for value in ([], {}, float("nan"))),
-    *({"scenarios": 0, "file": value} for value in (3, "../x")),
+    *({"scenarios": 0, "file": value} for value in (3, "../x", "a" * 3000)),
     *({name: 3} for name in ("scenarios", "source")),
     *({"seed": value} for value in ("0", True)),
     {"generator": None},

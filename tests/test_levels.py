@@ -11,7 +11,7 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet, WorldConfig
-from ccdiff_env.bench.episode import relations
+from ccdiff_env.bench.traffic import relations
 from ccdiff_env.errors import ShapeError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.planners import planning

@@ -257,7 +257,7 @@ def test_benchmarks_take_a_model_by_its_path():
 
     path, source = f"{__name__}:Model", "embedded/val"
     names = ["cut-in-03"]
-    rows, _ = traffic.evaluate(
+    rows = traffic.evaluate(
         source=source, names=names, method=path, num_controlled=2, replan_steps=5, seed=0
     )
     assert [row["scene"] for row in rows] == names

@@ -3,30 +3,103 @@
 from __future__ import annotations
 
 import argparse
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
 
-from ccdiff_env.bench.arguments import (
-    PLANNERS,
-    add_methods,
-    add_replays,
-    add_run_arguments,
-    add_traffic,
-    add_weights,
-    counts,
-    replan_steps,
-)
-from ccdiff_env.bench.methods import PAPER_METHODS
-from ccdiff_env.bench.planner_cli import add_planner_benchmark
+from ccdiff_env.bench.methods import METHODS, PAPER_METHODS
+from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.run import Run
-from ccdiff_env.system.terminal import say
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.planners.built_in import EGO_HELP
+from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.system.terminal import say, say_page
+
+#: Traffic of ``bench planners`` without a protocol.
+_USUAL_TRAFFIC = "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1"
+
+T = TypeVar("T")
+#: Help of an option that names planners.
+PLANNERS = f"comma-separated, of: {EGO_HELP.partition('of: ')[2]}"
+
+
+def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = False) -> None:
+    """Add what every resumable benchmark takes: scenes, run folder, seed or seeds."""
+    add_scene_arguments(parser, "test")
+    parser.add_argument("--out", required=True, type=Path, help="run folder; resumes a run in it")
+    if several_seeds:
+        parser.add_argument("--seeds", help="of the episodes, comma-separated (default: 0,1,2)")
+    else:
+        parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=1,
+        help=f"processes; this machine has {os.cpu_count()} processors",
+    )
+    parser.add_argument(
+        "--device",
+        default="cpu",
+        help="where networks of traffic run: cpu, cuda, or cuda:N (with torch)",
+    )
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--open", action="store_true", help="open the report in the browser")
+
+
+def add_traffic(
+    parser: argparse.ArgumentParser, default: str | None, what: str, more: str = ""
+) -> None:
+    """Add who drives the others, kinds of traffic by name."""
+    names = ", ".join(TRAFFIC)
+    parser.add_argument("--traffic", default=default, help=f"{what}, of: {names}{more}")
+
+
+def add_methods(parser: argparse.ArgumentParser, default: str, more: str = "") -> None:
+    """Add which methods of traffic are compared."""
+    text = f"comma-separated{more}, of: {', '.join(METHODS)}"
+    parser.add_argument("--methods", default=default, help=text)
+
+
+def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
+    """Add how many replays are made."""
+    parser.add_argument(
+        "--replays", type=int, default=0, metavar="N", help=f"write replay pages of the N {which}"
+    )
+
+
+def add_weights(parser: argparse.ArgumentParser) -> None:
+    """Add custom weights."""
+    parser.add_argument(
+        "--weights",
+        action="append",
+        metavar="NETWORK=FILE",
+        help="weights of ccdiff-env train; may be given more than once (default: the shipped ones)",
+    )
+
+
+def counts(text: str) -> list[int | None]:
+    """Return values of K; ``None`` for Full."""
+    return _listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
+
+
+def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
+    try:
+        return [one(part) for part in text.split(",")]
+    except (ValueError, OverflowError):
+        raise ConfigError(f"{option} is {text!r}, expected {what}, comma-separated") from None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks to the verb ``bench``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="kind")
     _add_traffic(kinds)
-    add_planner_benchmark(kinds)
+    _add_planners(kinds)
     _add_scenarios(kinds)
     _add_realism(kinds)
+    _add_leaderboard(kinds)
+    _add_verify(kinds)
+    _add_submit(kinds)
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -44,13 +117,11 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="only these K with all of --t, others with the first (default: every K)",
     )
     add_weights(parser)
-    add_replays(parser, "guided scenes of every guided method, realistic collisions first")
     parser.set_defaults(run=_traffic)
 
 
 def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import traffic_report as report
-    from ccdiff_env.bench.plots import plot_scores
     from ccdiff_env.bench.traffic import traffic_jobs
 
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
@@ -59,7 +130,7 @@ def _traffic(args: argparse.Namespace) -> int:
         run.source,
         methods,
         num_controlled=counts(args.k),
-        replan_steps=replan_steps(args.t),
+        replan_steps=_listed("--t", args.t, lambda t: round(10 * float(t)), "seconds"),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
         weights=run.own_weights,
         seed=args.seed,
@@ -68,18 +139,119 @@ def _traffic(args: argparse.Namespace) -> int:
     by_condition = report.conditions(episodes)
     log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
     table = {c: report.summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
-    chosen = report.choose_examples(by_condition, args.replays)
-    pages = run.replays(row for _, row in chosen)
     return run.report(
         "Traffic",
         {
             "Figures": report.tables(table),
             "Methods against one another": report.comparison(table),
-            "Examples of guided traffic": report.examples_tables(chosen, pages),
         },
         episodes,
         {"figures.csv": report.figures_table(table)},
-        plot_scores(report.with_scores(table), run.folder / "scores"),
+    )
+
+
+def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("planners", help="planners x traffic, scored as nuPlan does")
+    add_run_arguments(parser, several_seeds=True)
+    parser.add_argument(
+        "--planners", default="noop,constant_velocity,lane_idm,idm,pdm,replay", help=PLANNERS
+    )
+    parser.add_argument(
+        "--nuplan",
+        metavar="FOLDER",
+        help="checkout of nuplan-devkit, and of planners after ':' (default: CCDIFF_NUPLAN)",
+    )
+    parser.add_argument(
+        "--nuplan-score",
+        action="store_true",
+        help="a column of nuPlan's own score, by the metrics of nuplan-devkit",
+    )
+    # without a default, so that the protocol can tell whether it was given
+    add_traffic(parser, None, "the others, comma-separated", f" (default: {_USUAL_TRAFFIC})")
+    for name, what, usual in (
+        ("history", "of the log before an episode", "30, or 10 in scenes of 9.1 s"),
+        ("horizon", "that an episode lasts at most", "100, or 80 in scenes of 9.1 s"),
+    ):
+        words = f"steps {what}; scenes that are shorter are refused (default: {usual})"
+        parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
+    parser.add_argument(
+        "--protocol",
+        help="what fixes scenes, traffic and seeds, planner-1.2 (default: the options choose them)",
+    )
+    parser.add_argument(
+        "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
+    )
+    add_replays(parser, "worst scenes of every planner")
+    parser.set_defaults(run=_planners)
+
+
+def _planners(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench import planner_report as report
+    from ccdiff_env.bench.intervals import grouped
+    from ccdiff_env.bench.planners import planner_jobs, window_of
+    from ccdiff_env.bench.plots import plot_robustness
+    from ccdiff_env.bench.protocol import PROTOCOL
+    from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
+
+    fixed = PROTOCOL.fix(args)
+    if args.nuplan is not None:
+        os.environ[VARIABLE] = args.nuplan  # processes of jobs look there, too
+    if args.nuplan_score:
+        find_devkit()
+    planners = list(dict.fromkeys(args.planners.split(",")))
+    traffic = (_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(",")
+    seeds = list(dict.fromkeys(_listed("--seeds", args.seeds or "0,1,2", int, "integers")))
+    source = str(place_from(args))
+    window = window_of(source, args.history_steps, args.horizon_steps)
+    jobs = [
+        job
+        for seed in seeds
+        for job in planner_jobs(
+            source, planners, traffic, seed=seed, window=window, by_nuplan=args.nuplan_score
+        )
+    ]
+    scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
+    if fixed:
+        PROTOCOL.check(args.level, scenes)
+    title = f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic"
+    if window is not None:
+        title += ", {horizon_steps} steps after {history_steps}".format(**window)
+        print(title)
+    run = Run(args, "planners", seeds=seeds, window=window, **fixed)
+    run.note(
+        planners={job.arguments["planner"]: job.arguments["sources"]["planner"] for job in jobs},
+        traffic={job.arguments["traffic"]: job.arguments["sources"]["traffic"] for job in jobs},
+        scenes=scenes,
+        protocol_sha256=PROTOCOL.sha256,
+    )
+    rows = run.episodes(jobs, "planner", "traffic")
+    found: report.Results = grouped(rows, "planner", "traffic")
+    worst = (report.worst_scenes(found, planner, args.replays) for planner in planners)
+    pages = run.replays(row for of in worst for _, row in of)
+    privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
+    scores = [
+        report.verdict(found, planners, traffic),
+        *report.summary(found, planners, traffic, privileged),
+        *report.parts_tables(found),
+    ]
+    files = {"figures.csv": report.figures_table(found)}
+    if len(planners) > 1:
+        files["pairs.csv"] = report.pairs_table(found)
+    criticality = {
+        name: float(TRAFFIC[name].ccdiff.get("criticality", 0.0))
+        for name in traffic
+        if TRAFFIC[name].driver == "ccdiff"
+    }
+    return run.report(
+        title,
+        {
+            "Scores": scores,
+            "Planners against one another": report.comparison(found, planners, traffic),
+            "Worst scenes": report.worst_table(found, max(args.replays, 10), pages),
+        },
+        rows,
+        files,
+        plot_robustness(found, criticality, report.short_name, run.folder / "robustness"),
     )
 
 
@@ -126,8 +298,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         run.source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
     )
     made = run.results(making)
-    seconds = run.processor_seconds(making)
-    sets, costs = write_sets(making, made, seconds, weights=run.weights)
+    sets = write_sets(making, made, weights=run.weights)
     run.note(digests={generator: found.digest for generator, found in sets.items()})
     for generator, found in sets.items():
         say(f"set against {generator}: {found.digest}")
@@ -139,7 +310,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {
-            "Cross matrix": report.tables(sets, costs, rows),
+            "Cross matrix": report.tables(sets, rows),
             "Worst scenarios that can be avoided": worst_table(
                 avoidable, max(args.replays, 10), pages, "made against"
             ),
@@ -148,7 +319,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         rows,
         {
             "figures.csv": report.figures_table(rows),
-            "sets.csv": report.sets_table(sets, costs),
+            "sets.csv": report.sets_table(sets),
         },
     )
 
@@ -185,3 +356,101 @@ def _realism(args: argparse.Namespace) -> int:
         rows,
         {"figures.csv": figures(rows, ("method",), COLUMNS)},
     )
+
+
+def _add_leaderboard(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("leaderboard", help="planners of several runs in one page")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, help="run folders of bench planners, and submissions"
+    )
+    parser.add_argument("--out", type=Path, default=Path("leaderboard.html"), help="page to write")
+    parser.add_argument("--open", action="store_true", help="open the page in the browser")
+    parser.set_defaults(run=_leaderboard)
+
+
+def _leaderboard(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.leaderboard import write_leaderboard
+
+    for heading, text in write_leaderboard(args.runs, args.out).items():
+        say(f"{heading}\n\n{text}")
+    say_page(args.out, open_it=args.open)
+    return 0
+
+
+def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("verify", help="play episodes of a run again, and compare every bit")
+    parser.add_argument("record", type=Path, help="run folder of bench planners, or submission")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        help="only so many, drawn by chance; proves nothing of the others (default: all)",
+    )
+    parser.add_argument(
+        "--seed", type=int, help="repeats a draw of --episodes (default: another every time)"
+    )
+    parser.add_argument(
+        "--own-code",
+        action="store_true",
+        help="run models of traffic that a run folder names by module or file; for runs of your "
+        "own, since code in them runs (default: refused)",
+    )
+    parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
+    parser.add_argument(
+        "--base-instructions",
+        action="store_true",
+        help="compute without vector extensions (AVX), as the oldest processor would",
+    )
+    parser.set_defaults(run=_verify)
+
+
+def _verify(args: argparse.Namespace) -> int:
+    from ccdiff_env import _native
+    from ccdiff_env.bench.leaderboard import leaderboard
+    from ccdiff_env.bench.provenance import processor
+    from ccdiff_env.bench.record import Record
+    from ccdiff_env.bench.verify import verify
+
+    if args.base_instructions:
+        _native.hold_to_base()
+    record = Record.read(args.record)
+    for heading, text in leaderboard([record]).items():
+        say(f"{heading}\n\n{text}")
+    found = verify(
+        record,
+        episodes=args.episodes,
+        seed=args.seed,
+        dataroot=args.dataroot,
+        own_code=args.own_code,
+    )
+    for line in found.differing:
+        print(line)
+    same = found.played - len(found.differing)
+    print(f"{same} of {found.played} episodes come out the same, bit for bit")
+    if found.played < found.there:
+        print(
+            f"{found.played} of {found.there} were played (--seed {found.seed}): "
+            "cite a number after all"
+        )
+    there = record.processor
+    if found.differing and there != processor():
+        print(f"made on {there}, this is {processor()}: torch may round differently")
+    return 1 if found.differing else 0
+
+
+def _add_submit(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = kinds.add_parser("submit", help="write the raw results of a run into one file")
+    parser.add_argument("folder", type=Path, help="run folder of bench planners")
+    parser.add_argument("--out", type=Path, default=Path("submission.zip"), help="file to write")
+    parser.add_argument("--code", help="address of the planner's code (default: none, marked so)")
+    parser.add_argument(
+        "--training-data", help="what it was trained on, in words (default: not said)"
+    )
+    parser.set_defaults(run=_submit)
+
+
+def _submit(args: argparse.Namespace) -> int:
+    from ccdiff_env.bench.record import submit
+
+    submit(args.folder, args.out, code=args.code, training_data=args.training_data)
+    print(args.out)
+    return 0

@@ -11,8 +11,6 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ccdiff_env.bench.intervals import grouped
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
@@ -25,7 +23,6 @@ from ccdiff_env.bench.scenario_sets import (
 )
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError, UnknownNameError
-from ccdiff_env.metrics import comfort_distance
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.version import __version__
@@ -33,9 +30,6 @@ from ccdiff_env.system.version import __version__
 RECORDED = Traffic("as recorded", "replay")  #: Traffic that does as recorded in a set.
 
 Rows = list[dict[str, Any]]
-#: By generator: comfort distance from the log of the vehicles that CCDiff drives, x 100; processor
-#: seconds of a scene, with the search for plans that avoid its collision.
-Costs = Mapping[str, tuple[float, float]]
 
 
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
@@ -88,14 +82,13 @@ def generation_jobs(
 
 
 def write_sets(
-    jobs: Sequence[Job], by_name: Mapping[str, Any], seconds: Mapping[str, float], *, weights: str
-) -> tuple[dict[str, ScenarioSet], Costs]:
-    """Write the manifests of finished :func:`generation_jobs`; return sets and their costs.
+    jobs: Sequence[Job], by_name: Mapping[str, Any], *, weights: str
+) -> dict[str, ScenarioSet]:
+    """Write the manifests of finished :func:`generation_jobs`; return the sets by generator.
 
-    ``by_name`` and ``seconds`` are results and times of the jobs, ``weights`` the SHA-256 of those
-    that drove.
+    ``by_name`` are results of the jobs, ``weights`` the SHA-256 of those that drove.
     """
-    sets, costs = {}, {}
+    sets = {}
     done = grouped([{**job.arguments, "job": job.name} for job in jobs], "generator")
     for (generator,), of in done.items():
         made, traffic = of[0], TRAFFIC[of[0]["traffic"]]
@@ -115,10 +108,7 @@ def write_sets(
             )
         )
         sets[generator] = load_scenario_set(path)
-        one, logged = (np.mean([r[k] for r in rows], axis=0) for k in ("comfort", "comfort_log"))
-        total_s = sum(seconds[job["job"]] for job in of)
-        costs[generator] = 100 * comfort_distance(one, logged).cfd, total_s / len(rows)
-    return sets, costs
+    return sets
 
 
 def cross_jobs(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.cross_evaluation import Costs
 from ccdiff_env.bench.intervals import LEAST_SCENES, figures, grouped, mean_interval
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.replays import write_replay
@@ -65,13 +64,12 @@ def figures_table(rows: Sequence[Row]) -> Table:
     return figures(tidy, ("generator", "planner", "scenarios"), tuple(_FIGURES))
 
 
-def tables(sets: Sets, costs: Costs, rows: Sequence[Row]) -> list[Block]:
+def tables(sets: Sets, rows: Sequence[Row]) -> list[Block]:
     """Return the sets, and a matrix of sets and planners for each figure."""
-    first, parts, counted = next(iter(sets.values())), _subsets(rows), sets_table(sets, costs)
+    first, parts, counted = next(iter(sets.values())), _subsets(rows), sets_table(sets)
     what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
-    # without the time, which differs from run to run
-    shown = [[short_name(str(generator)), *row[:-1]] for generator, *row in counted.rows]
-    blocks: list[Block] = [Table(counted.heads[:-1], shown), what]
+    shown = [[short_name(str(generator)), *row] for generator, *row in counted.rows]
+    blocks: list[Block] = [Table(counted.heads, shown), what]
     for name, part in parts.items():
         scope = "all scenarios" if name == "all" else "avoidable scenarios only"
         blocks += [_matrix(part, f, f"{title}: {scope}") for f, title in _FIGURES.items()]
@@ -83,7 +81,7 @@ def tables(sets: Sets, costs: Costs, rows: Sequence[Row]) -> list[Block]:
     return [*blocks, foot]
 
 
-def sets_table(sets: Sets, costs: Costs) -> Table:
+def sets_table(sets: Sets) -> Table:
     """Return what there is in the sets."""
     rows: TableRows = []
     for generator, made in sets.items():
@@ -91,11 +89,10 @@ def sets_table(sets: Sets, costs: Costs) -> Table:
         counts = [len(hit), sum(s.at_fault for s in hit), sum(s.avoidable for s in hit)]
         all_of = [asdict(s) for s in made.scenarios]
         means = [mean_interval(all_of, c.name)[0] for c in _REALISM]
-        rows.append([generator, len(all_of), *counts, *means, *costs[generator]])
+        rows.append([generator, len(all_of), *counts, *means])
     columns: list[Column | str] = [Column("generator", "made against"), "scenarios"]
     columns += [Column("collision"), Column("at_fault", "of them at fault")]
-    columns += [Column("avoidable", "of them avoidable")]
-    columns += [*_REALISM, Column("cfd", "CFD", digits=1), Column("seconds", "processor s")]
+    columns += [Column("avoidable", "of them avoidable"), *_REALISM]
     return Table(columns, rows)
 
 

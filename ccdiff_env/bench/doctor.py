@@ -26,7 +26,7 @@ from ccdiff_env.system.version import __version__
 PACKAGES = {
     "numpy": "worlds", "gymnasium": "worlds", "torch": "networks on a GPU, training",
     "stable-baselines3": "egos of PPO", "pettingzoo": "several egos", "matplotlib": "plots",
-    "pillow": "images", "imageio-ffmpeg": "MP4", "ray": "clusters",
+    "pillow": "images", "imageio-ffmpeg": "MP4",
 }  # fmt: skip
 MEASURED_S = 0.5
 

@@ -1,4 +1,4 @@
-"""Jobs whose results go to a run folder: resumable, on this machine or on a Ray cluster."""
+"""Jobs whose results go to a run folder: resumable, by one process or several."""
 
 from __future__ import annotations
 
@@ -10,15 +10,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from ccdiff_env.bench.ray import results_of_tasks
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
-
-Backend = Literal["local", "ray"]
 
 
 def use_one_thread() -> None:
@@ -73,19 +70,14 @@ def run_jobs(
     jobs: Sequence[Job],
     folder: Path,
     *,
-    backend: Backend = "local",
     workers: int = 1,
     progress: bool = True,
 ) -> None:
     """Do the jobs whose results are not in the folder yet, or were made from something else.
 
     Each result is written to ``<name>.json`` once it is there, so that a killed run resumes.
-    Results do not depend on the backend or the number of workers. One line on stderr says what has
-    changed since results were made.
-
-    Args:
-        backend: ``"local"``: processes of this machine, one works in this one; ``"ray"``: tasks of
-            the Ray cluster that this process belongs to, where jobs of a lost worker run again.
+    Results do not depend on the number of ``workers``, which are processes; one works in this one.
+    One line on stderr says what has changed since results were made.
     """
     if workers < 1:
         raise ConfigError(f"workers is {workers}, expected at least 1")
@@ -100,20 +92,14 @@ def run_jobs(
     done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
     open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}
-    found = results_of_tasks(_run, open_jobs) if backend == "ray" else _local(open_jobs, workers)
+    found: Iterator[tuple[str, Any, float]] = map(_run, open_jobs)
+    if workers > 1:
+        found = results_of_processes(_run, open_jobs, workers)
     if progress:
         found = shown(found, what="jobs", total=len(jobs), done=len(done))
     for name, result, seconds in found:
         entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
         write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
-
-
-def _local(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, Any, float]]:
-    if workers == 1:
-        for job in jobs:
-            yield _run(job)
-        return
-    yield from results_of_processes(_run, jobs, workers)
 
 
 def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
@@ -122,21 +108,16 @@ def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
     Raises:
         DatasetError: If one is missing or damaged, or was made from something else.
     """
-    return {job.name: _entry(job, folder, "result") for job in jobs}
+    return {job.name: _result(job, folder) for job in jobs}
 
 
-def processor_seconds(jobs: Sequence[Job], folder: Path) -> dict[str, float]:
-    """Return the time of a processor that each finished job took, by name; raises as results."""
-    return {job.name: float(_entry(job, folder, "seconds")) for job in jobs}
-
-
-def _entry(job: Job, folder: Path, field: str) -> Any:
+def _result(job: Job, folder: Path) -> Any:
     changed = _changed(job, folder)
     if changed:
         raise DatasetError(f"the result is of something else ({changed}): {folder / job.name}.json")
     path = folder / f"{job.name}.json"
     with reading("result", path):
-        return parsed_object(read_text(path))[field]
+        return parsed_object(read_text(path))["result"]
 
 
 def _changed(job: Job, folder: Path) -> str | None:

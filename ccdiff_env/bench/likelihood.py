@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.episode import Episode, off_road
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, on_device
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
-from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, episodes
+from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, Episode, episodes, off_road
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.planners.planning import overlap

@@ -23,8 +23,6 @@ class Method:
         ranking: ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control
             set. With ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
         ccdiff: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-        num_guided: Vehicles of the control set that guidance moves (the paper's mask of the top K);
-            all of it for ``None``.
         guidance: What differs from the preset that ``ccdiff`` names.
     """
 
@@ -32,7 +30,6 @@ class Method:
     driver: str
     ranking: str = "cliques"
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
-    num_guided: int | None = None
     guidance: Mapping[str, Any] = field(default_factory=dict)
 
     def with_weights(self, weights: Mapping[str, str]) -> Method:
@@ -136,9 +133,6 @@ METHODS: dict[str, Method] = NamedDrivers(
         },
         "ccdiff_no_enc": Method(
             "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
-        ),
-        "ccdiff_top2": Method(
-            "CCDiff, the first two guided", "ccdiff", ccdiff=_GUIDED, num_guided=2
         ),
         "ccdiff_released": Method(
             "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -128,38 +128,22 @@ def comparison(
         return ["One planner alone."]
     if _few(found):
         return [FEW]
-    names = [name for name in ("score", NUPLAN) if name in _parts(found)]
     rows: TableRows = []
-    for name in names:
-        for planner, other, pairs in _pairs(found, planners, traffic, bases, name):
-            figure, p = difference(pairs)
-            same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
-            of = [name.replace("_", " ")] if len(names) > 1 else []
-            rows.append([*of, short_name(planner), short_name(other), figure, p, same])
-    columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
-    heads = ["figure"] if len(names) > 1 else []
-    count = len(next(iter(scene_means(found[planners[0], t], "score") for t in traffic)))
-    return [
-        f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
-        "bootstrap over scenes, p of the permutation test of signs.",
-        Table([*heads, "planner", "against", *columns, ""], rows),
-    ]
-
-
-def _pairs(
-    found: Results,
-    planners: Sequence[str],
-    traffic: Sequence[str],
-    bases: Sequence[str],
-    name: str = "score",
-) -> Iterator[tuple[str, str, npt.NDArray[np.float64]]]:
-    """Differences [S] of scores, means over traffic: from ``bases``, and from the best other."""
-    scores = {p: _scores(found, p, traffic, name).mean(axis=0) for p in planners}
+    scores = {p: _scores(found, p, traffic).mean(axis=0) for p in planners}
     for planner in planners:
         best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
         for other in dict.fromkeys([*bases, best]):
             if other in scores and other != planner:
-                yield planner, other, scores[planner] - scores[other]
+                figure, p = difference(scores[planner] - scores[other])
+                same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
+                rows.append([short_name(planner), short_name(other), figure, p, same])
+    columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
+    count = len(next(iter(scene_means(found[planners[0], t], "score") for t in traffic)))
+    return [
+        f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
+        "bootstrap over scenes, p of the permutation test of signs.",
+        Table(["planner", "against", *columns, ""], rows),
+    ]
 
 
 def pairs_table(found: Results) -> Table:

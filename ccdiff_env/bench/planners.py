@@ -35,7 +35,6 @@ from ccdiff_env.worlds.policy_file import LEARNED
 
 #: Steps before an episode, and those that it lasts at most, in scenes of 9.1 s as Waymo's.
 SHORT_WINDOW = {"history_steps": 10, "horizon_steps": 80}
-HISTORY_STEPS: int = PROTOCOL.fields["world"]["history_steps"]
 CHUNK: int = PROTOCOL.fields["batch"]  #: Scenes that share a batch of the network.
 #: Drivers of the world that know where the log goes, and how fast.
 READ_THE_LOG = ("replay", "idm")

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ccdiff_env.bench.intervals import mean_interval
-from ccdiff_env.bench.methods import label_of
-from ccdiff_env.bench.traffic_report import Condition
 from ccdiff_env.system.files import read_text, write_aside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_P = ParamSpec("_P")
 
 #: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
 OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -43,19 +38,6 @@ def styles_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
         }
         for name, i in place.items()
     }
-
-
-def _optional(plot: Callable[_P, Path | None]) -> Callable[_P, Path | None]:
-    """Leave a plot out, and say so, where Matplotlib is missing."""
-
-    @functools.wraps(plot)
-    def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Path | None:
-        if find_spec("matplotlib") is not None:
-            return plot(*args, **kwargs)
-        print("no plot: it needs Matplotlib (pip install matplotlib)")
-        return None
-
-    return drawn
 
 
 def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]:
@@ -96,7 +78,6 @@ def save_plot(figure: Figure, path: Path) -> Path:
     return drawn
 
 
-@_optional
 def plot_robustness(
     found: Mapping[tuple[str, str], Sequence[Mapping[str, Any]]],
     level: Mapping[str, float],
@@ -110,6 +91,9 @@ def plot_robustness(
     """
     planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
     if len(names) < 2:
+        return None
+    if find_spec("matplotlib") is None:
+        print("no plot: it needs Matplotlib (pip install matplotlib)")
         return None
     figure, axes = new_plot(5.6, 3.8)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
@@ -147,61 +131,3 @@ def name_ends(
             name, (x, y), xytext=(x + aside, last), color=colour, fontsize=fontsize, va="center",
             annotation_clip=False,
         )  # fmt: skip
-
-
-@_optional
-def plot_scores(pairs: Mapping[Condition, tuple[float, float]], path: Path) -> Path | None:
-    """Draw controllability against realism, every condition a point, with the Pareto front.
-
-    Numbers of vehicles K at the shortest time between plans are joined by a line, longer times at
-    one K by a dotted one. The ends of lines have names. ``pairs`` are CS and RS by condition.
-    """
-    at = {c: (rs, cs) for c, (cs, rs) in pairs.items() if np.isfinite(rs)}
-    if not at:  # no road, no realism
-        return None
-    figure, axes = new_plot(5.6, 4.6)
-    for method, look in styles_of(c.method for c in at).items():
-        for j, (line, names) in enumerate(_lines([c for c in at if c.method == method])):
-            points = np.array([at[c] for c in line])
-            style = {
-                "color": look["color"],
-                "marker": look["marker"],
-                "linewidth": 1,
-                "markersize": 5,
-            }
-            if j == 0:
-                axes.plot(*points.T, "-", label=label_of(method), **style)
-            else:
-                axes.plot(*points.T, ":", markerfacecolor="none", **style)
-            ends = {0: (-4, -9), len(line) - 1: (4, 4)}
-            for end, offset in ends.items():
-                axes.annotate(
-                    names[end], points[end], textcoords="offset points", xytext=offset,
-                    fontsize=8, color=look["color"],
-                )  # fmt: skip
-    front = sorted(p for p in at.values() if not any(_dominates(other, p) for other in at.values()))
-    axes.plot(*np.array(front).T, "--", color="#000000", linewidth=1, label="Pareto front")
-    axes.set_xlabel("realism score RS")
-    axes.set_ylabel("controllability score CS")
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, framealpha=0)
-    return save_plot(figure, path)
-
-
-def _lines(rows: Sequence[Condition]) -> list[tuple[list[Condition], list[str]]]:
-    """Lines of one method: K at the shortest time between plans, then times at each K."""
-    shortest = min(c.replan_steps for c in rows)
-    by_k = sorted((c for c in rows if c.replan_steps == shortest), key=lambda c: c.order)
-    found = [(by_k, [c.k for c in by_k])]
-    for first in by_k:
-        line = sorted(
-            (c for c in rows if c.num_controlled == first.num_controlled),
-            key=lambda c: c.replan_steps,
-        )
-        if len(line) > 1:
-            found.append((line, ["", *(f"{c.replan_steps / 10:g} s" for c in line[1:])]))
-    return found
-
-
-def _dominates(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    return one != other and one[0] >= other[0] and one[1] >= other[1]

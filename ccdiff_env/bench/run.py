@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-import shutil
 import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.jobs import Job, processor_seconds, results, run_jobs
+from ccdiff_env.bench.jobs import Job, results, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import Pages, make_replays
@@ -29,7 +28,7 @@ from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
 
 #: Arguments of jobs that name who drives, perhaps by a file.
-_DRIVE = ("planner", "generator", "ego", "method", "traffic", "start")
+_DRIVE = ("planner", "generator", "method", "traffic")
 #: Fields of an episode that are no part of a table: its job, and what repeats it.
 _HIDDEN = ("job", "actions", "action")
 
@@ -38,7 +37,7 @@ class Run:
     """A run folder of a resumable benchmark.
 
     Args:
-        args: Arguments of :func:`~ccdiff_env.bench.arguments.add_run_arguments`.
+        args: Arguments of :func:`~ccdiff_env.bench.cli.add_run_arguments`.
         benchmark: Its name.
         **settings: What else decides the results, ``seeds`` where there are several; a folder
             belongs to one choice of all of it, and to the scenes, the seed, and custom weights.
@@ -58,11 +57,7 @@ class Run:
         self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))
         seeds = {"seed": args.seed} if hasattr(args, "seed") else {"seeds": settings.pop("seeds")}
         self._line = f"seed {', '.join(str(s) for s in seeds.get('seeds', [seeds.get('seed')]))}"
-        self._options = {
-            "backend": args.backend,
-            "workers": args.workers,
-            "progress": not args.quiet,
-        }
+        self._options = {"workers": args.workers, "progress": not args.quiet}
         self._device: str = args.device
         self._open = bool(args.open)
         self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
@@ -75,20 +70,8 @@ class Run:
         self._digests: dict[str, str | None] = {}
         self._jobs: dict[str, Job] = {}
         self._begun = False
-        if getattr(args, "overwrite", False):
-            self._delete()
-        elif getattr(args, "resume", False) and not (self.folder / "run.json").exists():
-            raise DatasetNotFoundError(f"--resume: there is no run in {self.folder}")
         facts = {"weights": self.weights, "made_with": self._made_with}
         self._facts = {**self._agreeing(given), **given, **facts}
-
-    def _delete(self) -> None:
-        """Delete the run of the folder; a folder of anything else is left as it is."""
-        if not self.folder.exists():
-            return
-        if not (self.folder / "run.json").is_file():
-            raise ConfigError(f"--overwrite deletes runs, but {self.folder} has no run.json")
-        shutil.rmtree(self.folder)
 
     def _begin(self) -> None:
         """Write what the run is, now that work begins: what is refused before leaves no folder."""
@@ -144,10 +127,6 @@ class Run:
         run_jobs(jobs, self.folder / "raw", **self._options)
         self._num_jobs += len(jobs)
         return results(jobs, self.folder / "raw")
-
-    def processor_seconds(self, jobs: Sequence[Job]) -> dict[str, float]:
-        """Return the time of a processor that each finished job took, by name."""
-        return processor_seconds([self._dated(job) for job in jobs], self.folder / "raw")
 
     def episodes(self, jobs: Sequence[Job], *keys: str, **names: str) -> list[dict[str, Any]]:
         """Do the jobs, whose results are lists of episodes; return all of them in one list.

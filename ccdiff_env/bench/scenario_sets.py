@@ -19,11 +19,11 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ccdiff_env.bench.episode import driven, logged
 from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.bench.provenance import scene_hashes
+from ccdiff_env.bench.provenance import scene_hashes, sha256_of
 from ccdiff_env.bench.scenes import scenes_of, source_title
+from ccdiff_env.bench.traffic import driven, logged
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
@@ -31,7 +31,6 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.system.files import (
     file_name,
     parsed_object,
-    read_bytes,
     read_text,
     reading,
     write_aside,
@@ -159,9 +158,7 @@ def generate(
     ego collides; the last episode is kept. ``num_plans`` ego plans are tried to avoid a collision.
 
     Returns:
-        list of dict: ``scenario``: the fields of :class:`Scenario`; ``comfort`` and
-            ``comfort_log``: histograms [3][20] of the vehicles that CCDiff drives, and of their
-            log.
+        list of dict: ``scenario``: the fields of :class:`Scenario`.
     """
     rollouts: dict[str, Rollout] = {}
     left, hashes = list(names), scene_hashes(source, names)
@@ -188,26 +185,22 @@ def generate(
         hits = ego_collisions(rollout)
         verdict = rollout_avoidability(rollout, num_samples=num_plans) if hits else None
         first = hits[0] if hits else None
-        figures = realism(rollout)
         scenario = Scenario(
             scene=name,
             token=rollout.scene.token,
             file=file,
-            sha256=_sha256(place / file),
+            sha256=sha256_of(place / file),
             collision=bool(hits),
             kind=None if first is None else first.kind,
             partner=None if first is None else first.partner_id,
             time_s=None if first is None else round(first.step * rollout.dt_s, 3),
             at_fault=any(event.at_fault for event in hits),
             avoidable=verdict is None or verdict.avoidable,
-            realism_cost=figures["realism_cost"],
-            fde_m=figures["fde_m"],
-            shift_sigmas=figures["shift_sigmas"],
+            **realism(rollout),
             scene_hash=hashes[name],
             motion_hash=_motion_hash(rollout),
         )
-        histograms = {key: figures[key] for key in ("comfort", "comfort_log")}
-        found.append({"scenario": asdict(scenario), **histograms})
+        found.append({"scenario": asdict(scenario)})
     return found
 
 
@@ -241,8 +234,6 @@ def realism(rollout: Rollout) -> dict[str, Any]:
         "realism_cost": mean("realism_cost"),
         "shift_sigmas": mean("shift_sigmas"),
         "fde_m": fde if np.isfinite(fde) else None,
-        "comfort": simulated.comfort().tolist(),
-        "comfort_log": log.comfort().tolist(),
     }
 
 
@@ -306,13 +297,9 @@ def _check(folder: Path, scenario: Scenario) -> None:
         raise DatasetError(f"file {scenario.file!r} is not in the folder of the set: {folder}")
     path = folder / scenario.file
     with reading(f"file of scene {scenario.scene!r}", path):
-        got = _sha256(path)
+        got = sha256_of(path)
     if got != scenario.sha256:
         raise DatasetError(
             f"file of scene {scenario.scene!r} has SHA-256 {got}, the manifest says "
             f"{scenario.sha256}: {path}"
         )
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(read_bytes(path)).hexdigest()

@@ -12,21 +12,21 @@ by the same ranking for every method, and filled up by nearness, not at random
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.episode import Episode, logged, measure, off_road, relations
 from ccdiff_env.bench.jobs import Job
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import UnknownNameError
-from ccdiff_env.metrics import Motion, causal
-from ccdiff_env.record.episode import begin, play, recorders_of
+from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
+from ccdiff_env.record.episode import begin, play
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
@@ -37,6 +37,7 @@ HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
 _PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
+PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
 STATIONARY_MPS = 0.5  #: Speed below which a logged vehicle counts as standing, m/s.
 
 
@@ -140,15 +141,13 @@ def episodes(
     num_controlled: int | None,
     replan_steps: int = 5,
     seed: int = 0,
-    options: Mapping[str, Any] | None = None,
-    record: Collection[str] = (),
     explain: bool = False,
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
     K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
-    ``replan_steps``. Neither ``record`` (names of scenes) nor ``explain`` (whether guided plans say
-    how their gradients agree) changes the episodes.
+    ``replan_steps``. ``explain``, whether guided plans say how their gradients agree, does not
+    change the episodes.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -175,7 +174,6 @@ def episodes(
             "autoreset": "disabled",
             "dt_s": scenes[0].dt,
             "ccdiff": ccdiff if method.driver in NETWORKS else {},
-            **(options or {}),
         }
     )
     # a model given by its path drives under a name
@@ -195,11 +193,10 @@ def episodes(
         if chosen[i]:
             native.assign(i, chosen[i], driver)
         if method.driver in NETWORKS and not own:
-            native.override_plan(i, guided=chosen[i][: method.num_guided], criticality=None)
+            native.override_plan(i, guided=chosen[i], criticality=None)
     states = [[native.states(i)] for i in everyone]
     plans: list[list[TrafficPlan]] = [[] for _ in everyone]
-    recorders = recorders_of(worlds, record, method=method.label)
-    for step, (_, _, out) in enumerate(play(worlds, recorders=recorders, most=HORIZON_STEPS)):
+    for step, (_, _, out) in enumerate(play(worlds, most=HORIZON_STEPS)):
         for i in everyone:
             states[i].append(native.states(i))
             due = method.driver in NETWORKS and step % config.ccdiff.replan_steps == 0
@@ -210,10 +207,7 @@ def episodes(
             break
     if own:
         chosen = [p[0].agents[p[0].follows_plan].tolist() if p else [] for p in plans]
-    found = [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
-    for i, recorder in recorders.items():
-        found[i].recorded = recorder.rollout()
-    return found
+    return [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
 
 
 def _episode(
@@ -256,20 +250,149 @@ def evaluate(
     seed: int,
     weights: Mapping[str, str] | None = None,
     device: str = "cpu",
-    record: Collection[str] = (),
-) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
-
-    Returned beside them are the episodes of the scenes to ``record``, by name.
-    """
+) -> list[dict[str, Any]]:
+    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md."""
     played = episodes(
         scenes_of(source, names),
         on_device(METHODS[method].with_weights(weights or {}), device),
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
-        record=record,
         explain=True,
     )
-    rows = [measure(episode, replan_steps) for episode in played]
-    return rows, {e.scene.name: e.recorded for e in played if e.recorded is not None}
+    return [measure(episode, replan_steps) for episode in played]
+
+
+def relations(
+    scene: Scene, agents: npt.NDArray[np.int64], step: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return normalised times to contact and distances of A agents in the log up to a step.
+
+    Both are [T, A, A], in [0, 1].
+    """
+    tracks = scene.tracks()
+    past = slice(step - PAST_STEPS, step + 1)
+    position, heading, velocity, valid = (
+        tracks[name][agents, past].swapaxes(0, 1)
+        for name in ("position", "heading", "velocity", "valid")
+    )
+    speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    heights = tracks["elevation_m"][agents, past].T if "elevation_m" in tracks else None
+    sizes = scene.sizes[agents][:, :2]
+    return (
+        causal.ttc(position, heading, speed, sizes, valid, elevation_m=heights),
+        causal.distance(position, valid, elevation_m=heights, normalised=True),
+    )
+
+
+@dataclass
+class Episode:
+    """What happened in one scene: vehicles that were there at the start, A of them."""
+
+    scene: Scene
+    agents: npt.NDArray[np.int64]
+    chosen: list[int]  #: The control set by falling importance, indices in the scene.
+    controlled: npt.NDArray[np.bool_]  #: Whether each of the A vehicles is in it.
+    motion: Motion
+    log: Motion
+    position: npt.NDArray[np.float32]
+    heading: npt.NDArray[np.float32]
+    plans: list[TrafficPlan]
+    start_step: int  #: Step of the log at which it starts.
+
+
+def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
+    """Return the logged motion of agents over some steps."""
+    tracks = scene.tracks()
+    position, heading, valid = (
+        tracks[name][agents, steps] for name in ("position", "heading", "valid")
+    )
+    return Motion(
+        position,
+        heading,
+        scene.sizes[agents][:, :2],
+        valid,
+        dt_s=scene.dt,
+        elevation_m=tracks["elevation_m"][agents, steps] if "elevation_m" in tracks else None,
+    )
+
+
+def driven(rollout: Rollout, agents: npt.NDArray[np.int64]) -> Motion:
+    """Return the recorded motion of agents."""
+    return Motion(
+        rollout.position[agents],
+        rollout.heading[agents],
+        rollout.scene.sizes[agents][:, :2],
+        rollout.valid[agents],
+        dt_s=rollout.dt_s,
+        elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[agents],
+    )
+
+
+def drivable(scene: Scene) -> list[tuple[Any, Any]]:
+    """Return the drivable area as polygons: exterior and holes."""
+    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
+
+
+def off_road(scene: Scene, motion: Motion, replan_steps: int = 5) -> OffRoad | None:
+    """Test a motion against the drivable area; ``None`` where the scene has no road."""
+    if not scene.has_road:
+        return None
+    heights = scene.map_layers().get("elevation_m", {}).get("drivable_area")
+    return motion.off_road(drivable(scene), replan_steps=replan_steps, elevation_m=heights)
+
+
+def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
+    """Return the figures of one episode, all of them finite or ``None``."""
+    motion, log, controlled = episode.motion, episode.log, episode.controlled
+    found = motion.collisions(controlled=controlled, log=log)
+    road = off_road(episode.scene, motion, replan_steps)
+    displacement = motion.displacement(log)
+    ade, fde = displacement.mean()
+    fde_controlled = displacement.mean(controlled)[1] if controlled.any() else np.nan
+    tracks = episode.scene.tracks()
+    speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
+    limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
+    known = bool(np.isfinite(limit))
+    cost, shift = (
+        [getattr(p, name)[p.guided] for p in episode.plans if p.guided.any()]
+        for name in ("realism_cost", "shift_sigmas")
+    )
+    return {
+        "scene": episode.scene.name,
+        "num_agents": len(episode.agents),
+        "num_controlled": int(controlled.sum()),
+        "collision": {v: bool(found.any(v)) for v in found.agents},
+        "collision_rate": {v: float(rate) for v, rate in found.agent_rate.items()},
+        "off_road": road and road.centroid_rate,
+        "off_road_box": road and road.box_rate,
+        "off_road_reference_impl": road and road.reference_impl_rate,
+        "ade_m": _number(ade),
+        "fde_m": _number(fde),
+        "fde_controlled_m": _number(fde_controlled),
+        "comfort": motion.comfort().tolist(),
+        "comfort_reference_impl": motion.comfort(axes="reference_impl").tolist(),
+        "over_speed": known and bool(motion.over_speed(limit, counted=controlled).any()),
+        "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
+        "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
+        "shift_sigmas": _number(np.concatenate(shift).mean() if shift else np.nan),
+        "conflict_share": _number(_conflict_share(episode.plans)),
+    }
+
+
+def _conflict_share(plans: list[TrafficPlan]) -> float:
+    """Share of the denoising steps and samples in which the gradients of realism and guidance
+    oppose, mean over guided vehicles that have a gradient and over plans; NaN without any.
+    """
+    shares = [
+        p.conflict_share[p.guided & (p.realism_cosine != 0.0)]
+        for p in plans
+        if p.realism_cosine is not None and p.conflict_share is not None
+    ]
+    found = np.concatenate(shares) if shares else np.zeros(0)
+    return float(found.mean()) if found.size else np.nan
+
+
+def _number(value: Any) -> float | None:
+    number = float(value)
+    return number if np.isfinite(number) else None

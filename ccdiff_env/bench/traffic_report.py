@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import BRACKETS, FEW, LEAST_SCENES, RESAMPLES, column, interval
 from ccdiff_env.bench.methods import METHODS, label_of
-from ccdiff_env.bench.replays import Pages
-from ccdiff_env.metrics import PAPER_BOUNDS, comfort_distance, generational_distance, scores
+from ccdiff_env.metrics import comfort_distance, scores
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
 Row = Mapping[str, Any]
@@ -133,13 +132,13 @@ def summarise(rows: Rows, log: Rows, *, seed: int = 0) -> Figures:
 Summary = Mapping[Condition, Figures]
 
 
-def with_scores(table: Summary, paper_scale: bool = False) -> dict[Condition, tuple[float, float]]:
-    """CS and RS of every condition but the floor, over the bounds of them all or the paper's."""
+def with_scores(table: Summary) -> dict[Condition, tuple[float, float]]:
+    """CS and RS of every condition but the floor, over the bounds of them all."""
     chosen = [c for c in table if c.num_controlled != 0]
     if not chosen:
         return {}
     named = {name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")}
-    cs, rs = scores(**named, bounds=PAPER_BOUNDS if paper_scale else None)
+    cs, rs = scores(**named)
     return {c: (float(a), float(b)) for c, a, b in zip(chosen, cs, rs, strict=True)}
 
 
@@ -149,13 +148,21 @@ def _few(table: Summary) -> bool:
 
 def figures_table(table: Summary) -> Table:
     """Return all figures of every condition."""
-    relative, paper = with_scores(table), with_scores(table, paper_scale=True)
-    names = ("method", "K", "replan_s", "scenes", *FIGURES, "cs", "rs", "cs_paper", "rs_paper")
+    relative = with_scores(table)
+    names = ("method", "K", "replan_s", "scenes", *FIGURES, "cs", "rs")
     rows: TableRows = []
     for c, f in table.items():
-        both = (*relative.get(c, (None, None)), *paper.get(c, (None, None)))
         figures = [f.figure(name) for name in FIGURES]
-        rows.append([c.method, c.k, c.replan_steps / 10, f.num_scenes, *figures, *both])
+        rows.append(
+            [
+                c.method,
+                c.k,
+                c.replan_steps / 10,
+                f.num_scenes,
+                *figures,
+                *relative.get(c, (None, None)),
+            ]
+        )
     return Table(names, rows)
 
 
@@ -205,15 +212,13 @@ def difference(one: Figures, other: Figures, name: str) -> Figure:
 
 
 def comparison(table: Summary) -> list[Block]:
-    """Return paired differences to CCDiff, and distances to the Pareto front.
+    """Return paired differences to CCDiff.
 
     CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
     """
     equal = any(c.method == "ccdiff_equal" for c in table)
     base = "ccdiff_equal" if equal else "ccdiff"
-    blocks = _against(table, base)
-    blocks += [] if _few(table) else _distances(table)
-    return blocks or ["One method alone."]
+    return _against(table, base) or ["One method alone."]
 
 
 def _against(table: Summary, base: str) -> list[Block]:
@@ -235,82 +240,3 @@ def _against(table: Summary, base: str) -> list[Block]:
         f"Means over scenes, same scenes and vehicles; {note} "
         "Methods without guidance: less the same without guidance.",
     ]
-
-
-def _distances(table: Summary) -> list[Block]:
-    """GD and IGD to the Pareto front of control and realism, of methods that have every K."""
-    relative = with_scores(table)
-    if not relative:
-        return []
-    steps = min(c.replan_steps for c in relative)
-    of: dict[str, list[tuple[float, float]]] = {}
-    for c, pair in relative.items():
-        if c.replan_steps == steps:
-            of.setdefault(c.method, []).append(pair)
-    most = max(len(points) for points in of.values())
-    whole = {method: points for method, points in of.items() if len(points) == most}
-    points = np.array(list(whole.values()))
-    if len(whole) < 2 or not np.isfinite(points).all():  # no road, no realism
-        return []
-    gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
-    means = zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
-    rows: TableRows = [[METHODS[method].label, *map(float, figures)] for method, *figures in means]
-    heads: list[Column | str] = ["method", *map(Column, ("CS", "RS", "GD", "IGD"))]
-    return [
-        Table(heads, rows, "Distance to the Pareto front of control and realism"),
-        f"Over {most} numbers of vehicles; less is better for GD and IGD.",
-    ]
-
-
-# examples to look at
-
-
-def choose_examples(
-    by_condition: Mapping[Condition, Rows], count: int
-) -> list[tuple[Condition, Row]]:
-    """Return scenes of every guided method, at one K and replan period each.
-
-    The condition is the one with K nearest to 5 and the shortest period. Scenes with a new
-    collision of a controlled vehicle come first, then those of the least realism cost.
-    """
-    by_method: dict[str, list[Condition]] = {}
-    for condition in by_condition:
-        known = METHODS.get(condition.method)
-        if known is not None and known.ccdiff.get("criticality", 0.0) > 0.0:
-            by_method.setdefault(condition.method, []).append(condition)
-
-    def order(row: Row) -> tuple[bool, float, str]:
-        cost = row["shift_sigmas"]
-        hit = row["collision"]["controlled_new"]
-        return not hit, np.inf if cost is None else float(cost), str(row["scene"])
-
-    found = []
-    for several in by_method.values():
-        condition = min(several, key=lambda c: (abs(c.order - 5), c.replan_steps))
-        found += [(condition, row) for row in sorted(by_condition[condition], key=order)[:count]]
-    return found
-
-
-def examples_tables(chosen: Sequence[tuple[Condition, Row]], pages: Pages) -> list[Block]:
-    """Return the examples, with links to their replays."""
-    columns = [
-        Column("realism_cost", "C(tau)"),
-        Column("shift_sigmas"),
-        Column("fde_m", "FDE m", digits=1),
-        Column("off_road", "off the road", "%", digits=1, factor=100.0),
-    ]
-    found: list[Block] = []
-    for condition in dict.fromkeys(c for c, _ in chosen):
-        rows = [
-            [
-                f"[{row['scene']}]({pages[row['job'], row['scene']]})",
-                "yes" if row["collision"]["controlled_new"] else "no",
-                *(np.nan if row[column.name] is None else row[column.name] for column in columns),
-            ]
-            for c, row in chosen
-            if c == condition
-        ]
-        label, k, period = condition.cells
-        title = f"{label}, K = {k}, a plan every {period} s"
-        found.append(Table(["scene", "new collision", *columns], rows, title))
-    return found
