@@ -93,7 +93,7 @@ def write_sets(
     for (generator,), of in done.items():
         made, traffic = of[0], TRAFFIC[of[0]["traffic"]]
         rows = [row for job in of for row in by_name[job["job"]]]
-        settings = {"num_plans": made["num_plans"], "draws": traffic.draws, **OPTIONS}
+        settings = {"num_plans": made["num_plans"], "draws": 1, **OPTIONS}
         path = write_manifest(
             ScenarioSet(
                 folder=Path(made["folder"]),

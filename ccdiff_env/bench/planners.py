@@ -42,16 +42,11 @@ READ_THE_LOG = ("replay", "idm")
 
 @dataclass(frozen=True)
 class Traffic:
-    """Traffic to test planners in.
-
-    ``draws``: how often a scenario set draws a scene at most, until the ego collides; everywhere
-    else it is drawn once. ``named_drivers``: as in :class:`~ccdiff_env.WorldConfig`.
-    """
+    """Traffic to test planners in; ``named_drivers`` as in :class:`~ccdiff_env.WorldConfig`."""
 
     label: str
     driver: str
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
-    draws: int = 1
     named_drivers: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -109,9 +104,6 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
             for form in _FORMS
         },
         "ccdiff-1-learned": replace(_chosen_by(LEARNED), label="CCDiff, a learned adversary"),
-        "ccdiff-redrawn": Traffic(
-            "CCDiff, no guidance, drawn up to 16 times", "ccdiff", {"num_samples": 1}, draws=16
-        ),
     },
 )
 for _name, _own in PROTOCOL.fields["traffic"].items():

@@ -10,9 +10,9 @@ import numpy as np
 from ccdiff_env.bench.intervals import brackets, mean_interval
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
-from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
+from ccdiff_env.system.table import Block, Column, Table, TableRows
 
-_SHARED = ("realism", *GROUPS)  #: Figures that are read against those of the log replayed.
+_LIKELIHOODS = ("realism", *GROUPS)  #: Likelihoods.
 _PLAIN = (
     Column("own_realism", digits=3, interval=False),
     Column("own_kinematic", digits=3, interval=False),
@@ -22,55 +22,38 @@ _PLAIN = (
     Column("orr", "off road", "%", factor=100.0),
     Column("processor_s", "processor s", digits=3, interval=False),
 )
-COLUMNS = (*_SHARED, *FEATURES, *(column.name for column in _PLAIN))  #: All figures of a method.
+COLUMNS = (
+    *_LIKELIHOODS,
+    *FEATURES,
+    *(column.name for column in _PLAIN),
+)  #: All figures of a method.
 
 
 def tables(
     found: Mapping[str, Sequence[Mapping[str, Any]]], num_samples: int
 ) -> dict[str, list[Block]]:
     """Return the parts of the report from rows per scene of every method."""
-    figures = {
-        method: {name: mean_interval(rows, name) for name in COLUMNS}
-        for method, rows in found.items()
-    }
-    ceiling = {name: figure[0] for name, figure in figures.get("replay", {}).items()}
-    groups = Table(
-        ["method", *map(_head, _SHARED), *_PLAIN],
-        [
-            [
-                label_of(method),
-                *(_shared(by_name[n], ceiling.get(n)) for n in _SHARED),
-                *(by_name[column.name] for column in _PLAIN),
-            ]
-            for method, by_name in figures.items()
-        ],
-    )
-    parts = Table(
-        ["method", *map(_head, FEATURES)],
-        [
-            [label_of(method), *(_shared(by_name[n], ceiling.get(n)) for n in FEATURES)]
-            for method, by_name in figures.items()
-        ],
-        "By feature",
-    )
+
+    def table(columns: Sequence[Column], title: str = "") -> Table:
+        rows: TableRows = [
+            [label_of(method), *(mean_interval(of, column.name) for column in columns)]
+            for method, of in found.items()
+        ]
+        return Table(["method", *columns], rows, title)
+
     note = (
         f"{brackets(found.values())} Of {num_samples} episodes per scene and method: figures from "
-        "another number cannot be compared. In parentheses: share of what the log replayed gets. "
+        "another number cannot be compared. "
         "Own: a sample in the place of the log, the ceiling of a calibrated model."
     )
-    return {"Likelihood of the log": [groups, note, parts], "Calibration": _ranks(found)}
+    features = [_likelihood(name) for name in FEATURES]
+    groups = table([*map(_likelihood, _LIKELIHOODS), *_PLAIN])
+    both = [groups, note, table(features, "By feature")]
+    return {"Likelihood of the log": both, "Calibration": _ranks(found)}
 
 
-def _head(name: str) -> str:
-    return name.replace("_half_s", ", 0.5 s").replace("_", " ")
-
-
-def _shared(figure: Figure, ceiling: float | None) -> str:
-    """A likelihood, its interval and its share of the log's."""
-    text = Column("", digits=3).text(figure)
-    if not ceiling or not np.isfinite(ceiling) or not np.isfinite(figure[0]):
-        return text
-    return f"{text} ({100.0 * figure[0] / ceiling:.0f} %)"
+def _likelihood(name: str) -> Column:
+    return Column(name, name.replace("_half_s", ", 0.5 s").replace("_", " "), digits=3)
 
 
 def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:

@@ -154,27 +154,14 @@ def generate(
 ) -> list[dict[str, Any]]:
     """Make scenarios against an ego and save them: one dictionary per scene.
 
-    Where the traffic has several draws, a scene is played with one seed after the other until the
-    ego collides; the last episode is kept. ``num_plans`` ego plans are tried to avoid a collision.
+    ``num_plans`` ego plans are tried to avoid a collision.
 
     Returns:
         list of dict: ``scenario``: the fields of :class:`Scenario`.
     """
-    rollouts: dict[str, Rollout] = {}
-    left, hashes = list(names), scene_hashes(source, names)
-    for draw in range(TRAFFIC[traffic].draws):
-        _, played = drive(
-            scenes_of(source, left),
-            generator,
-            on_device(TRAFFIC[traffic], device),
-            seed=seed + draw,
-            options=OPTIONS,
-            record=left,
-        )
-        rollouts |= played
-        left = [name for name in left if not ego_collisions(played[name])]
-        if not left:
-            break
+    hashes, drivers = scene_hashes(source, names), on_device(TRAFFIC[traffic], device)
+    scenes = scenes_of(source, names)
+    _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     found = []
