@@ -329,17 +329,14 @@ def driven(rollout: Rollout, agents: npt.NDArray[np.int64]) -> Motion:
     )
 
 
-def drivable(scene: Scene) -> list[tuple[Any, Any]]:
-    """Return the drivable area as polygons: exterior and holes."""
-    return [(p["exterior"], p["holes"]) for p in scene.map_layers()["drivable_area"]]
-
-
 def off_road(scene: Scene, motion: Motion, replan_steps: int = 5) -> OffRoad | None:
     """Test a motion against the drivable area; ``None`` where the scene has no road."""
     if not scene.has_road:
         return None
-    heights = scene.map_layers().get("elevation_m", {}).get("drivable_area")
-    return motion.off_road(drivable(scene), replan_steps=replan_steps, elevation_m=heights)
+    layers = scene.map_layers()
+    polygons = [(area["exterior"], area["holes"]) for area in layers["drivable_area"]]
+    heights = layers.get("elevation_m", {}).get("drivable_area")
+    return motion.off_road(polygons, replan_steps=replan_steps, elevation_m=heights)
 
 
 def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
