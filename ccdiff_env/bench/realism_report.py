@@ -48,7 +48,7 @@ def tables(
     )
     features = [_likelihood(name) for name in FEATURES]
     groups = table([*map(_likelihood, _LIKELIHOODS), *_PLAIN])
-    both = [groups, note, table(features, "By feature")]
+    both: list[Block] = [groups, note, table(features, "By feature")]
     return {"Likelihood of the log": both, "Calibration": _ranks(found)}
 
 

@@ -137,8 +137,9 @@ def with_scores(table: Summary) -> dict[Condition, tuple[float, float]]:
     chosen = [c for c in table if c.num_controlled != 0]
     if not chosen:
         return {}
-    named = {name: [table[c].value[name] for c in chosen] for name in ("scr", "orr", "fde", "cfd")}
-    cs, rs = scores(**named)
+    names = ("scr", "orr", "fde", "cfd")
+    scr, orr, fde, cfd = ([table[c].value[name] for c in chosen] for name in names)
+    cs, rs = scores(scr=scr, orr=orr, fde=fde, cfd=cfd)
     return {c: (float(a), float(b)) for c, a, b in zip(chosen, cs, rs, strict=True)}
 
 
