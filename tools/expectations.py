@@ -90,7 +90,7 @@ TRAFFICS = {
 }
 TRAFFICS_DATA = ROOT / "docs" / "results" / "traffics.json"
 TESTED = ("idm", "ccdiff", "ccdiff-1")
-SEEDS = range(3)  #: Of draws, and of the trainings of ``ppo``.
+SEEDS = range(3)  #: Of draws.
 #: Planners that learn nothing.
 OTHERS = {
     "constant_velocity": "constant velocity, as the zero action",
@@ -225,7 +225,7 @@ def main() -> None:
     parser.add_argument("--parts", action="store_true", help="PPO without parts of the defaults")
     parser.add_argument("--traffics", action="store_true", help="egos trained in kinds of traffic")
     parser.add_argument("--seconds", type=int, default=60, help="of a processor, of --traffics")
-    parser.add_argument("--seeds", type=int, default=2, help="trainings each of --traffics")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of ppo or --traffics each")
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     args = parser.parse_args()
@@ -238,7 +238,7 @@ def main() -> None:
     if args.parts:
         args.only = [f"part_{name}" for name in PARTS]
     for name in args.only:
-        folders = [trained(name, out, k) for k in (SEEDS if name == "ppo" else SEEDS[:1])]
+        folders = [trained(name, out, k) for k in range(args.seeds if name == "ppo" else 1)]
         if name == "ppo":
             untrained = [folder / "untrained.zip" for folder in folders]
             found = figures(untrained, out / "untrained.json", test, tested)
@@ -252,7 +252,8 @@ def main() -> None:
     for planner, title in ({} if args.parts else OTHERS).items():
         found = figures([planner], out / f"{planner}.json", test, tested)
         rows.append({"title": title, **found})
-    which = "--parts" if args.parts else f"--only {' '.join(args.only)}"
+    which = f"--only {' '.join(args.only)} --seeds {args.seeds}"
+    which = "--parts" if args.parts else which
     kept = {"command": f"python -m tools.expectations {which}", "scenes": test}
     kept |= {"trained_on": TRAIN, "chosen_on": TRAIN}
     write(file, kept, rows)
