@@ -208,20 +208,12 @@ def _save_mp4(stack: Image, path: Path, fps: float) -> None:
     # The codec halves the colour planes: both sides must be even.
     _, height, width, _ = stack.shape
     stack = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    writer: Any = imageio.get_writer(
-        path, fps=fps, codec="libx264", quality=8, pixelformat="yuv420p", macro_block_size=1
-    )
-    with writer:
-        for frame in stack:
-            writer.append_data(frame)
+    options = {"codec": "libx264", "quality": 8, "pixelformat": "yuv420p", "macro_block_size": 1}
+    imageio.mimwrite(path, list(stack), fps=fps, **options)
 
 
 def pillow() -> ModuleType:
-    """Return Pillow's module of images.
-
-    Raises:
-        MissingFeatureError: If Pillow is not installed.
-    """
+    """Return Pillow's module of images; without Pillow, a :class:`MissingFeatureError`."""
     try:
         from PIL import Image as library
     except ImportError as error:
@@ -238,15 +230,11 @@ def data_address(image: Image, colours: int) -> str:
 
 def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
     """Images as one array [T, H, W, 3]."""
-    array: npt.NDArray[Any]
-    if isinstance(frames, np.ndarray):
-        array = frames[None] if frames.ndim == 3 else frames
-    else:
-        listed = [np.asarray(frame) for frame in frames]  # type: ignore[union-attr]
-        shapes = {frame.shape for frame in listed}
-        if len(shapes) > 1:
-            raise ShapeError(f"frames have different shapes: {sorted(shapes)}")
-        array = np.stack(listed) if listed else np.empty((0, 0, 0, 3), np.uint8)
+    try:
+        array: Any = np.asarray(frames if isinstance(frames, np.ndarray) else list(frames))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ShapeError(f"frames have different shapes: {error}") from None
+    array = array[None] if array.ndim == 3 else array
     if array.dtype != np.uint8 or array.ndim != 4 or array.shape[-1] != 3 or 0 in array.shape:
         raise ShapeError(
             f"frames are {array.dtype} {list(array.shape)}, "
