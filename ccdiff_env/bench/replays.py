@@ -26,7 +26,7 @@ def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path, **run: Any) ->
 
     Functions of the jobs take the names of the scenes to ``record`` too, and return rows and
     rollouts by scene. Returned are the addresses of the pages from the run folder, and how many
-    episodes are not what the job had reported: networks round differently on other machines.
+    episodes are not what the job had reported: torch rounds differently on other machines.
     """
     scenes: dict[str, set[str]] = {}
     jobs: dict[str, Job] = {}

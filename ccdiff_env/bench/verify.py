@@ -22,7 +22,7 @@ from ccdiff_env.planners.built_in import ego_driver, is_of_package
 from ccdiff_env.system.progress import shown
 
 #: How far an action of a learned planner of the package may be from what it chooses here:
-#: numpy and torch multiply matrices in another order on another processor.
+#: numpy multiplies matrices of float32 in another order on another processor.
 TOLERANCE = 1e-3
 
 
