@@ -151,7 +151,7 @@ _hints = cache(get_type_hints)
 def _made(kind: Any, value: Any) -> Any:
     """A value of JSON as a record, a tuple, or as it is."""
     if is_dataclass(kind):
-        hints = _hints(kind)
+        hints = _hints(kind)  # type: ignore[arg-type]
         return kind(**{name: _made(hints[name], part) for name, part in value.items()})  # type: ignore[operator]
     if get_origin(kind) is tuple:
         return tuple(_made(get_args(kind)[0], part) for part in value)
