@@ -208,13 +208,8 @@ def _save_mp4(stack: Image, path: Path, fps: float) -> None:
     # The codec halves the colour planes: both sides must be even.
     _, height, width, _ = stack.shape
     stack = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-    options: dict[str, Any] = {
-        "codec": "libx264",
-        "quality": 8,
-        "pixelformat": "yuv420p",
-        "macro_block_size": 1,
-    }
-    imageio.mimwrite(path, list(stack), fps=fps, **options)
+    how: Any = {"codec": "libx264", "quality": 8, "pixelformat": "yuv420p", "macro_block_size": 1}
+    imageio.mimwrite(path, list(stack), fps=fps, **how)
 
 
 def pillow() -> ModuleType:
