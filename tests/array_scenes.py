@@ -1,14 +1,16 @@
 """Scenes of a few agents on a wide straight road, from arrays."""
 
-from __future__ import annotations
-
 import numpy as np
+import shapely
+from shapely import affinity
 
-from ccdiff_env import Scene
+from ccdiff_env import EgoEnv, Scene
 
 DT_S = 0.1
 STEPS = 160
 TIMES_S = np.arange(STEPS) * DT_S
+#: Options of worlds that only their time ends.
+GOES_ON = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
 
 
 def agent(ident, x, y=0.0, **more):
@@ -16,12 +18,15 @@ def agent(ident, x, y=0.0, **more):
     return {"id": ident, "x": x, "y": y, **more}
 
 
-def wide_road():
-    """Layers of a map with a drivable area alone."""
-    ring = np.array([[-300, -100], [600, -100], [600, 100], [-300, 100]], np.float32)
+def wide_road(half_m=100.0, lanes=()):
+    """Layers of a map: a drivable area along x, and lanes at these y (m)."""
+    ring = np.array([[-300, -half_m], [600, -half_m], [600, half_m], [-300, half_m]], np.float32)
     names = ("ped_crossings", "walkways", "stop_lines", "carpark_areas", "road_dividers")
-    empty = {name: [] for name in (*names, "lane_dividers", "lanes")}
-    return {"drivable_area": [{"exterior": ring, "holes": []}], **empty}
+    empty = {name: [] for name in (*names, "lane_dividers")}
+    x = np.arange(-300, 601, dtype=np.float32)
+    lines = {f"lane {y}": np.stack([x, 0 * x + np.float32(y)], 1) for y in lanes}
+    made = [{"id": name, "kind": "lane", "centreline": line} for name, line in lines.items()]
+    return {"drivable_area": [{"exterior": ring, "holes": []}], "lanes": made, **empty}
 
 
 def array_scene(*agents, name="own", dt_s=DT_S, layers=None):
@@ -49,6 +54,28 @@ def array_scene(*agents, name="own", dt_s=DT_S, layers=None):
         map_layers=wide_road() if layers is None else layers,
         mend=False,
     )
+
+
+def rebuilt(scene, name=None, **changes):
+    """The scene made again from its arrays, with changes."""
+    own = ("agent_ids", "agent_types", "agent_categories", "sizes", "dt")
+    more = ("token", "location", "source", "origin")
+    fields = {field: getattr(scene, field) for field in (*own, *more)}
+    fields |= {**scene.tracks(), "map_layers": scene.map_layers(), **changes}
+    return Scene.from_arrays(name or scene.name, **fields)
+
+
+def outline(x, y, heading, size):
+    """The box of an agent, as shapely has it."""
+    flat = shapely.box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2)
+    turned = affinity.rotate(flat, heading, (0, 0), use_radians=True)
+    return affinity.translate(turned, x, y)
+
+
+def log_env(*agents, dt_s=DT_S, layers=None, **options):
+    """An environment of a scene of such agents, whose ego follows its log to the end."""
+    options = {"driver": "replay", "terminate_at_goal": False, "dt_s": dt_s, **options}
+    return EgoEnv(scenes=[array_scene(*agents, dt_s=dt_s, layers=layers)], **options)
 
 
 def played(env, action=None, seed=0, **reset):

@@ -1,7 +1,5 @@
 """A page in a real browser, as the tests of replay pages drive it."""
 
-from __future__ import annotations
-
 import time
 
 

@@ -1,7 +1,5 @@
 """Fixtures that several test files share."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -31,12 +29,12 @@ def data_root() -> Path:
     pytest.skip("no real data: neither CCDIFF_DATA nor ../shared/data holds a nuscenes folder")
 
 
-@pytest.fixture(scope="session")
-def scenes():
-    """The embedded scenes of val."""
+@pytest.fixture(scope="module")
+def scenes(request):
+    """The embedded scenes of val, so many of them as a module says."""
     from ccdiff_env import embedded_scenes
 
-    return embedded_scenes("val")
+    return embedded_scenes("val")[: getattr(request.module, "NUM_SCENES", None)]
 
 
 @pytest.fixture(scope="module")

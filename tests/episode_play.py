@@ -1,7 +1,5 @@
 """Everything that an environment returns, to compare two bit for bit."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ccdiff_env import EgoEnv

@@ -4,8 +4,6 @@ The road is a quarter of a ring round (cx, cy), driven counter-clockwise on the 
 on the inner one; its edges are open lines with the road on their left.
 """
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -6,8 +6,6 @@
 Needs the packages of `pip install 'ccdiff-env[nuplan]'`.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """A bridge over a road, and a ramp from one to the other, in GPUDrive's JSON."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -8,8 +8,6 @@ has a switch for: its default lets every plan brake at first. Needs the packages
 `pip install 'ccdiff-env[nuplan]'`.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 

@@ -1,29 +1,26 @@
 """Any vehicle as the ego, from any start; scenes of 9.1 s."""
 
-from __future__ import annotations
-
 import collections
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene
+from array_scenes import agent, array_scene, rebuilt, wide_road
 from array_scenes import played as episode
 from episode_play import played, same
+from test_own_traffic import straight_on
+from traffic_play import Play
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, Scene, WorldConfig, embedded_scenes
 from ccdiff_env.errors import ConfigError, SceneError, UnknownNameError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.scenes import SceneSet, with_tracks
+from ccdiff_env.scenes import with_tracks
 from ccdiff_env.traffic import NETWORKS, PythonTraffic
-from ccdiff_env.worlds import Worlds
 
 HISTORY, HORIZON, LEAST_M = 30, 100, 10.0
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")[:4]
+NUM_SCENES = 4
 
 
 def moving(scene: Scene, horizon: int = HORIZON) -> set[tuple[str, int]]:
@@ -42,20 +39,7 @@ def moving(scene: Scene, horizon: int = HORIZON) -> set[tuple[str, int]]:
 def edited(scene: Scene, ego: str) -> Scene:
     """The scene with another vehicle called the ego, built anew from arrays."""
     names = {"ego": "the other", ego: "ego"} if ego != "ego" else {}
-    return Scene.from_arrays(
-        scene.name,
-        agent_ids=[names.get(one, one) for one in scene.agent_ids],
-        agent_types=scene.agent_types,
-        agent_categories=scene.agent_categories,
-        sizes=scene.sizes,
-        **scene.tracks(),
-        dt=scene.dt,
-        token=scene.token,
-        location=scene.location,
-        source=scene.source,
-        origin=scene.origin,
-        map_layers=scene.map_layers(),
-    )
+    return rebuilt(scene, agent_ids=[names.get(one, one) for one in scene.agent_ids])
 
 
 def actions(steps: int) -> np.ndarray:
@@ -65,6 +49,11 @@ def actions(steps: int) -> np.ndarray:
 def test_the_seed_draws_a_vehicle_that_drives_on_and_a_start(scenes):
     scene = scenes[0]
     known, env = moving(scene), EgoEnv(scenes=[scene], ego="any")
+    bounded = EgoEnv(scenes=[scene], ego="any", start_spread_steps=20, horizon_steps=50)
+    for seed in range(60):
+        info = bounded.reset(seed=seed)[1]
+        assert (info["ego"], info["start_step"]) in moving(scene, horizon=50)
+        assert info["start_step"] <= HISTORY + 20
     drawn = []
     for seed in range(300):
         _, info = env.reset(seed=seed)
@@ -83,16 +72,6 @@ def test_the_seed_draws_a_vehicle_that_drives_on_and_a_start(scenes):
         got = [t for one, t in drawn if one == name]
         middle = np.std(starts) / np.sqrt(len(got))
         assert abs(np.mean(got) - np.mean(starts)) <= 5 * middle + 1e-9
-
-
-def test_the_spread_of_starts_and_the_horizon_bound_the_draw(scenes):
-    scene = scenes[1]
-    known = moving(scene, horizon=50)
-    env = EgoEnv(scenes=[scene], ego="any", start_spread_steps=20, horizon_steps=50)
-    for seed in range(60):
-        _, info = env.reset(seed=seed)
-        assert (info["ego"], info["start_step"]) in known
-        assert info["start_step"] <= HISTORY + 20
 
 
 @pytest.mark.parametrize(
@@ -114,20 +93,6 @@ def test_it_is_the_world_of_a_scene_in_which_that_vehicle_is_the_ego(options, sc
         ):
             assert np.array_equal(route, wanted)
         assert same(played(env, actions(40)), played(other, actions(40)))
-
-
-def test_it_starts_where_its_log_is_and_the_data_s_ego_is_traffic(scenes):
-    env = EgoEnv(scenes=scenes, ego="any", traffic="idm")
-    for seed in range(12):
-        _, info = env.reset(seed=seed)
-        scene, ego, step = env.scene, info["ego_idx"], info["start_step"]
-        states, tracks = env.worlds.native.states(0), scene.tracks()
-        there = tracks["valid"][:, step]
-        assert np.array_equal(states["position"][there], tracks["position"][there, step])
-        drivers = env.worlds.native.drivers(0)
-        assert drivers[ego] == "external"
-        assert drivers.count("external") == 1
-        assert env.worlds.native.slot_agents(0) == [ego]
 
 
 def test_recordings_call_it_the_ego(scenes):
@@ -213,83 +178,38 @@ def test_drawn_logs_stay_on_the_road(data_root):
 
 
 PROTOCOL = {"history_steps": 10, "horizon_steps": 80}
-NO_CONSEQUENCE = {
-    "on_collision": "ignore",
-    "on_off_road": "ignore",
-    "terminate_at_goal": False,
-    "autoreset": "disabled",
-}
 
 
-def road(num_steps: int = 91) -> ccdiff_env.Scene:
-    """Six cars on a road of two lanes, each at a speed of its own."""
-    across, t = np.array([-1.75, 1.75]), np.arange(num_steps) * 0.1
+def road(num_steps: int = 91) -> Scene:
+    """Six cars in two lanes, each at a speed of its own."""
+    t = np.arange(num_steps) * 0.1
     cars = [
-        agent(f"car-{i}" if i else "ego", 20.0 + 18.0 * i + (5.0 + 0.8 * i) * t, across[i % 2])
+        agent(f"car-{i}" if i else "ego", 18.0 * i + (5.0 + 0.8 * i) * t, 3.5 * (i % 2) - 1.75)
         for i in range(6)
     ]
-    line = np.linspace(0.0, 400.0, 401)
-
-    def strip(low, high):
-        corners = [(0.0, low), (400.0, low), (400.0, high), (0.0, high)]
-        return {"exterior": np.array(corners, np.float32), "holes": []}
-
-    lanes = [
-        {
-            "id": f"lane-{i}", "kind": "lane", "successors": [], "predecessors": [],
-            "centreline": np.stack([line, np.full(401, at)], axis=-1).astype(np.float32),
-            "polygon": strip(at - 1.75, at + 1.75), "speed_limit_mps": None,
-        }
-        for i, at in enumerate(across)
-    ]  # fmt: skip
-    layers = {"drivable_area": [strip(-3.5, 3.5)], "lanes": lanes}
-    return array_scene(*cars, name=f"road-{num_steps}", layers=layers)
+    return array_scene(*cars, name=f"road-{num_steps}", layers=wide_road(3.5, (-1.75, 1.75)))
 
 
-def keep_on(batch):
-    """Poses at the speed of the last state, straight on."""
-    ahead = batch.speed_mps[:, -1:] * batch.dt_s * np.arange(1, 6)
-    heading = batch.heading_rad[:, -1:]
-    way = np.stack([np.cos(heading) * ahead, np.sin(heading) * ahead], axis=-1)
-    at = batch.position_m[:, -1:] + way
-    return np.concatenate([at, np.repeat(heading, 5, axis=1)[..., None]], axis=-1)
-
-
-def play(scenes, traffic, *, steps=None, driver=None, **options):
-    """Worlds in which the traffic and the ego are driven alike, and how many steps they took."""
-    driver = driver or ("python" if isinstance(traffic, PythonTraffic) else traffic)
-    options = {**NO_CONSEQUENCE, **options}
-    config = WorldConfig().with_options(traffic=traffic, driver=driver, **options)
-    worlds = Worlds(SceneSet(scenes), config, num_worlds=len(scenes), num_threads=1)
-    native, out = worlds.native, worlds.arrays()
-    native.reset([3] * len(scenes), list(range(len(scenes))), None, out)
-    nothing = np.zeros((len(scenes), 1, native.action_width), np.float32)
-    taken = 0
-    while not out.done.all() and (steps is None or taken < steps):
-        native.step(nothing, out)
-        taken += 1
-    return worlds, taken
-
-
-def network(name):
-    assert shipped_weights(name).is_file()
-    pytest.importorskip("torch")
-    return name
+def play(scene, traffic, *, steps=np.inf, **options):
+    """A world in which the traffic and the ego are driven alike."""
+    driver = "python" if isinstance(traffic, PythonTraffic) else traffic
+    made = Play([scene], traffic, driver=driver, **options)
+    while not made.out.done.all() and (
+        steps is None or made.native.status(0).elapsed_steps < steps
+    ):
+        made.step()
+    return made.worlds
 
 
 @pytest.mark.parametrize(
     "traffic",
-    ["replay", "idm", "ccdiff", PythonTraffic(keep_on, history_states=11)],
+    ["replay", "idm", "ccdiff", PythonTraffic(straight_on, history_states=11)],
     ids=["replay", "idm", "ccdiff", "python"],
 )
 def test_a_second_of_history_and_eight_seconds_are_played(traffic):
-    if traffic == "ccdiff":
-        network(traffic)
     scene = road()
-    worlds, taken = play([scene], traffic, **PROTOCOL)
-    native = worlds.native
+    native = play(scene, traffic, **PROTOCOL).native
     status, states = native.status(0), native.states(0)
-    assert taken == 80
     assert (status.step_idx, status.elapsed_steps) == (90, 80)
     # the ego is gone where its episode ends
     assert states["active"][1:].all()
@@ -303,29 +223,18 @@ def test_a_second_of_history_and_eight_seconds_are_played(traffic):
         assert (np.abs(way[:, 1]) < 3.5).all()
 
 
-def plan_of(scene, name, *, history_steps, **options):
-    worlds, _ = play([scene], name, steps=1, history_steps=history_steps, **options)
-    plan = worlds.native.explain(0)
-    assert plan is not None
-    return plan
-
-
-def cut_and_blanked(start, history):
-    """A scene without the states before a step, and one in which they are marked as not there."""
-    scene = ccdiff_env.embedded_scenes("val")["cut-in-03"]
-    tracks = dict(scene.tracks())
-    cut = {n: np.ascontiguousarray(v[:, start - history :]) for n, v in tracks.items()}
-    valid = tracks["valid"].copy()
-    valid[:, : start - history] = False
-    return with_tracks(scene, cut), with_tracks(scene, {**tracks, "valid": valid})
-
-
 @pytest.mark.parametrize("name", [name for name in NETWORKS if shipped_weights(name).is_file()])
 @pytest.mark.parametrize("history", [10, 5])
 def test_states_before_a_log_count_as_states_of_nobody(name, history):
-    cut, blanked = cut_and_blanked(40, history)
-    short = plan_of(cut, network(name), history_steps=history)
-    whole = plan_of(blanked, name, history_steps=40)
+    scene, start = embedded_scenes("val")["cut-in-03"], 40 - history
+    tracks = dict(scene.tracks())
+    cut = {n: np.ascontiguousarray(v[:, start:]) for n, v in tracks.items()}
+    tracks["valid"] = tracks["valid"].copy()
+    tracks["valid"][:, :start] = False
+    short, whole = (
+        play(with_tracks(scene, made), name, steps=1, history_steps=steps).native.explain(0)
+        for made, steps in ((cut, history), (tracks, 40))
+    )
     assert len(short["agents"]) > 3
     assert np.isfinite(short["samples"]).all()
     for key in ("agents", "samples", "ranking", "graph"):
@@ -337,9 +246,9 @@ def test_a_python_model_is_told_which_states_there_were():
 
     def look(batch):
         seen.append(batch)
-        return keep_on(batch)
+        return straight_on(batch)
 
-    play([road()], PythonTraffic(look, history_states=31), steps=1, **PROTOCOL)
+    play(road(), PythonTraffic(look, history_states=31), steps=1, **PROTOCOL)
     (batch,) = seen
     assert not batch.valid[:, :20].any()
     assert batch.valid[:, 20:].all()
@@ -348,25 +257,23 @@ def test_a_python_model_is_told_which_states_there_were():
 
 
 def test_the_least_history_is_said_and_checked():
-    network("ccdiff")
     for traffic, least in (
         ("replay", 0),
         ("idm", 0),
         ("ccdiff", 5),
-        (PythonTraffic(keep_on), 0),
-        (PythonTraffic(keep_on, least_history_states=8), 7),
+        (PythonTraffic(straight_on), 0),
+        (PythonTraffic(straight_on, least_history_states=8), 7),
     ):
-        play([road()], traffic, steps=1, history_steps=least)
+        play(road(), traffic, steps=1, history_steps=least)
         if least:
             match = f"history_steps is {least - 1}.*at least {least}"
             with pytest.raises(ConfigError, match=match):
-                play([road()], traffic, history_steps=least - 1)
+                play(road(), traffic, history_steps=least - 1)
 
 
 def test_a_scene_that_is_too_short_says_what_fits():
     with pytest.raises(SceneError, match=r"road-25.*num_steps is 25.*= 32.*at most 23 fits"):
-        play([road(25)], "replay")
-    _, taken = play([road(25)], "replay", history_steps=23)
-    assert taken == 1
+        play(road(25), "replay")
+    assert play(road(25), "replay", history_steps=23).native.status(0).elapsed_steps == 1
     with pytest.raises(SceneError, match="at least 2"):
-        play([road(1)], "replay", history_steps=0)
+        play(road(1), "replay", history_steps=0)

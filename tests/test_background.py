@@ -1,15 +1,8 @@
 """Background vehicles: contacts stop them, parked ones stay, all leave where the map ends."""
 
-from __future__ import annotations
-
 import numpy as np
-import pytest
 from array_scenes import agent, array_scene
-
-from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import SceneSet
-from ccdiff_env.worlds import Worlds
+from traffic_play import Play
 
 STEPS = 131
 CORNERS = [[-40.0, -30.0], [100.0, -30.0], [100.0, 30.0], [-40.0, 30.0]]
@@ -42,14 +35,12 @@ def straight(start, velocity):
 
 
 def play(scene, steps=90, **options):
-    config = WorldConfig().with_options(driver="replay", terminate_at_goal=False, **options)
-    worlds = Worlds(SceneSet([scene]), config, num_worlds=1, num_threads=1)
-    out, native = worlds.arrays(), worlds.native
-    native.reset([0], [0], None, out)
-    states = [native.states(0)]
+    """Positions [A, T, 2], speeds and presence [A, T] of an episode."""
+    made = Play([scene], **options)
+    states = [made.native.states(0)]
     for _ in range(steps):
-        native.step(np.zeros((1, 1, native.action_width), np.float32), out)
-        states.append(native.states(0))
+        made.step()
+        states.append(made.native.states(0))
     return {n: np.stack([s[n] for s in states], 1) for n in ("position", "speed", "active")}
 
 
@@ -75,11 +66,6 @@ def test_contacts_at_the_start_stop_nobody():
     pair = scene_of([straight((0.0, 0.0), (4.0, 0.0)), straight((2.0, 1.0), (4.0, 0.0))])
     played = play(pair, steps=30, traffic="constant_velocity")
     assert np.allclose(played["speed"][1:], 4.0, atol=1e-3)
-
-
-def test_other_consequences_of_contacts_of_the_traffic_are_refused():
-    with pytest.raises(ConfigError, match="on_traffic_collision"):
-        WorldConfig().with_options(on_traffic_collision="remove")
 
 
 def test_boxes_that_jitter_are_parked():
@@ -120,18 +106,8 @@ def test_ccdiff_traffic_leaves_where_the_map_ends():
 
 def walked(scene, **options):
     """Positions [T, A, 2] of an episode in which cars keep their speed."""
-    config = WorldConfig().with_options(
-        traffic="constant_velocity", on_collision="ignore", on_traffic_collision="ignore",
-        terminate_at_goal=False, on_off_road="ignore", autoreset="disabled", **options,
-    )  # fmt: skip
-    worlds = Worlds(SceneSet([scene]), config, num_worlds=1, num_threads=1)
-    native, out = worlds.native, worlds.arrays()
-    native.reset([0], [0], None, out)
-    seen = [native.states(0)["position"]]
-    for _ in range(100):
-        native.step(np.zeros((1, 1, native.action_width), np.float32), out)
-        seen.append(native.states(0)["position"])
-    return np.array(seen)
+    options |= {"traffic": "constant_velocity", "on_traffic_collision": "ignore"}
+    return play(scene, 100, driver="external", **options)["position"].swapaxes(0, 1)
 
 
 def test_pedestrians_give_way_to_cars_and_walk_on():

@@ -1,7 +1,5 @@
 """Banks of recorded critical traffic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,10 +9,7 @@ from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.record.bank import load_bank
 
-
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")[:3]
+NUM_SCENES = 3
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Measures, causal graph and rankings against networkx, shapely and the released lists."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -10,10 +8,11 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
+from array_scenes import outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
-from shapely.geometry import MultiPoint, Polygon, box
+from shapely.geometry import MultiPoint
 
 from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.metrics import causal
@@ -64,14 +63,14 @@ def test_released_lists_of_all_real_scenes_are_reproduced():
 
 @st.composite
 def measures(draw):
-    """Few levels, so that many cliques weigh the same; sums of eighths are exact in floating
-    point."""
-    m = draw(st.integers(1, 9))
+    """Often few levels, so that many cliques weigh the same; sums are exact in floating point."""
+    m = draw(st.sampled_from([*range(1, 10)] * 3 + [13]))
     t = draw(st.integers(1, 3))
-    levels = draw(st.sampled_from([1, 2, 8]))
+    levels = draw(st.sampled_from([1, 2, 8, 2**20]))
     density = draw(st.floats(0.05, 1.0))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    values = rng.integers(1, levels + 1, (t, m, m)) / 8 * (rng.random((t, m, m)) < density)
+    values = rng.integers(1, levels + 1, (t, m, m)) / max(8, levels)
+    values *= rng.random((t, m, m)) < density
     if draw(st.booleans()):
         values[:, np.arange(m), np.arange(m)] = 1.0
     return values
@@ -82,14 +81,6 @@ def measures(draw):
 def test_rankings_are_those_of_listing_all_cliques_with_networkx(measure, threshold, min_size, top):
     got = causal.rank_cliques(measure, threshold, min_size, top, 10)
     assert got == networkx_ranking(measure, threshold, min_size, top, 10)
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.2, 0.9))
-def test_rankings_of_larger_graphs_are_those_of_networkx(seed, density):
-    rng = np.random.default_rng(seed)
-    measure = rng.integers(1, 2**20, (1, 13, 13)) / 2**20 * (rng.random((1, 13, 13)) < density)
-    assert causal.rank_cliques(measure) == networkx_ranking(measure, 0.0, 2, 3, 10)
 
 
 def test_a_search_that_is_cut_short_says_so():
@@ -167,23 +158,15 @@ def test_released_ttc_over_a_history_follows_the_recipe(seed):
     assert got.shape == (3, 5, 5)
 
 
-def outline(x, y, h, size):
-    return affinity.translate(
-        affinity.rotate(
-            box(-size[0] / 2, -size[1] / 2, size[0] / 2, size[1] / 2), h, (0, 0), use_radians=True
-        ),
-        x,
-        y,
-    )
-
-
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_oriented_ttc_is_where_the_swept_box_first_touches(seed):
     rng = np.random.default_rng(seed)
     p, h = rng.uniform(-30, 30, (2, 2)), rng.uniform(-np.pi, np.pi, 2)
     v, size = rng.uniform(-3, 15, 2), rng.uniform([3, 1.5], [12, 3], (2, 2))
-    t = float(causal.ttc(p, h, v, size, normalised=False)[0, 1])
+    both = causal.ttc(p, h, v, size, normalised=False)
+    t = float(both[0, 1])
+    assert both[1, 0] == pytest.approx(t, abs=1e-3)
     velocity = v[:, None] * np.stack([np.cos(h), np.sin(h)], 1)
     relative = velocity[0] - velocity[1]
     target = outline(*p[1], h[1], size[1])
@@ -199,16 +182,6 @@ def test_oriented_ttc_is_where_the_swept_box_first_touches(seed):
             assert not swept(t - 0.01).intersects(target.buffer(-1e-3))
     else:
         assert not swept(19.9).intersects(target.buffer(-1e-3))
-    assert isinstance(target, Polygon)
-
-
-def test_closing_from_behind_is_seen_by_both_sides():
-    args = ([[0, 0], [-20, 0]], [0, 0], [5, 10], [CAR, CAR])
-    oriented = causal.ttc(*args, normalised=False)
-    assert oriented[0, 1] == pytest.approx(3.1, abs=1e-4)
-    assert oriented[1, 0] == oriented[0, 1]
-    opening = causal.ttc(args[0], args[1], [10, 5], args[3], normalised=False)
-    assert opening[0, 1] == 20.0
 
 
 def test_agents_that_are_absent_or_have_no_position_meet_nobody():

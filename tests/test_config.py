@@ -1,7 +1,5 @@
 """Configuration: defaults, JSON, keywords, messages; all of them come from the tables of Rust."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -82,30 +80,33 @@ def test_json_keeps_every_field(options):
     assert WorldConfig.from_json(config.to_json()) == config
 
 
-def test_nested_fields_come_as_dataclasses_or_dictionaries():
-    by_dict = WorldConfig().with_options(reward={"goal": 5}, action={"dynamics": "bicycle"})
-    by_class = WorldConfig(
-        reward=RewardConfig(goal=5.0), action=ActionConfig(dynamics=BicycleLimits())
-    )
-    assert by_dict == by_class
-    assert by_dict.reward.goal == 5.0
-    assert by_dict.reward.collision == RewardConfig().collision
+@pytest.mark.parametrize(
+    ("options", "fields"),
+    [
+        ({"reward": {"goal": 5}}, {"reward": RewardConfig(goal=5.0)}),
+        ({"action": {"dynamics": "bicycle"}}, {"action": ActionConfig(dynamics=BicycleLimits())}),
+        (
+            {"dynamics": "delta_pose", "discrete": True},
+            {"action": ActionConfig(dynamics=DeltaPoseLimits(), discrete=True)},
+        ),
+        ({"reward": "product"}, {"reward": RewardConfig(form="product")}),
+        (
+            {"horizon_steps": np.int64(9), "dt_s": np.float32(0.5)},
+            {"horizon_steps": 9, "dt_s": 0.5},
+        ),
+    ],
+)
+def test_short_forms_are_fields(options, fields):
+    assert WorldConfig().with_options(**options) == WorldConfig(**fields)
+    assert type(WorldConfig().with_options(**options).horizon_steps) is int
 
 
 def test_dictionaries_change_only_the_fields_they_name():
-    config = WorldConfig().with_options(reward={"goal": 5.0}).with_options(reward={"comfort": 0.0})
-    assert (config.reward.goal, config.reward.comfort) == (5.0, 0.0)
-
-
-def test_shortcuts_are_fields_of_the_action():
-    config = WorldConfig().with_options(dynamics="delta_pose", discrete=True)
-    assert config.action == ActionConfig(dynamics=DeltaPoseLimits(), discrete=True)
-
-
-def test_numpy_numbers_are_numbers():
-    config = WorldConfig().with_options(horizon_steps=np.int64(9), dt_s=np.float32(0.5))
-    assert (config.horizon_steps, config.dt_s) == (9, 0.5)
-    assert type(config.horizon_steps) is int
+    config = WorldConfig(reward={"goal": 5.0}).with_options(reward={"comfort": 0.0})
+    assert config.reward == RewardConfig(goal=5.0, comfort=0.0)
+    for wrong in ({"colision": -3.0}, 5):
+        with pytest.raises(ConfigError, match="reward"):
+            WorldConfig(reward=wrong)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +146,11 @@ def test_numpy_numbers_are_numbers():
         ({"controlled": "trucks"}, "ego, any, vehicles"),
         ({"controlled": {"scene-1": "a"}}, "a list"),
         ({"observation": {"ego_columns": "speed"}}, "a list"),
+        ({"reward": "produkt"}, r"reward\.form"),
+        ({"adversaries": "others"}, "adversaries"),
+        ({"on_traffic_collision": "remove"}, "on_traffic_collision"),
+        ({"traffic": "IDM"}, "did you mean 'idm'"),
+        ({"traffic": lambda world: 0}, "expected PythonTraffic"),
     ],
 )
 def test_mistakes_are_named(options, message):
@@ -158,11 +164,9 @@ def test_bad_json_is_refused(text):
         WorldConfig.from_json(text)
 
 
-def test_ranges_are_checked_by_rust():
+def test_rules_between_options_are_checked_by_rust():
     for change in (
-        {"dt_s": 2.0},
         {"num_slots": 3},
-        {"idm": {"headway_s": -1.0}},
         {"named_drivers": {"calm": {"idm": {"headway_s": 0.0}}}},
         {"traffic": {"idm": 0.5, "replay": 0.6}},
     ):
@@ -176,16 +180,6 @@ def test_configurations_are_frozen_and_hashable():
         config.dt_s = 0.2  # type: ignore[misc]
     assert hash(config) == hash(WorldConfig())
     assert ActionGrid(first=(1.0,), second=(0.0,)) == ActionGrid(first=(1.0,), second=(0.0,))
-
-
-def test_nested_dictionaries_are_the_fields_to_change():
-    config = WorldConfig(reward={"collision": -3.0}, ccdiff={"num_samples": 2})
-    assert config == WorldConfig().with_options(
-        reward={"collision": -3.0}, ccdiff={"num_samples": 2}
-    )
-    for wrong in ({"colision": -3.0}, 5):
-        with pytest.raises(ConfigError, match="reward"):
-            WorldConfig(reward=wrong)
 
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -295,13 +289,14 @@ def test_every_number_has_a_range_with_two_ends():
     ("options", "named"),
     [
         ({"replan_steps": 0}, "ccdiff.replan_steps is 0, expected a whole number in [1, 1000]"),
+        ({"replan_steps": 53}, "replan_steps"),
         ({"cfg_weight": 2.0}, "ccdiff.cfg_weight is 2.0, expected a number in [1, 2)"),
-        ({"criticality": -1.0}, "ccdiff.criticality is -1.0, expected a number in [0, 10]"),
         ({"criticality": 50.0}, "ccdiff.criticality is 50.0, expected a number in [0, 10]"),
-        ({"criticality": 1e30}, "ccdiff.criticality is 1e+30, expected a number in [0, 10]"),
         ({"num_guided": 10_000}, "ccdiff.num_guided is 10000, expected a whole number in [0, 512]"),
         ({"num_samples": 10**6}, "num_samples is 1000000, expected a whole number in [1, 1024]"),
-        ({"denoising_steps": 10**6}, "steps is 1000000, expected a whole number in [1, 1000]"),
+        ({"ranking": "nearest"}, "ranking"),
+        ({"wieghts": "fast"}, "weights"),
+        ({"guidance": "hard"}, "preset"),
         ({"guidance": {"discont": 1.0}}, "ccdiff.guidance.discont is no option"),
         (
             {"guidance": {"objectives": [{"kind": "approach", "reach_m": 0.0}]}},
@@ -313,12 +308,6 @@ def test_options_of_networks_are_checked_by_the_same_walker(options, named):
     scenes = ccdiff_env.embedded_scenes("val")[:1]
     with pytest.raises(ConfigError, match=re.escape(named)):
         ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff=options)
-
-
-def test_vehicles_do_not_reverse_by_default_in_any_model_of_motion():
-    for table in tables():
-        if "speed_mps" in (table["defaults"] or {}) and table["name"].endswith("Limits"):
-            assert table["defaults"]["speed_mps"] == [0.0, 30.0]
 
 
 def test_every_field_says_what_it_is():

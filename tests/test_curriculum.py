@@ -1,7 +1,5 @@
 """Criticality of each episode: fixed, drawn by its seed, by the progress of training."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 
@@ -21,9 +19,7 @@ QUICK = {
 }
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")[:2]
+NUM_SCENES = 2
 
 
 def growing(progress):

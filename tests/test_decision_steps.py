@@ -1,9 +1,8 @@
 """Actions held for several steps, against loops over single steps; assisted ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+from array_scenes import GOES_ON
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder
@@ -11,8 +10,6 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.steering import Steering
 from ccdiff_env.record.counterfactual import avoidability
 
-#: Together, so that the figures of a decision have something to keep.
-GOES_ON = {"on_collision": "stop", "on_off_road": "ignore", "terminate_at_goal": False}
 #: What stays in the figures of a decision once it has happened.
 CONTACT = ("collision", "collision_kind", "collision_partner", "at_fault")
 
@@ -50,9 +47,11 @@ def actions(env, seed):
         {"traffic": "idm"},
         {"traffic": "idm", "discrete": True, "dynamics": "bicycle"},
         {"traffic": "idm", "horizon_steps": 25, "start_spread_steps": 20},
-        {"traffic": "idm", **GOES_ON},
+        # figures of a decision have something to keep
+        {"traffic": "idm", **GOES_ON, "on_collision": "stop"},
         {"traffic": "ccdiff", "criticality": 1.0, "horizon_steps": 26},
         {"observation": "bev", "horizon_steps": 20},
+        {"dynamics": {"assisted": {"base": "pdm"}}, "horizon_steps": 30},
     ],
     ids=str,
 )

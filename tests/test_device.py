@@ -7,11 +7,6 @@ cannot show: memory, speed, kernels that CUDA lacks, and the backward pass, whic
 thread of the device.
 """
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -23,7 +18,6 @@ from ccdiff_env import make_vec
 from ccdiff_env.cli import main
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import TrajectoryModel, require_networks, shipped_weights
-from ccdiff_env.traffic import CcdiffConfig
 
 aten = torch.ops.aten
 
@@ -35,10 +29,8 @@ needs_no_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a 
 class Pretended(torch.Tensor):
     """A tensor that says it is on CUDA."""
 
-    held: torch.Tensor
-
     @staticmethod
-    def __new__(cls, held: torch.Tensor) -> Pretended:
+    def __new__(cls, held):
         """Wrap a tensor of the processor."""
         made = torch.Tensor._make_wrapper_subclass(
             cls,
@@ -49,15 +41,15 @@ class Pretended(torch.Tensor):
             device="cuda:0",
         )
         made.held = held
-        return made  # type: ignore[no-any-return]
+        return made
 
     @classmethod
-    def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(cls, func, types, args=(), kwargs=None):
         """Run an operation on the held tensors."""
         return carried_out(func, args, kwargs or {})
 
 
-def carried_out(func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+def carried_out(func, args, kwargs):
     """What an operation gives, on the device where CUDA would leave it."""
     tensors = [x for x in tree_leaves((args, kwargs)) if isinstance(x, torch.Tensor)]
     pretended = [x for x in tensors if isinstance(x, Pretended)]
@@ -75,7 +67,7 @@ def carried_out(func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any
         made = func(*args, **kwargs)
     known = {id(x.held): x for x in pretended}
 
-    def wrapped(x: Any) -> Any:
+    def wrapped(x):
         if not on_cuda or not isinstance(x, torch.Tensor):
             return x
         # operations in place give back what they were given
@@ -87,11 +79,11 @@ def carried_out(func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any
 class PretendCuda(TorchDispatchMode):
     """Within it, there is a CUDA device."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.num_on_cuda = 0
 
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         """Run an operation; count those on CUDA."""
         made = carried_out(func, args, kwargs or {})
         self.num_on_cuda += any(isinstance(x, Pretended) for x in tree_leaves(made))
@@ -99,7 +91,7 @@ class PretendCuda(TorchDispatchMode):
 
 
 @pytest.fixture(autouse=True)
-def guards_for_cuda() -> None:
+def guards_for_cuda():
     """The pretence must refuse what CUDA refuses, or the tests below would show nothing."""
     torch._C._ensureCUDADeviceGuardSet()
     with PretendCuda() as cuda, pytest.raises(RuntimeError, match="two devices"):
@@ -109,7 +101,7 @@ def guards_for_cuda() -> None:
 
 @needs_no_gpu
 @pytest.mark.parametrize("device", ["cuda", "cuda:0", "cuda:3"])
-def test_a_device_that_is_not_there_is_named_with_the_reason(device: str) -> None:
+def test_a_device_that_is_not_there_is_named_with_the_reason(device):
     with pytest.raises(ConfigError, match=rf'device is "{device}" \(torch: \S.*expected a device'):
         TrajectoryModel(shipped_weights(), device=device)
     with pytest.raises(ConfigError, match=device):
@@ -117,7 +109,7 @@ def test_a_device_that_is_not_there_is_named_with_the_reason(device: str) -> Non
 
 
 @pytest.mark.parametrize("device", ["", "cpu:0", "cuda:", "cuda:x", "cuda:-1", "cuda:999", "gpu"])
-def test_names_of_no_device_are_refused(device: str) -> None:
+def test_names_of_no_device_are_refused(device):
     with pytest.raises(ConfigError, match='"cuda:N"'):
         TrajectoryModel(shipped_weights(), device=device)
 
@@ -132,15 +124,13 @@ def test_names_of_no_device_are_refused(device: str) -> None:
         "scenarios --generators idm --planners idm",
     ],
 )
-def test_networks_of_every_benchmark_run_where_they_are_told(
-    words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_networks_of_every_benchmark_run_where_they_are_told(words, tmp_path, capsys):
     place = ["--limit", "1", "--quiet", "--device", "cuda:3", "--out", str(tmp_path / "run")]
     assert main(["bench", *words.split(), *place]) == 2
     assert 'device is "cuda:3" (torch: ' in capsys.readouterr().err
 
 
-def all_on_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+def all_on_torch(monkeypatch):
     """Compute networks by torch on the processor, too: both round by the same kernels.
 
     Own kernels beside torch are those of ``test_networks.py``; guidance makes more of rounding.
@@ -150,21 +140,14 @@ def all_on_torch(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_no_gpu
-def test_plans_on_cuda_are_those_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plans_on_cuda_are_those_of_the_processor(monkeypatch):
     all_on_torch(monkeypatch)
     scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
+    guided = {"guidance_weight": 1.5, "guidance": "paper", "guided": [[0, 1], [1]]}
+    options = {"solver_steps": 3, "num_samples": 2, "attention": True, **guided}
 
-    def plans(device: str) -> Any:
-        return TrajectoryModel(shipped_weights(), device=device).plan(
-            scenes,
-            [30, 30],
-            solver_steps=3,
-            num_samples=2,
-            guidance_weight=1.5,
-            guidance="paper",
-            guided=[[0, 1], [1]],
-            attention=True,
-        )
+    def plans(device):
+        return TrajectoryModel(shipped_weights(), device=device).plan(scenes, [30, 30], **options)
 
     with PretendCuda() as cuda:
         on_cuda = plans("cuda")
@@ -176,20 +159,13 @@ def test_plans_on_cuda_are_those_of_the_processor(monkeypatch: pytest.MonkeyPatc
 
 
 @needs_no_gpu
-def test_traffic_on_cuda_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_traffic_on_cuda_is_that_of_the_processor(monkeypatch):
     all_on_torch(monkeypatch)
-    scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
+    options = {"criticality": 1.0, "num_samples": 2, "cfg_weight": 1.5, "ranking": "gradient"}
 
-    def observations(device: Any) -> np.ndarray:
-        config = CcdiffConfig(
-            device=device,
-            criticality=1.0,
-            num_samples=2,
-            cfg_weight=1.5,
-            ranking="gradient",
-            explain=True,
-        )
-        worlds = make_vec(scenes=scenes, num_envs=2, traffic="ccdiff", ccdiff=config)
+    def observations(device):
+        ccdiff = {"device": device, "explain": True, **options}
+        worlds = make_vec(2, scenes="embedded/val?limit=2", traffic="ccdiff", ccdiff=ccdiff)
         seen = [worlds.reset(seed=0)[0]]
         seen += [worlds.step(np.zeros((2, 2), np.float32))[0] for _ in range(7)]
         return np.stack(seen)

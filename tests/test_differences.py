@@ -1,25 +1,21 @@
 """Hidden differences of egos, and styles of their rewards."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
 import pytest
 import shapely
+from array_scenes import GOES_ON, outline
 from episode_play import played
 
-from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, embedded_scenes, replay
+from ccdiff_env import EgoEnv, EgoVectorEnv, Recorder, replay
 from ccdiff_env.errors import ConfigError
 
-GOES_ON = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
 ALL = {"acceleration_gain": 0.3, "yaw_gain": 0.2, "delay_steps": 3, "size": 0.2, "noise": 0.02}
 STYLE = {"progress": (0.5, 2.0), "comfort": (0.0, 4.0)}
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return embedded_scenes("val")[:4]
+NUM_SCENES = 4
 
 
 def drawn(env: EgoEnv, seed: int) -> dict:
@@ -90,13 +86,6 @@ def test_the_unicycle_drives_with_its_gains_and_delay(decision_steps, scenes):
         )
 
 
-def boxes(states: dict, sizes: np.ndarray) -> np.ndarray:
-    corners = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])[None] * sizes[:, None, :2] / 2
-    cos, sin = np.cos(states["heading"]), np.sin(states["heading"])
-    turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], 1)
-    return shapely.polygons(corners @ turn + states["position"][:, None])
-
-
 def test_the_drawn_size_is_that_of_the_box(scenes):
     env = EgoEnv(scenes=scenes, randomization={"size": 0.9}, traffic="idm", **GOES_ON)
     hits = 0
@@ -108,17 +97,16 @@ def test_the_drawn_size_is_that_of_the_box(scenes):
         recorder, before, given, info = Recorder(env), None, None, {}
         for action in actions(60):
             states = native.states(0)
-            shapes, there = boxes(states, sizes), np.flatnonzero(states["active"])
+            poses = zip(states["position"], states["heading"], sizes, strict=True)
+            shapes = np.array([outline(*at, heading, size) for at, heading, size in poses])
+            there = np.flatnonzero(states["active"])
             others = there[there != ego]
             gaps = shapely.distance(shapes[ego], shapes[others])
             deep = shapely.area(shapely.intersection(shapes[ego], shapes[others]))
             touched = set(others[gaps == 0])
             given = touched if given is None else given & touched
-            if (
-                before is not None
-                and not (deep[gaps == 0] < 1e-2).any()
-                and gaps[gaps > 0].min() > 1e-2
-            ):
+            sure = not (deep[gaps == 0] < 1e-2).any() and gaps[gaps > 0].min() > 1e-2
+            if before is not None and sure:
                 begins = bool(touched - given) and not before
                 assert info["collision"] == begins
                 hits += begins

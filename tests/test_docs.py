@@ -1,12 +1,8 @@
 """What README, docs and docstrings show runs; citations and tables of pages hold."""
 
-from __future__ import annotations
-
 import argparse
-import contextlib
 import doctest
 import importlib
-import io
 import json
 import re
 import shlex
@@ -113,9 +109,8 @@ def understood(line: str) -> None:
             missing = [w for w in rest if w.startswith("--") and f'"{w}"' not in text]
             assert not missing, line
         case ["make", verb, *_]:
-            assert re.search(rf"^{verb}( .*)?:", (ROOT / "Makefile").read_text(), re.MULTILINE), (
-                line
-            )
+            text = (ROOT / "Makefile").read_text(encoding="utf-8")
+            assert re.search(rf"^{verb}( .*)?:", text, re.MULTILINE), line
         case ["pip", "install", *what]:
             project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
             extras = set(re.findall(r"^(\w+) = \[", project, re.MULTILINE))
@@ -125,25 +120,6 @@ def understood(line: str) -> None:
             pass
         case _:
             pytest.fail(f"not known: {line}")
-
-
-def test_commands_within_sentences_are_known():
-    for page in PAGES:
-        for line in re.findall(r"`(ccdiff-env [^`\n]+)`", page.read_text(encoding="utf-8")):
-            words = shlex.split(line.replace("<nuscenes>", "/nuscenes"))
-            options = [word for word in words if word.startswith("-")]
-            verb = words[1 : 3 if words[1] == "bench" else 2]
-            shown = help_of(verb)
-            for option in options:
-                assert re.search(rf"(?<![\w-]){option}\b", shown), f"{page.name}: {line}"
-
-
-def help_of(verb: list[str]) -> str:
-    """What ``--help`` of a verb prints."""
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text), pytest.raises(SystemExit):
-        parse([*(word for word in verb if not word.startswith("-")), "--help"])
-    return text.getvalue()
 
 
 def modules() -> list[str]:
@@ -185,9 +161,13 @@ VERBS = {
 }
 
 
-def test_every_verb_has_a_parser_with_arguments():
-    assert set(ccdiff_env_cli.VERBS) == {name.split()[0] for name in VERBS}
-    assert len(VERBS) == len(ccdiff_env_cli.VERBS) - 1 + 7  # bench has seven kinds
+def test_commands_within_sentences_are_known():
+    for page in PAGES:
+        for line in re.findall(r"`(ccdiff-env [^`\n]+)`", page.read_text(encoding="utf-8")):
+            _, *words = shlex.split(line.replace("<nuscenes>", "/nuscenes"))
+            verb = " ".join(words[: 2 if words[0] == "bench" else 1])
+            options = {word for word in words if word.startswith("-")}
+            assert options <= {*VERBS[verb]._option_string_actions}, f"{page.name}: {line}"
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -240,19 +220,13 @@ def test_charts_are_those_of_the_results_that_were_kept(name):
     assert "prefers-color-scheme:dark" in made
 
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "tasks.md"
+PAGE = ROOT / "docs" / "tasks.md"
 
 
 def test_tables_are_those_of_the_schemas():
     text = PAGE.read_text(encoding="utf-8")
     assert filled(text) == text, "python -m tools.task_tables docs/tasks.md"
     assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
-
-
-def test_images_and_pages_that_are_named_exist():
-    text = PAGE.read_text(encoding="utf-8")
-    for name in re.findall(r"\]\(([\w./]+)\)", text):
-        assert (PAGE.parent / name).exists(), name
 
 
 def test_pictures_of_the_front_page_are_copied_into_the_site():
@@ -266,7 +240,7 @@ def test_pictures_of_the_front_page_are_copied_into_the_site():
 
 #: A page and perhaps a heading; names in quotes or backticks are files that the code writes.
 CITATION = re.compile(r"(?<![\w\"`'/{*])((?:docs/)?[\w-]+\.md)(?:#([\w-]+))?(?! \d)\b")
-LINK = re.compile(r"\]\(([\w./-]+\.md)?(?:#([\w-]+))?\)")
+LINK = re.compile(r"\]\(([\w./-]+\.\w+)?(?:#([\w-]+))?\)")
 
 
 def headings(page: Path) -> set[str]:
@@ -350,16 +324,6 @@ def test_scenes_that_trained_or_chose_never_report(path):
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
 
 
-def test_the_shipped_egos_are_covered():
-    named = {
-        row["planner"]
-        for path in FILES
-        for row in json.loads(path.read_text(encoding="utf-8"))["rows"]
-        if "planner" in row
-    }
-    assert named & set(USED_FOR)
-
-
 def test_the_table_of_expectations_is_that_of_its_results():
     rows = json.loads(expectations.DATA.read_text(encoding="utf-8"))["rows"]
     assert expectations.table(rows) in expectations.PAGE.read_text(encoding="utf-8")
@@ -367,22 +331,12 @@ def test_the_table_of_expectations_is_that_of_its_results():
     assert curve[-1][2] > curve[0][2] + 0.2
 
 
-HERO = Path(__file__).resolve().parents[1] / "docs/hero.gif"
-
-
-def test_the_image_moves_and_loads_fast():
-    assert HERO.stat().st_size < 500_000
-    with Image.open(HERO) as video:
-        assert video.n_frames > 30
-
-
-@pytest.mark.parametrize("task", ["ego", "multi_agent", "selection"])
-def test_the_image_of_a_task_moves_and_loads_fast(task):
-    path = HERO.with_name(f"task_{task}.gif")
-    assert path.stat().st_size < 400_000
+@pytest.mark.parametrize("name", ["hero", "task_ego", "task_multi_agent", "task_selection"])
+def test_images_move_and_load_fast(name):
+    path = ROOT / "docs" / f"{name}.gif"
+    assert path.stat().st_size < 500_000
     with Image.open(path) as video:
         assert video.n_frames > 10
-    assert path.name in HERO.with_name("tasks.md").read_text(encoding="utf-8")
 
 
 def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):

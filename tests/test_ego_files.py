@@ -1,10 +1,9 @@
 """Ego policies of files: what they say, what they refuse, what they drive."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
+from array_scenes import GOES_ON
 
 import ccdiff_env
 from ccdiff_env import WorldConfig, planners
@@ -13,7 +12,6 @@ from ccdiff_env.config import AssistedLimits
 from ccdiff_env.envs import ego_network
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners.ego import save_ego
-from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
 
 OPTIONS = {"dynamics": "assisted", "decision_steps": 3}
@@ -68,14 +66,6 @@ def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):
         torch.testing.assert_close(one, other)
 
 
-def test_a_row_does_not_depend_on_the_batch(path, scenes):
-    policy = planners.load(path)
-    env = ccdiff_env.make_vec(5, scenes=scenes, **policy.env_options)
-    obs, _ = env.reset(seed=0)
-    apart = np.concatenate([policy.act(row[None]) for row in obs])
-    np.testing.assert_allclose(apart, policy.act(obs), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -111,13 +101,8 @@ def test_planners_hold_actions_as_in_training(path, scenes):
     """A benchmark of single steps gives the episodes of worlds that hold actions themselves."""
     policy = planners.load(path)
     rows, _ = drive(scenes, str(path), TRAFFIC["idm"], seed=3)
-    config = policy.config.with_options(
-        traffic="idm",
-        autoreset="disabled",
-        on_collision="stop",
-        on_off_road="ignore",
-        terminate_at_goal=False,
-    )
+    options = {**GOES_ON, "on_collision": "stop", "autoreset": "disabled", "traffic": "idm"}
+    config = policy.config.with_options(**options)
     worlds = Worlds(scenes, config, num_worlds=len(scenes))
     act, out = policy.drive(worlds), worlds.arrays()
     everyone = list(range(len(scenes)))
@@ -134,16 +119,6 @@ def test_planners_hold_actions_as_in_training(path, scenes):
     for row, found in zip(rows, metrics, strict=True):
         assert row["success"] == found[names.index("is_success")]
         assert row["min_ttc_s"] == found[names.index("min_ttc")]
-
-
-def test_episodes_for_replay_pages_are_those_of_the_benchmark(path, scenes):
-    rows, _ = drive(scenes[:1], str(path), TRAFFIC["idm"], seed=0)
-    played = play_scene(scenes[0], driver=str(path), traffic="idm", seed=0)
-    ttc = min(played.info["ttc"])
-    assert rows[0]["min_ttc_s"] == pytest.approx(ttc) or rows[0]["collision"]
-    assert played.meta["planner"] == str(path)
-    with pytest.raises(ConfigError, match="ego"):
-        play_scene(scenes[0], driver="egg")
 
 
 def test_the_shipped_egos_drive_unseen_scenes(scenes):

@@ -1,7 +1,5 @@
 """A policy's dial, and vehicles of the traffic that drive as the ego would."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -67,8 +65,7 @@ def test_a_dial_that_is_not_there_is_refused(name, message):
         planners.find_policy(name)
 
 
-@pytest.fixture
-def unicycle(scenes, tmp_path):
+def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(scenes, tmp_path):
     """A policy that decides at every step, and does not know how far its goal is."""
     layout = ccdiff_env.make_vec(1, scenes=scenes, config=CONFIG).worlds.layout
     tensors = {name: part.numpy().copy() for name, part in agent_of(layout).state_dict().items()}
@@ -76,44 +73,28 @@ def unicycle(scenes, tmp_path):
     tensors["policy.0.weight"][:, ego.offset + ego.columns.index("route_remaining")] = 0.0
     path = tmp_path / "unicycle.safetensors"
     save_ego(path, tensors, UNICYCLE, {})
-    return path
-
-
-def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(unicycle, scenes):
-    steps, compared = 30, 0
-    for scene in scenes:
-        log = dict(scene.tracks())
-        logged = [
-            a
-            for a, kind in enumerate(scene.agent_types)
-            if kind == "vehicle" and log["valid"][a, :50].all() and scene.agent_ids[a] != "ego"
-        ]
-        moves = [a for a in logged if np.ptp(log["position"][a], axis=0).max() > 15.0]
-        if not moves:
+    policy, compared = load_ego(path), 0
+    config = policy.config.with_options(
+        traffic="replay", horizon_steps=60, on_traffic_collision="ignore", on_collision="ignore"
+    )
+    own = {"egos": EgosConfig(policy=str(path))}
+    for i, scene in enumerate(scenes):
+        log, vehicle = scene.tracks(), np.array(scene.agent_types) == "vehicle"
+        moves = np.ptp(log["position"], axis=1).max(axis=1) > 15.0
+        fit = np.flatnonzero(moves & vehicle & log["valid"][:, :50].all(axis=1))
+        if len(fit) < 2:
             continue
-        agent = moves[0]
-        own = {"named_drivers": {"egos": EgosConfig(policy=str(unicycle))}}
-        policy = load_ego(unicycle)
-        config = policy.config.with_options(
-            traffic="replay", horizon_steps=60, on_traffic_collision="ignore"
-        )
-        seat = Worlds(
-            scenes[list(scenes).index(scene) : list(scenes).index(scene) + 1],
-            config.with_options(controlled=[scene.agent_ids[agent]], on_collision="ignore"),
-            num_worlds=1,
-        )
-        traffic = Worlds(
-            seat.scenes,
-            config.with_options(driver="replay", drivers={scene.agent_ids[agent]: "egos"}, **own),
-            num_worlds=1,
+        agent, name = fit[1], scene.agent_ids[fit[1]]  # the first is the ego
+        made = {"driver": "replay", "drivers": {name: "egos"}, "named_drivers": own}
+        seat, traffic = (
+            Worlds(scenes[i : i + 1], config.with_options(**options), num_worlds=1)
+            for options in ({"controlled": [name]}, made)
         )
         for worlds in (seat, traffic):
             worlds.native.reset([0], [0], None, worlds.arrays())
         act = policy.drive(seat)
-        for _ in range(steps):
-            assert seat.last is not None
-            actions = act(seat.last.obs[:, 0]).reshape(1, 1, 2)
-            seat.native.step(actions, seat.last)
+        for _ in range(30):
+            seat.native.step(act(seat.last.obs[:, 0]).reshape(1, 1, 2), seat.last)
             traffic.native.step(np.zeros((1, 1, 2), np.float32), traffic.last)
             if seat.last.done[0] or traffic.last.done[0]:
                 break

@@ -1,7 +1,5 @@
 """The embedded data set, against the devkit and shapely."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -84,9 +82,6 @@ def frames(devkit):
     return out
 
 
-# --- loading --------------------------------------------------------------------
-
-
 def test_scenes_load_without_losses_and_only_once():
     scenes = ccdiff_env.embedded_scenes()
     assert len(scenes) >= 32
@@ -116,40 +111,6 @@ def test_loaded_tracks_are_those_of_the_devkit(frames):
             assert abs(turn) < 1e-3
 
 
-# --- the schema, by the devkit -----------------------------------------------------------------
-
-
-def test_every_chain_and_link_of_the_tables_is_whole(devkit):
-    for scene in devkit.scene:
-        seen, token = [], scene["first_sample_token"]
-        while token:
-            sample = devkit.get("sample", token)
-            assert sample["prev"] == (seen[-1] if seen else "")
-            assert sample["scene_token"] == scene["token"]
-            assert set(sample["data"]) == {"LIDAR_TOP"}
-            seen.append(token)
-            token = sample["next"]
-        assert seen[-1] == scene["last_sample_token"]
-        assert len(seen) == scene["nbr_samples"]
-        assert devkit.get("log", scene["log_token"])["location"] == LOCATION
-        times = [devkit.get("sample", t)["timestamp"] for t in seen]
-        assert set(np.diff(times)) == {500_000}
-    chained = 0
-    for instance in devkit.instance:
-        seen, token = [], instance["first_annotation_token"]
-        while token:
-            record = devkit.get("sample_annotation", token)
-            assert record["prev"] == (seen[-1] if seen else "")
-            assert record["instance_token"] == instance["token"]
-            assert abs(Quaternion(record["rotation"]).norm - 1.0) < 1e-5
-            seen.append(token)
-            token = record["next"]
-        assert seen[-1] == instance["last_annotation_token"]
-        assert len(seen) == instance["nbr_annotations"]
-        chained += len(seen)
-    assert chained == len(devkit.sample_annotation)
-
-
 def test_the_devkits_map_class_opens_the_map_once_it_knows_the_name(dataroot, monkeypatch):
     from nuscenes.map_expansion import map_api
 
@@ -170,33 +131,6 @@ def test_the_devkits_map_class_opens_the_map_once_it_knows_the_name(dataroot, mo
     for layer in ("ped_crossing", "walkway", "stop_line", "road_block", "carpark_area"):
         record = getattr(opened, layer)[0]
         assert opened.extract_polygon(record["polygon_token"]).is_valid
-
-
-# --- the map, by shapely ------------------------------------------------------------------------
-
-
-def test_all_polygons_of_the_map_are_valid_and_no_token_dangles(expansion):
-    nodes = {n["token"] for n in expansion["node"]}
-    polygons = {p["token"] for p in expansion["polygon"]}
-    lines = {line["token"] for line in expansion["line"]}
-    for polygon in expansion["polygon"]:
-        shape = Polygon(
-            _ring(expansion, polygon["exterior_node_tokens"]),
-            [_ring(expansion, h["node_tokens"]) for h in polygon["holes"]],
-        )
-        assert shape.is_valid
-        assert shape.area > 0.5
-    assert all(set(line["node_tokens"]) <= nodes for line in expansion["line"])
-    for layer in ("lane", "lane_connector", "road_segment", "road_block", "walkway", "stop_line"):
-        assert expansion[layer]
-        assert all(r["polygon_token"] in polygons for r in expansion[layer])
-    for lane in expansion["lane"]:
-        assert {lane["from_edge_line_token"], lane["to_edge_line_token"]} <= lines
-    for layer in ("road_divider", "lane_divider", "traffic_light"):
-        assert all(r["line_token"] in lines for r in expansion[layer])
-
-
-# --- the traffic, by shapely ---------------------------------------------------------------------
 
 
 def test_no_two_boxes_overlap_at_any_key_frame(frames):

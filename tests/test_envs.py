@@ -1,7 +1,5 @@
 """The single environment: Gymnasium's contract, options, hostile input, pictures."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium
@@ -30,38 +28,12 @@ FORMS = [
     {"discrete": True},
     {"observation": "dict", "discrete": True, "dynamics": "bicycle", "traffic": "idm"},
     {"dynamics": "delta_pose", "info": "end"},
+    {"observation": "bev"},
+    {"observation": "dict", "bev": {}, "traffic": "idm"},
 ]
 
 
-def same(a, b) -> bool:
-    """Equal bits, also in dictionaries."""
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
-    return np.asarray(a).tobytes() == np.asarray(b).tobytes()
-
-
-def run(env, actions, seed=None, **options):
-    """Everything that an episode's calls return."""
-    obs, info = env.reset(seed=seed, options=options or None)
-    trace = [(obs, 0.0, False, False, info)]
-    for action in actions:
-        trace.append(env.step(action))
-        if trace[-1][2] or trace[-1][3]:
-            break
-    return trace
-
-
-def assert_same_trace(one, other):
-    assert len(one) == len(other)
-    for a, b in zip(one, other, strict=True):
-        assert same(a[0], b[0])
-        assert a[1:] == b[1:]
-
-
-# ------------------------------------------------------------------------------- the contract
-
-
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error", "ignore:pkg_resources is deprecated")
 @pytest.mark.parametrize("form", FORMS, ids=str)
 def test_gymnasium_checker_passes_without_warnings(form, scenes):
     env = gymnasium.make(ID, scenes=scenes, render_mode="rgb_array", **form)
@@ -86,34 +58,20 @@ def test_make_gives_the_env_and_its_spec_makes_another():
     assert env.unwrapped.scenes.names == embedded_scenes("train").names
 
 
-@pytest.mark.parametrize("form", FORMS, ids=str)
-def test_observations_lie_in_their_space(form, scenes):
-    env = EgoEnv(scenes=scenes, **form)
-    env.action_space.seed(0)
-    for episode in range(6):
-        assert_in_space(env, seed=episode)
-
-
-def assert_in_space(env, **reset):
-    """Drive at random through an episode; everything observed is in the space."""
-    obs, info = env.reset(**reset)
-    done = False
-    while not done:
-        assert obs in env.observation_space
-        obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
-        assert np.isfinite(reward)
-        done = terminated or truncated
-    assert obs in env.observation_space
-    return info
-
-
 @pytest.mark.nuscenes
 def test_observations_of_real_scenes_lie_in_their_space(data_root):
     scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini", cache=False)
     env = EgoEnv(scenes=scenes, traffic="idm", on_collision="ignore", on_off_road="ignore")
     env.action_space.seed(0)
     for name in scenes.names:
-        assert assert_in_space(env, seed=1, options={"scene": name})["scene"] == name
+        obs, info = env.reset(seed=1, options={"scene": name})
+        assert info["scene"] == name
+        done = False
+        while not done:
+            assert obs in env.observation_space
+            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert np.isfinite(reward)
+            done = terminated or truncated
 
 
 def test_dict_and_flat_observations_hold_the_same_numbers(scenes):
@@ -136,30 +94,24 @@ def test_every_step_returns_arrays_of_its_own(scenes):
     assert later[1].max() <= 1.0
 
 
-# ------------------------------------------------------------------------- seeds, scenes, info
-
-
 @pytest.mark.parametrize("seed", [0, -1, 2**63, 2**64 + 5, -(10**40), np.int64(7), 2**63 - 1])
 def test_any_integer_is_a_seed(seed, scenes):
     env = EgoEnv(scenes=scenes)
     first, info = env.reset(seed=seed)
     second, again = env.reset(seed=seed)
-    assert same(first, second)
+    assert np.array_equal(first, second)
     assert info == again
     assert 0 <= info["seed"] < 2**63
-
-
-def test_seeds_that_are_no_integers_are_refused(scenes):
-    env = EgoEnv(scenes=scenes)
-    for seed in (1.5, "one", [1]):
-        with pytest.raises(ConfigError, match="seed"):
-            env.reset(seed=seed)
 
 
 def test_unseeded_environments_differ_and_can_be_repeated_by_the_seed_in_info(scenes):
     infos = [EgoEnv(scenes=scenes).reset()[1] for _ in range(3)]
     assert len({info["seed"] for info in infos}) == 3
-    assert EgoEnv(scenes=scenes).reset(seed=infos[0]["seed"])[1] == infos[0]
+    env = EgoEnv(scenes=scenes)
+    assert env.reset(seed=infos[0]["seed"])[1] == infos[0]
+    for seed in (1.5, "one", [1]):
+        with pytest.raises(ConfigError, match="seed"):
+            env.reset(seed=seed)
 
 
 def test_scenes_are_chosen_by_name_or_index(scenes):
@@ -194,17 +146,6 @@ def test_scenes_come_as_set_list_single_scene_or_split(scenes):
         EgoEnv(scenes="nowhere")
 
 
-def test_reward_is_the_sum_of_its_components(scenes):
-    env = EgoEnv(scenes=scenes, traffic="idm")
-    env.reset(seed=5)
-    for _ in range(30):
-        _, reward, terminated, truncated, info = env.step(np.array([0.3, 0.05], np.float32))
-        parts = [value for name, value in info.items() if name.startswith("reward_")]
-        assert reward == pytest.approx(sum(parts), abs=1e-5)
-        if terminated or truncated:
-            break
-
-
 def test_metrics_at_the_end_sum_up_the_steps(scenes):
     env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore")
     env.reset(seed=2, options={"scene": 0})
@@ -235,32 +176,6 @@ def test_info_levels(level, keys, scenes):
     assert set(info) == {"scene_idx", "seed", "episode_idx"} | names
     expected = len(env.unwrapped.worlds.columns) if keys is None else keys
     assert len(env.step(np.zeros(2, np.float32))[4]) == expected
-
-
-@pytest.mark.parametrize("driver", ["idm", "replay", "constant_velocity"])
-def test_baselines_drive_in_rust_and_ignore_the_action(driver, scenes):
-    env = EgoEnv(scenes=scenes, driver=driver)
-    left = run(env, [np.array([1.0, 1.0], np.float32)] * 40, seed=1)
-    right = run(env, [np.array([-1.0, -1.0], np.float32)] * 40, seed=1)
-    assert_same_trace(left, right)
-
-
-def test_expert_actions_keep_the_ego_near_its_log(scenes):
-    for form in ({}, {"dynamics": "bicycle"}, {"dynamics": "delta_pose"}):
-        env = EgoEnv(
-            scenes=scenes,
-            on_off_road="ignore",
-            on_collision="ignore",
-            terminate_at_goal=False,
-            **form,
-        )
-        env.reset(options={"scene": 0})
-        for _ in range(40):
-            *_, info = env.step(env.expert_action())
-        assert info["log_distance"] < 1.0, form
-
-
-# ------------------------------------------------------------------------------ hostile input
 
 
 @pytest.mark.parametrize(
@@ -304,23 +219,22 @@ def test_hostile_indices_are_refused(action, scenes):
 
 
 def test_actions_of_any_real_dtype_and_layout_are_taken(scenes):
-    traces = []
-    wide = np.zeros((2, 4), np.float32)
-    wide[0] = 0.5
-    for action in (
-        np.full(2, 0.5, np.float32),
-        np.full(2, 0.5),
-        [0.5, 0.5],
-        np.full(2, 0.5, np.float16),
-        wide[0, ::2],
-    ):
-        env = EgoEnv(scenes=scenes)
-        traces.append(run(env, [action], seed=4))
-    read_only = np.full(2, 0.5, np.float32)
+    single, wide = np.full(2, 0.5, np.float32), np.full((2, 4), 0.5, np.float32)
+    read_only = single.copy()
     read_only.flags.writeable = False
-    traces.append(run(EgoEnv(scenes=scenes), [read_only], seed=4))
-    for trace in traces[1:]:
-        assert_same_trace(trace, traces[0])
+    env, digests = EgoEnv(scenes=scenes), set()
+    for action in (
+        single,
+        read_only,
+        wide[0, ::2],
+        single.astype("f8"),
+        single.astype("f2"),
+        [0.5, 0.5],
+    ):
+        env.reset(seed=4)
+        env.step(action)
+        digests.add(env.worlds.native.digest(0))
+    assert len(digests) == 1
 
 
 def test_stepping_before_reset_and_after_the_end_is_an_error(scenes):
@@ -336,20 +250,15 @@ def test_stepping_before_reset_and_after_the_end_is_an_error(scenes):
 @pytest.mark.parametrize(
     ("options", "error"),
     [
-        ({"trafic": "idm"}, ConfigError),
         ({"traffic": "external"}, ConfigError),
-        ({"traffic": "ccdif"}, ConfigError),
         ({"driver": "me"}, ConfigError),
         ({"controlled": "vehicles"}, ConfigError),
         ({"observation": "image"}, ConfigError),
         ({"info": "all"}, ConfigError),
         ({"render_mode": "ansi"}, ConfigError),
         ({"render_options": {"zoom": 2}}, ConfigError),
-        ({"horizon_steps": 0}, ConfigError),
         ({"history_steps": 10**4}, SceneError),
-        ({"history_steps": 10**6}, ConfigError),
         ({"dt_s": 0.2}, SceneError),
-        ({"reward": {"goal": 1e30}}, ConfigError),
     ],
 )
 def test_wrong_options_are_refused(options, error, scenes):
@@ -384,9 +293,6 @@ def test_random_calls_never_crash(data, scenes):
                 env.restore(bytes(blob))
         except CcdiffError:
             continue
-
-
-# ---------------------------------------------------------------------------------- pictures
 
 
 def test_images_have_the_size_asked_for(scenes):

@@ -1,7 +1,5 @@
 """What wrappers and learners of others ask: attributes, spaces, options of resets."""
 
-from __future__ import annotations
-
 import copy
 
 import gymnasium
@@ -17,14 +15,10 @@ import ccdiff_env
 from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError, ResetNeededError, UnknownNameError
-from ccdiff_env.planners.built_in import Seat
-from ccdiff_env.worlds import Worlds
+from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.worlds.fit import ATTRIBUTE
 
-
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")[:2]
+NUM_SCENES = 2
 
 
 def test_vector_environments_answer_as_gymnasiums_own(scenes):
@@ -85,17 +79,15 @@ def is_numeric(value):
 
 
 def test_without_information_there_are_numbers_alone(scenes):
-    single = ccdiff_env.EgoEnv(scenes=scenes, info="none")
-    assert is_numeric(single.reset(seed=0)[1])
-    assert is_numeric(single.step(single.action_space.sample())[4])
-    vector = ccdiff_env.make_vec(2, scenes=scenes, info="none")
+    options = {"scenes": scenes, "info": "none"}
+    vector = ccdiff_env.make_vec(2, **options)
     infos = vector.reset(seed=0, options={"scene": [1, 0]})[1]
-    assert is_numeric(infos)
     assert infos["scene_idx"].tolist() == [1, 0]
-    game = ccdiff_env.parallel_env(scenes=scenes, agents=2, info="none")
-    assert is_numeric(game.reset(seed=0)[1])
-    rows = AgentVectorEnv(2, agents=2, scenes=scenes, info="none")
-    assert is_numeric(rows.reset(seed=0)[1])
+    single = ccdiff_env.EgoEnv(**options)
+    told = [infos, single.reset(seed=0)[1], single.step(single.action_space.sample())[4]]
+    told.append(ccdiff_env.parallel_env(agents=2, **options).reset(seed=0)[1])
+    told.append(AgentVectorEnv(2, agents=2, **options).reset(seed=0)[1])
+    assert all(map(is_numeric, told))
 
 
 def test_a_recorder_made_after_a_reset_has_started(scenes):
@@ -135,14 +127,15 @@ def spoil(space):
         space.n, space._shape = 1, (1,)
 
 
-def test_statistics_of_rasters_change_the_wrappers_space_alone(scenes):
-    env = ccdiff_env.make_vec(2, scenes=scenes, **RASTER)
-    before, vec = copy.deepcopy(own(env)), SB3VecEnv(env)
+def test_statistics_and_stacks_change_the_wrappers_space_alone(scenes):
+    env, flat = (ccdiff_env.make_vec(2, scenes=scenes, **form) for form in (RASTER, {}))
+    before, vec = copy.deepcopy((own(env), own(flat))), SB3VecEnv(env)
     norm = VecNormalize(vec, norm_obs_keys=["bev", "ego"])
     norm.reset()
     assert norm.observation_space["bev"].dtype == np.float32
-    assert own(env) == before
-    assert env.single_observation_space["bev"].dtype == np.uint8
+    stacked = VecFrameStack(SB3VecEnv(flat), 3)
+    assert stacked.reset().shape == (2, 3 * flat.single_observation_space.shape[0])
+    assert (own(env), own(flat)) == before
     assert getattr(env.single_observation_space, ATTRIBUTE)
 
 
@@ -200,27 +193,11 @@ def test_a_policy_of_changed_observations_is_refused(scenes):
     norm = VecNormalize(env, norm_obs_keys=["bev"], norm_reward=False)
     model = PPO("MultiInputPolicy", norm, n_steps=4, batch_size=4, n_epochs=1, seed=0)
     worlds = EgoEnv(scenes=scenes, **RASTER).worlds
-    assert isinstance(worlds, Worlds)
     worlds.native.reset([0], [0], None, worlds.arrays())
-    seat = Seat(*_as_planner(model))
     with pytest.raises(ConfigError, match="another space"):
-        seat.begin(worlds)
+        ego_driver(model)[1].begin(worlds)
     plain = PPO("MultiInputPolicy", SB3VecEnv(ccdiff_env.make_vec(1, scenes=scenes, **RASTER)))
-    Seat(*_as_planner(plain)).begin(worlds)
-
-
-def _as_planner(model):
-    from ccdiff_env.planners.built_in import _Sb3
-
-    return _Sb3(model, "mine"), "mine"
-
-
-def test_stacked_observations_have_a_space_of_their_own(scenes):
-    env = ccdiff_env.make_vec(2, scenes=scenes)
-    before = copy.deepcopy(own(env))
-    stacked = VecFrameStack(SB3VecEnv(env), 3)
-    assert stacked.reset().shape == (2, 3 * env.single_observation_space.shape[0])
-    assert own(env) == before
+    ego_driver(plain)[1].begin(worlds)
 
 
 TOLD = ("scene", "ego", "start_step")

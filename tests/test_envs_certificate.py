@@ -1,7 +1,5 @@
 """Replay certificates."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 
@@ -34,11 +32,8 @@ def driven(scenes, *, episodes=1, **options) -> tuple[EgoEnv, list[float]]:
 @pytest.mark.parametrize(
     "options",
     [
-        {"traffic": "idm"},
         {"discrete": True, "dynamics": "bicycle", "horizon_steps": 30},
         {"episodes": 3, "traffic": "constant_velocity", "dynamics": "delta_pose"},
-        {"driver": "idm", "traffic": "idm"},
-        {"episodes": 2, "start_spread_steps": 40},
     ],
     ids=str,
 )
@@ -46,46 +41,17 @@ def test_episodes_are_simulated_again_from_a_small_file(options, scenes, tmp_pat
     env, rewards = driven(scenes, **options)
     path = tmp_path / "episode.json"
     env.certificate().save(path)
-    assert path.stat().st_size < 20_000
     again = replay(path)
     assert again.rewards.tolist() == rewards
     assert again.env.scene == env.scene
     assert again.frames == []
-
-
-def test_certificates_from_before_an_option_existed_mean_its_default(scenes, tmp_path):
-    env, rewards = driven(scenes, traffic="idm")
-    path = tmp_path / "episode.json"
-    env.certificate().save(path)
+    # files from before an option existed mean its default
     fields = json.loads(path.read_text())
     del fields["config"]["start_spread_steps"]
     del fields["config"]["observation"]["bev"]
     path.write_text(json.dumps(fields))
     assert replay(path).rewards.tolist() == rewards
     assert Certificate.load(path).config == env.certificate().config
-
-
-def test_snapshots_taken_with_another_raster_are_refused(scenes):
-    plain, raster = EgoEnv(scenes=scenes), EgoEnv(scenes=scenes, observation="bev")
-    plain.reset(seed=1)
-    raster.reset(seed=1)
-    with pytest.raises(SnapshotError, match="another configuration"):
-        raster.restore(plain.snapshot())
-
-
-def test_snapshots_hold_what_differs_from_the_defaults(scenes):
-    # so they outlive options and drivers that come later
-    env = EgoEnv(scenes=scenes, traffic="idm", idm={"headway_s": 1.5}, horizon_steps=80)
-    env.reset(seed=1)
-    text = env.snapshot().decode("latin-1")
-    told, _ = json.JSONDecoder().raw_decode(text, text.index("{"))
-    assert told == {
-        "autoreset": "disabled",
-        "horizon_steps": 80,
-        "idm": {"headway_s": 1.5},
-        "names of drivers": ["replay", "constant_velocity", "idm"],
-        "traffic": "idm",
-    }
 
 
 def test_images_are_kept_on_request(scenes):

@@ -1,37 +1,17 @@
 """The bird's-eye raster as an observation."""
 
-from __future__ import annotations
-
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
 import shapely
 from gymnasium import spaces
-from gymnasium.utils.env_checker import check_env
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv
+from ccdiff_env import EgoEnv
 from ccdiff_env.config import BevConfig, ObservationConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
 
-ID = "ccdiff_env/Ego-v0"
 SMALL = {"size_px": 48, "metres_per_px": 0.75}
 DRIVABLE = 0  #: Channel of the raster.
-
-
-@pytest.mark.parametrize("form", ["bev", "dict"])
-def test_checkers_accept_the_raster_without_warnings(form, scenes):
-    from stable_baselines3.common.env_checker import check_env as sb3_check
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # stable-baselines3 remarks on the tables of the dictionary, which it flattens
-        warnings.filterwarnings("ignore", message="Your observation (agents|map|route)")
-        env = gymnasium.make(ID, scenes=scenes, observation=form, bev={}, traffic="idm")
-        check_env(env.unwrapped, skip_render_check=True)
-        sb3_check(EgoEnv(scenes=scenes, observation=form, bev={}))
 
 
 def test_forms_and_spaces(scenes):
@@ -85,37 +65,3 @@ def test_drivable_pixels_are_those_whose_centres_shapely_finds_on_the_road(name,
         assert sure.mean() > 0.9
         assert 0.1 < on_road.mean() < 0.99
         assert np.array_equal(obs[DRIVABLE][sure] == 255, on_road[sure])
-
-
-def test_a_restored_environment_shows_the_same_raster(scenes):
-    env = EgoEnv(scenes=scenes, observation="bev", bev=SMALL, traffic="idm")
-    env.reset(seed=4)
-    for _ in range(5):
-        obs = env.step(env.action_space.sample())[0]
-    saved, fork = env.snapshot(), env.fork()
-    env.step(env.action_space.sample())
-    assert np.array_equal(env.restore(saved), obs)
-    assert np.array_equal(fork.observation(), obs)
-    vector = EgoVectorEnv(2, scenes=scenes, observation="dict", bev=SMALL, traffic="idm")
-    vector.reset(seed=4)
-    state = vector.snapshot(0)
-    here = vector.step(np.zeros((2, 2), np.float32))[0]["bev"][0]
-    assert not np.array_equal(vector.restore(0, state)["bev"], here)
-    assert np.array_equal(vector.step(np.zeros((2, 2), np.float32))[0]["bev"][0], here)
-
-
-@pytest.mark.parametrize(("policy", "form"), [("CnnPolicy", "bev"), ("MultiInputPolicy", "dict")])
-def test_ppo_learns_from_rasters(policy, form, scenes):
-    import torch
-    from stable_baselines3 import PPO
-
-    from ccdiff_env.envs.sb3 import SB3VecEnv
-
-    torch.set_num_threads(1)
-    native = ccdiff_env.make_vec(
-        2, scenes=scenes, observation=form, bev=SMALL, autoreset_mode="same_step"
-    )
-    model = PPO(policy, SB3VecEnv(native), n_steps=8, batch_size=8, n_epochs=1, device="cpu")
-    before = {k: v.clone() for k, v in model.policy.state_dict().items()}
-    model.learn(16)
-    assert any(not torch.equal(v, before[k]) for k, v in model.policy.state_dict().items())

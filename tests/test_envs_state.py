@@ -1,7 +1,5 @@
 """The single environment's state: snapshots, forks, pickles, processes, threads, memory."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import multiprocessing
@@ -12,18 +10,13 @@ import weakref
 
 import numpy as np
 import pytest
-from test_envs import same
+from episode_play import same
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError, ForkError, ResetNeededError, SnapshotError, ThreadError
 
 ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in range(60)]
-
-
-def test_copies_of_an_environment_that_was_never_reset_work(scenes):
-    env = copy.deepcopy(EgoEnv(scenes=scenes))
-    assert same(env.reset(seed=1)[0], EgoEnv(scenes=scenes).reset(seed=1)[0])
 
 
 def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
@@ -39,17 +32,16 @@ def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
         with pytest.raises(SnapshotError):
             other.restore(wrong)
     assert other.worlds.native.digest(0) == digest
-    assert same(other.observation(), obs)
-    fewer = EgoEnv(scenes=list(scenes)[::-1])
-    with pytest.raises(SnapshotError):
-        fewer.restore(saved)
+    assert np.array_equal(other.observation(), obs)
+    for options in ({"scenes": list(scenes)[::-1]}, {"scenes": scenes, "observation": "bev"}):
+        with pytest.raises(SnapshotError):
+            EgoEnv(**options).restore(saved)
 
 
 @pytest.mark.parametrize("traffic", ["ccdiff", "idm"])
 def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
     options = {"traffic": traffic, "on_off_road": "ignore", "on_collision": "ignore"}
-    if traffic == "ccdiff":
-        options["ccdiff"] = {"denoising_steps": 1}
+    options["ccdiff"] = {"denoising_steps": 1} if traffic == "ccdiff" else {}
     env = EgoEnv(scenes=scenes, **options)
     env.reset(seed=8)
     for action in ACTIONS[:7]:
@@ -65,15 +57,15 @@ def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
 
     forks = [env.fork(seed=3), env.fork(seed=4), env.fork()]
     one, other, own = (future(fork) for fork in forks)
-    assert same(env.restore(saved), obs)
+    assert np.array_equal(env.restore(saved), obs)
     assert np.array_equal(future(env), own), "without a seed nothing is sampled again"
     assert (traffic == "idm") == np.array_equal(one, other) == np.array_equal(one, own)
     assert np.array_equal(one[:3], own[:3]), "the present plan stays until the next one"
-    assert same(env.restore(saved, seed=3), obs)
+    assert np.array_equal(env.restore(saved, seed=3), obs)
     assert np.array_equal(future(env), one)
     with pytest.raises(SnapshotError, match="seed"):
         env.certificate()
-    assert same(env.reset()[0], EgoEnv(scenes=scenes, **options).reset(seed=3)[0])
+    assert np.array_equal(env.reset()[0], EgoEnv(scenes=scenes, **options).reset(seed=3)[0])
     assert env.certificate().seed == 3
     worlds = ccdiff_env.make_vec(
         5, scenes=scenes, num_threads=2, autoreset_mode="disabled", **options
@@ -109,9 +101,6 @@ def test_seeds_of_futures_are_checked(scenes):
     assert digests[0] != digests[1] == digests[2]
     game.restore(game.snapshot(), seed=5)
     assert game.worlds.native.digest(0) == digests[0]
-
-
-# ---------------------------------------------------------------------- threads and processes
 
 
 CALLS = {
@@ -187,7 +176,7 @@ def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scene
     early = make(env)
     env.set_scene_weights(np.arange(1.0, len(scenes) + 1.0))
     obs, _ = env.reset(seed=4)
-    assert not same(early.reset(seed=4)[0], obs)  # by weights
+    assert not np.array_equal(early.reset(seed=4)[0], obs)  # by weights
     assert early.worlds.scene_weights is None
     rng = np.random.default_rng(0)
 
@@ -204,11 +193,10 @@ def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scene
         for _ in range(2):
             action = rng.uniform(-1, 1, (5, 2)).astype(np.float32)
             mine, theirs = step(env, action), step(twin, action)
-            assert all(same(a, b) for a, b in zip(mine[:4], theirs[:4], strict=True))
-            assert same(mine[-1], theirs[-1]) if mode == "disabled" else True
+            assert same(mine[:4] + mine[5:], theirs[:4] + theirs[5:])
         native = [one.worlds.native for one in (env, twin)]
         assert [native[0].digest(i) for i in range(5)] == [native[1].digest(i) for i in range(5)]
-    assert same(make(env).reset()[0], env.reset()[0])
+    assert np.array_equal(make(env).reset()[0], env.reset()[0])
 
 
 def test_what_cannot_be_copied_says_what_to_do(scenes):

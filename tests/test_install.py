@@ -1,7 +1,5 @@
 """What importing the package costs, what happens without torch, and what type checkers see."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -27,11 +25,11 @@ print(used.ru_utime + used.ru_stime, int(peak) / 1024, "torch" in sys.modules)
 """
 
 
-def python(code: str, **environment: str) -> str:
+def python(code: str, folder: Path = ROOT, **environment: str) -> str:
     """Last line that a fresh process prints."""
     command, env = [sys.executable, "-c", code], {**os.environ, **environment}
-    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
     return done.stdout.splitlines()[-1]
 
 
@@ -105,9 +103,16 @@ def test_networks_that_cannot_be_are_one_clear_line(before, message):
     assert re.search(message, python(REFUSED.format(before=before, network=network)))
 
 
-def test_environments_of_a_learner_that_is_not_there_are_one_clear_line():
-    code = "import sys\nsys.modules['stable_baselines3'] = None\ntry: import ccdiff_env.envs.sb3\n"
-    assert "ccdiff-env[rl]" in python(f"{code}except ImportError as error: print(error)")
+@pytest.mark.parametrize(
+    ("absent", "call", "message"),
+    [
+        ("stable_baselines3", "import ccdiff_env.envs.sb3", "ccdiff-env[rl]"),
+        ("ray", "next(ccdiff_env.bench.ray.results_of_tasks(len, [[]]))", "pip install 'ray"),
+    ],
+)
+def test_a_library_that_is_not_there_is_one_clear_line(absent, call, message):
+    code = f"import sys, ccdiff_env.bench.ray\nsys.modules[{absent!r}] = None\ntry: {call}\n"
+    assert message in python(f"{code}except ImportError as error: print(error)")
 
 
 def test_a_source_folder_before_the_installed_package_says_what_to_do(tmp_path):
@@ -154,10 +159,7 @@ def without_torch(code: str, folder: Path) -> str:
     """Last line that a fresh process prints."""
     head = f"import sys\nsys.path[0] = {str(ROOT)!r}\n"
     head += "sys.modules['torch'] = sys.modules['ccdiff_env._models'] = None\n"
-    command = [sys.executable, "-c", head + code + "\nprint('done')"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stdout.splitlines()[-1]
+    return python(head + code + "\nprint('done')", folder)
 
 
 NETWORK_OPTIONS = [

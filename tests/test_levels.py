@@ -1,16 +1,13 @@
 """Worlds in which roads pass over each other: who has to do with whom, and whose road is whose."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, Recorder, Rollout, Scene, SceneSet, WorldConfig
+from ccdiff_env import EgoEnv, Recorder, Rollout, SceneSet, WorldConfig
 from ccdiff_env.bench.traffic import relations
 from ccdiff_env.errors import ShapeError
 from ccdiff_env.metrics import Motion
@@ -27,7 +24,7 @@ CROSSING = [
 OPTIONS: dict[str, Any] = {"history_steps": 10, "horizon_steps": 80, "terminate_at_goal": False}
 
 
-def load(tmp_path: Path, objects: list[dict[str, Any]], lift: float = 0.0) -> SceneSet:
+def load(tmp_path, objects, lift=0.0):
     """Scenes of objects; those on the ground are lifted with their road, then without edges."""
     objects, roads = json.loads(json.dumps([objects, overpass.roads()]))
     roads = [road for road in roads if not lift or road["type"] == "lane"]
@@ -39,7 +36,7 @@ def load(tmp_path: Path, objects: list[dict[str, Any]], lift: float = 0.0) -> Sc
     return ccdiff_env.load_gpudrive(path, cache=False)
 
 
-def play(scenes: SceneSet, driver: str = "replay", **options: Any) -> dict[str, Any]:
+def play(scenes, driver="replay", **options):
     """Metrics of an episode, the least time to contact, and the observations and infos."""
     settings = {"traffic": "replay", "observation": "dict", **OPTIONS, **options}
     env = EgoEnv(scenes=scenes, driver=driver, **settings)
@@ -61,7 +58,7 @@ def play(scenes: SceneSet, driver: str = "replay", **options: Any) -> dict[str, 
     ("traffic", "driver"),
     [("replay", "replay"), ("idm", "replay"), ("replay", "idm"), ("replay", "pdm")],
 )
-def test_nobody_meets_who_is_below(tmp_path: Path, traffic: str, driver: str) -> None:
+def test_nobody_meets_who_is_below(tmp_path, traffic, driver):
     found = play(load(tmp_path, CROSSING), driver, traffic=traffic)
     metrics = found["metrics"]
     assert metrics["collision"] == 0
@@ -73,13 +70,13 @@ def test_nobody_meets_who_is_below(tmp_path: Path, traffic: str, driver: str) ->
 
 
 @pytest.mark.parametrize(("gap_m", "meets"), [(1.5, True), (2.4, True), (3.0, False)])
-def test_levels_begin_at_two_and_a_half_metres(tmp_path: Path, gap_m: float, meets: bool) -> None:
+def test_levels_begin_at_two_and_a_half_metres(tmp_path, gap_m, meets):
     found = play(load(tmp_path, CROSSING, lift=overpass.BRIDGE_M - gap_m))
     assert found["metrics"]["collision"] == meets
     assert (found["metrics"]["min_ttc"] < 1) == meets
 
 
-def test_traffic_neither_brakes_nor_stops_for_who_passes_over_it(tmp_path: Path) -> None:
+def test_traffic_neither_brakes_nor_stops_for_who_passes_over_it(tmp_path):
     below = [  # the second follows the first, in the lane
         overpass.vehicle(2, overpass.below(-40.0)),
         overpass.vehicle(3, overpass.below(-60.0)),
@@ -94,7 +91,7 @@ def test_traffic_neither_brakes_nor_stops_for_who_passes_over_it(tmp_path: Path)
     assert rollout.position[1, :, 1].max() > 20
 
 
-def test_observations_show_those_of_ones_own_level(tmp_path: Path) -> None:
+def test_observations_show_those_of_ones_own_level(tmp_path):
     ahead = overpass.vehicle(3, overpass.on_bridge(25.0))
     scenes = load(tmp_path, [*CROSSING, ahead])
     for traffic in ("replay", "idm"):
@@ -106,14 +103,16 @@ def test_observations_show_those_of_ones_own_level(tmp_path: Path) -> None:
     assert play(load(tmp_path, [*CROSSING, ahead], lift=7.0))["seen"][0]["agents_mask"].sum() == 2
 
 
-def test_who_drives_up_a_ramp_far_ahead_is_ones_leader(tmp_path: Path) -> None:
-    def on_ramp(x: float, speed: float) -> overpass.Place:
-        return lambda t: (x + speed * t, 0.0, overpass.ramp_height(x + speed * t))
+def on_ramp(x, speed):
+    """Over the bridge and down the ramp."""
+    return lambda t: (x + speed * t, 0.0, overpass.ramp_height(x + speed * t))
 
+
+def test_who_drives_up_a_ramp_far_ahead_is_ones_leader(tmp_path):
     # 60 m ahead and 3.6 m lower, standing where the bridge has come down by half
     objects = [
         overpass.vehicle(1, on_ramp(105.0, 8.0)),
-        overpass.vehicle(2, lambda t: (165.0, 0.0, overpass.ramp_height(165.0))),
+        overpass.vehicle(2, on_ramp(165.0, 0.0)),
         overpass.vehicle(3, overpass.below(-40.0)),
     ]
     found = play(load(tmp_path, objects), "idm")
@@ -124,11 +123,8 @@ def test_who_drives_up_a_ramp_far_ahead_is_ones_leader(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("driver", ["replay", "idm", "pdm"])
-def test_a_ramp_stays_road_from_one_level_to_the_other(tmp_path: Path, driver: str) -> None:
-    def down(t: float) -> tuple[float, float, float]:
-        return (60.0 + 20.0 * t, 0.0, overpass.ramp_height(60.0 + 20.0 * t))
-
-    scenes = load(tmp_path, [overpass.vehicle(1, down), overpass.vehicle(2, overpass.below(-40.0))])
+def test_a_ramp_stays_road_from_one_level_to_the_other(tmp_path, driver):
+    scenes = load(tmp_path, [overpass.vehicle(1, on_ramp(60.0, 20.0)), CROSSING[1]])
     found = play(scenes, driver)
     assert found["metrics"]["off_road"] == 0
     rollout = found["rollout"]
@@ -138,23 +134,19 @@ def test_a_ramp_stays_road_from_one_level_to_the_other(tmp_path: Path, driver: s
     np.testing.assert_allclose(rollout.elevation_m[0], expected, atol=0.3)
 
 
-def test_a_road_above_or_below_is_none_of_ones_own(tmp_path: Path) -> None:
-    # the ego leaves the road below where the bridge is overhead
-    def aside(t: float) -> tuple[float, float, float]:
-        return (34.0 + 4.0 * t, 0.0, 0.0)
-
-    scenes = load(
-        tmp_path, [overpass.vehicle(1, aside), overpass.vehicle(2, overpass.on_bridge(0.0))]
-    )
-    found = play(scenes)
-    assert found["metrics"]["off_road"] == 1
-    assert found["metrics"]["collision"] == 0
-    # 12 m up it would be road all the way
-    over = [overpass.vehicle(1, lambda t: (34.0 + 4.0 * t, 0.0, overpass.BRIDGE_M)), CROSSING[1]]
-    assert play(load(tmp_path, over))["metrics"]["off_road"] == 0
+def test_a_road_above_or_below_is_none_of_ones_own(tmp_path):
+    # the ego leaves the road below where the bridge is overhead; 8 m up it is road all the way
+    for height_m, other in (
+        (0.0, overpass.on_bridge(0.0)),
+        (overpass.BRIDGE_M, overpass.below(-40)),
+    ):
+        aside = overpass.vehicle(1, lambda t, z=height_m: (34.0 + 4.0 * t, 0.0, z))
+        metrics = play(load(tmp_path, [aside, overpass.vehicle(2, other)]))["metrics"]
+        assert metrics["off_road"] == (height_m == 0.0)
+        assert metrics["collision"] == 0
 
 
-def test_lanes_and_lines_are_those_of_ones_own_level(tmp_path: Path) -> None:
+def test_lanes_and_lines_are_those_of_ones_own_level(tmp_path):
     # below the bridge, across the lane of the road below, which leads north; that of the bridge
     # leads east and is 1 m away
     turned = overpass.vehicle(1, lambda t: (40.0, 1.0, 0.0), heading=0.0)
@@ -167,7 +159,7 @@ def test_lanes_and_lines_are_those_of_ones_own_level(tmp_path: Path) -> None:
     assert np.abs(lines[:, 2]).max() < 0.1
 
 
-def test_networks_and_their_graph_leave_out_other_levels(tmp_path: Path) -> None:
+def test_networks_and_their_graph_leave_out_other_levels(tmp_path):
     ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=4.0))
     for lift, joined in ((0.0, False), (7.0, True)):
         scenes = load(tmp_path, [*CROSSING, ahead], lift=lift)
@@ -181,7 +173,7 @@ def test_networks_and_their_graph_leave_out_other_levels(tmp_path: Path) -> None
         assert bool(plan.graph[rows[0], rows[2]])
 
 
-def test_recordings_keep_heights(tmp_path: Path) -> None:
+def test_recordings_keep_heights(tmp_path):
     scenes = load(tmp_path, CROSSING)
     rollout = play(scenes, "idm", traffic="idm")["rollout"]
     assert rollout.elevation_m is not None
@@ -194,7 +186,7 @@ def test_recordings_keep_heights(tmp_path: Path) -> None:
     assert (played.tracks()["elevation_m"][0] > 7).all()
 
 
-def test_metrics_of_motions_part_levels(tmp_path: Path) -> None:
+def test_metrics_of_motions_part_levels(tmp_path):
     scene = load(tmp_path, CROSSING)[0]
     tracks = scene.tracks()
     arrays = (tracks["position"], tracks["heading"], scene.sizes[:, :2])
@@ -212,7 +204,7 @@ def test_metrics_of_motions_part_levels(tmp_path: Path) -> None:
     assert swapped.off_road(areas, elevation_m=heights).centroid_rate > 0.8
 
 
-def test_snapshots_go_on_at_their_heights(tmp_path: Path) -> None:
+def test_snapshots_go_on_at_their_heights(tmp_path):
     scenes = load(tmp_path, CROSSING)
     env = EgoEnv(scenes=scenes, traffic="idm", driver="idm", **OPTIONS)
     env.reset(seed=0)
@@ -229,16 +221,8 @@ def test_snapshots_go_on_at_their_heights(tmp_path: Path) -> None:
     assert digests[0] == digests[1]
 
 
-def test_flat_scenes_have_no_heights() -> None:
-    scene: Scene = ccdiff_env.embedded_scenes()[0]
-    env = EgoEnv(scenes=SceneSet([scene]))
-    env.reset(seed=0)
-    assert "elevation_m" not in env.unwrapped.worlds.native.states(0)
-    assert "elevation_m" not in scene.tracks()
-
-
 @pytest.mark.parametrize("lift", [0.0, 7.0])
-def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
+def test_measures_from_arrays_part_levels(tmp_path, lift):
     ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=8.0))
     scene = load(tmp_path, [*CROSSING, ahead], lift=lift)[0]
     step, ids, apart = 35, scene.agent_ids, lift == 0.0
@@ -254,7 +238,7 @@ def test_measures_from_arrays_part_levels(tmp_path: Path, lift: float) -> None:
     assert any(crosses in a or crosses in b for a, b, _ in contacts(rollout)) != apart
 
 
-def test_map_queries_answer_for_a_level(tmp_path: Path) -> None:
+def test_map_queries_answer_for_a_level(tmp_path):
     scenes = load(tmp_path, CROSSING)
     scene, places = scenes[0], np.array([[40.0, 20.0], [0.0, 0.0], [40.0, 0.0]])
     low, high = np.zeros(3), np.full(3, overpass.BRIDGE_M)

@@ -1,12 +1,10 @@
 """Logs as they are played: short gaps filled, boxes annotated backwards turned, odd sizes noted."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
 import pytest
-from array_scenes import played
+from array_scenes import GOES_ON, played
 from gpudrive_scene import NOT_VALID, save
 from gpudrive_scene import scene as waymo_scene
 from test_scenes import VERSION, tables, write
@@ -159,27 +157,11 @@ def test_parts_of_a_track_that_are_the_other_way_round_are_turned(back):
     assert (walks.tracks()["heading"][1] == (heading + other_way).astype(np.float32)).all()
 
 
-def test_nobody_drives_a_car_annotated_backwards_the_other_way():
-    ahead = np.stack([100 + 8 * TIME, np.full(T, 3.5)], axis=1)
-    with pytest.warns(UserWarning, match="against its heading"):
-        scene = made(line(8.0), (ahead - 100, np.full(T, np.pi), line(8.0)[2]))
-    for traffic in ("replay", "idm", "constant_velocity"):
-        env = ccdiff_env.EgoEnv(scenes=[scene], traffic=traffic, driver="replay")
-        env.reset(seed=0)
-        start = env.worlds.native.states(0)["position"][1, 0]
-        for _ in range(50):
-            env.step(env.action_space.sample())
-        assert env.worlds.native.states(0)["position"][1, 0] > start + 20
-
-
 def test_sizes_that_are_odd_are_noted():
     sizes = np.float32([[4.1, 1.7, 1.5], [1.7, 4.1, 1.5], [2.0, 2.5, 1.5], [12.0, 3.0, 3.0]])
     with pytest.warns(UserWarning, match=r"1 is 4.10 m wide and 1.70 m long") as caught:
         made(*[line(8.0)] * 4, sizes=sizes)
     assert len(caught) == 1
-
-
-# --- the loaders ---------------------------------------------------------------------------------
 
 
 def test_flickering_waymo_tracks_are_filled_and_counted(tmp_path):
@@ -269,15 +251,7 @@ def test_nuscenes_boxes_have_their_median_size_and_long_gaps_are_absences(tmp_pa
 def test_the_log_of_a_nuscenes_ego_touches_nobody(data_root):
     """Of 93 scenes of val; with poses as centres one is hit from behind."""
     scenes = ccdiff_env.load(f"nuscenes:{data_root}/nuscenes@v1.0-trainval/val")
-    env = ccdiff_env.EgoEnv(
-        scenes=scenes,
-        driver="replay",
-        traffic="replay",
-        on_collision="ignore",
-        on_off_road="ignore",
-        terminate_at_goal=False,
-        horizon_steps=400,
-    )
+    env = ccdiff_env.EgoEnv(scenes=scenes, driver="replay", horizon_steps=400, **GOES_ON)
     touched = []
     for name in scenes.names:
         infos = [info for *_, info in played(env, options={"scene": name})]

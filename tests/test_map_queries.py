@@ -1,18 +1,17 @@
 """What maps say of places, against shapely and brute force."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
 import pytest
 import shapely
+from array_scenes import agent, array_scene
 from shapely import affinity
 from shapely.ops import unary_union
 
 import ccdiff_env
 from ccdiff_env.errors import ConfigError, SceneError, ShapeError, UnknownNameError
-from ccdiff_env.scenes import map_queries, with_tracks
+from ccdiff_env.scenes import map_queries
 from ccdiff_env.scenes.map_queries import LINE_KINDS
 
 
@@ -21,12 +20,13 @@ def scenes():
     return list(ccdiff_env.embedded_scenes("val"))[:5]
 
 
-@pytest.fixture(scope="module")
-def real_scenes(data_root):
-    return list(ccdiff_env.load_nuscenes(data_root / "nuscenes", scenes=REAL))
-
-
-REAL = ["scene-0103", "scene-0916"]
+@pytest.fixture(scope="module", params=["town", pytest.param("real", marks=pytest.mark.nuscenes)])
+def maps(request, scenes):
+    """Scenes of the embedded town or of nuScenes."""
+    if request.param == "town":
+        return scenes
+    root = request.getfixturevalue("data_root") / "nuscenes"
+    return list(ccdiff_env.load_nuscenes(root, scenes=["scene-0103", "scene-0916"]))
 
 
 def places(scene, count, seed=0):
@@ -73,30 +73,19 @@ def lines_of(scene):
     return found
 
 
-def check_road(scene):
-    area = road(scene)
-    points, _ = places(scene, 400)
-    found = map_queries.road_distance(scene, points)
-    assert found.dtype == np.float32
-    assert (found > 0.5).any()
-    assert (found < -0.5).any()
-    # cracks of less than two millimetres are none
-    area = area.buffer(1e-3).buffer(-1e-3)
-    for at, distance in zip(points, found, strict=True):
-        point = shapely.Point(at)
-        expected = area.boundary.distance(point) * (1.0 if area.covers(point) else -1.0)
-        assert abs(distance - expected) < 5e-3, (at, distance, expected)
-
-
-def test_the_distance_to_the_roads_edge_is_that_of_shapely(scenes):
-    for scene in scenes:
-        check_road(scene)
-
-
-@pytest.mark.nuscenes
-def test_the_distance_to_the_roads_edge_is_that_of_shapely_on_real_maps(real_scenes):
-    for scene in real_scenes:
-        check_road(scene)
+def test_the_distance_to_the_roads_edge_is_that_of_shapely(maps):
+    for scene in maps:
+        points, _ = places(scene, 400)
+        found = map_queries.road_distance(scene, points)
+        assert found.dtype == np.float32
+        assert (found > 0.5).any()
+        assert (found < -0.5).any()
+        # cracks of less than two millimetres are none
+        area = road(scene).buffer(1e-3).buffer(-1e-3)
+        for at, distance in zip(points, found, strict=True):
+            point = shapely.Point(at)
+            expected = area.boundary.distance(point) * (1.0 if area.covers(point) else -1.0)
+            assert abs(distance - expected) < 5e-3, (at, distance, expected)
 
 
 def test_the_road_is_that_of_off_road(scenes):
@@ -156,14 +145,9 @@ def check_lines(scene):
         np.testing.assert_array_equal(kind[gap.argmin(axis=1)], found.kind[row])
 
 
-def test_the_nearest_lines_are_those_of_brute_force(scenes):
-    for scene in scenes[:2]:
+def test_the_nearest_lines_are_those_of_brute_force(maps):
+    for scene in maps[:2]:
         check_lines(scene)
-
-
-@pytest.mark.nuscenes
-def test_the_nearest_lines_are_those_of_brute_force_on_real_maps(real_scenes):
-    check_lines(real_scenes[0])
 
 
 def test_kinds_are_chosen_and_what_is_not_there_is_masked(scenes):
@@ -231,91 +215,60 @@ def test_the_lane_ahead_is_that_of_brute_force(scenes):
     assert sum(check_lane(scene) for scene in scenes) > 100
 
 
-def road_scene(lanes, drivable=()):
-    steps = 20
-    position = np.zeros((1, steps, 2), np.float32)
-    return ccdiff_env.Scene.from_arrays(
-        "bare", agent_ids=["ego"], agent_types=["vehicle"],
-        sizes=np.ones((1, 3), np.float32), position=position,
-        heading=np.zeros((1, steps), np.float32), velocity=np.zeros_like(position),
-        valid=np.ones((1, steps), bool),
-        map_layers={"lanes": list(lanes), "drivable_area": list(drivable)},
-    )  # fmt: skip
-
-
-def lane(points, successors=()):
-    empty = {"exterior": np.zeros((0, 2), np.float32), "holes": []}
-    return {
-        "id": f"{points}", "kind": "lane", "centreline": np.array(points, np.float32),
-        "polygon": empty, "successors": list(successors), "predecessors": [],
-        "speed_limit_mps": None,
-    }  # fmt: skip
+def road_scene(*lanes):
+    """A scene with a map of lanes alone: points and the lane that follows."""
+    made = [
+        {"id": f"{i}", "kind": "lane", "centreline": np.float32(points), "successors": [after]}
+        for i, (points, after) in enumerate(lanes)
+    ]
+    return array_scene(agent("ego", np.zeros(20)), name="bare", layers={"lanes": made})
 
 
 def test_lanes_in_a_circle_come_to_an_end():
     # no length at all, and round and round
-    scene = road_scene([lane([(0, 0), (8, 0)], [1]), lane([(8, 0), (8, 0)], [1])])
+    scene = road_scene(([(0, 0), (8, 0)], 1), ([(8, 0), (8, 0)], 1))
     found = map_queries.lane_ahead(scene, [[1.0, 0.5]], [0.0], points=10, spacing_m=1.0)
     assert found.valid[0].sum() == 8
     assert found.lateral_m[0] == pytest.approx(0.5)
     env = ccdiff_env.EgoEnv(scenes=scene, history_steps=2)
     env.reset(seed=0)
-    ring = road_scene([lane([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)], [0])])
+    ring = road_scene(([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)], 0))
     found = map_queries.lane_ahead(ring, [[1.0, 0.0]], [0.0], points=100, spacing_m=1.0)
     assert found.valid.all()
     np.testing.assert_allclose(found.position_m[0, 36], found.position_m[0, 0], atol=1e-3)
 
 
 def test_maps_without_lanes_or_road_say_so():
-    scene = road_scene([])
+    scene = road_scene()
     assert not map_queries.nearest_lines(scene, [[0.0, 0.0]], [0.0]).valid.any()
     assert map_queries.lane_ahead(scene, [[0.0, 0.0]], [0.0]).lane.tolist() == [-1]
     with pytest.raises(SceneError, match=r"bare.*no road"):
         map_queries.road_distance(scene, [[0.0, 0.0]])
 
 
+HERE = [[0.0, 0.0]]
+DISTANCE, LINES, LANE = map_queries.road_distance, map_queries.nearest_lines, map_queries.lane_ahead
+
+
 @pytest.mark.parametrize(
     ("call", "error", "match"),
     [
-        (lambda s: map_queries.road_distance(s, [1.0, 2.0, 3.0]), ShapeError, r"\[\.\.\., 2\]"),
-        (lambda s: map_queries.road_distance(s, [[np.nan, 0.0]]), ConfigError, "finite"),
-        (lambda s: map_queries.road_distance(s, [[1e7, 0.0]]), ConfigError, "below 1e6"),
-        (lambda s: map_queries.road_distance([s, s], [[0.0, 0.0]]), ConfigError, "world is None"),
-        (lambda s: map_queries.road_distance([], [[0.0, 0.0]]), ConfigError, "scenes"),
-        (lambda s: map_queries.road_distance(s, "here"), ShapeError, "position_m"),
-        (
-            lambda s: map_queries.road_distance(s, [[0.0, 0.0]], world=[1]),
-            UnknownNameError,
-            "world 1, expected 0 to 0",
-        ),
-        (
-            lambda s: map_queries.road_distance(s, [[0.0, 0.0]], world=[0.0]),
-            ShapeError,
-            "1 integers",
-        ),
-        (lambda s: map_queries.nearest_lines(s, [[0, 0]], [0, 0]), ShapeError, "heading_rad"),
-        (lambda s: map_queries.nearest_lines(s, [[0, 0]], [0], count=0), ConfigError, "count"),
-        (
-            lambda s: map_queries.nearest_lines(s, [[0, 0]], [0], kinds=["kerb"]),
-            UnknownNameError,
-            "kerb",
-        ),
-        (lambda s: map_queries.lane_ahead(s, [[0, 0]], [0], reach_m=11), ConfigError, "reach_m"),
-        (lambda s: map_queries.lane_ahead(s, [[0, 0]], [0], points=1.5), ConfigError, "points"),
-        (lambda s: map_queries.in_frame([[0, 0]], [[0, 0], [1, 1]], [0, 0]), ShapeError, "points"),
+        (lambda s: DISTANCE(s, [1.0, 2.0, 3.0]), ShapeError, r"\[\.\.\., 2\]"),
+        (lambda s: DISTANCE(s, [[np.nan, 0.0]]), ConfigError, "finite"),
+        (lambda s: DISTANCE(s, [[1e7, 0.0]]), ConfigError, "below 1e6"),
+        (lambda s: DISTANCE([s, s], HERE), ConfigError, "world is None"),
+        (lambda s: DISTANCE([], HERE), ConfigError, "scenes"),
+        (lambda s: DISTANCE(s, "here"), ShapeError, "position_m"),
+        (lambda s: DISTANCE(s, HERE, world=[1]), UnknownNameError, "world 1, expected 0 to 0"),
+        (lambda s: DISTANCE(s, HERE, world=[0.0]), ShapeError, "1 integers"),
+        (lambda s: LINES(s, HERE, [0, 0]), ShapeError, "heading_rad"),
+        (lambda s: LINES(s, HERE, [0], count=0), ConfigError, "count"),
+        (lambda s: LINES(s, HERE, [0], kinds=["kerb"]), UnknownNameError, "kerb"),
+        (lambda s: LANE(s, HERE, [0], reach_m=11), ConfigError, "reach_m"),
+        (lambda s: LANE(s, HERE, [0], points=1.5), ConfigError, "points"),
+        (lambda s: map_queries.in_frame(HERE, [[0, 0], [1, 1]], [0, 0]), ShapeError, "points"),
     ],
 )
 def test_wrong_arguments_are_refused(scenes, call, error, match):
     with pytest.raises(error, match=match):
         call(scenes[0])
-
-
-def test_answers_are_the_scenes_own_however_it_came(scenes):
-    position, heading = places(scenes[0], 40)
-    copy = with_tracks(scenes[0], scenes[0].tracks())
-    for first, second in zip(
-        map_queries.nearest_lines(scenes[0], position, heading).__dict__.values(),
-        map_queries.nearest_lines(copy, position, heading).__dict__.values(),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(first, second)

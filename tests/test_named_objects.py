@@ -1,7 +1,5 @@
 """Custom models and planners by name, with options after a question mark."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Multi-agent environments: PettingZoo's own suites, names, roles, endings; the same as rows."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import pickle
@@ -10,13 +8,12 @@ import warnings
 
 import numpy as np
 import pytest
-import shapely
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 from pettingzoo.test.max_cycles_test import max_cycles_test
 from stable_baselines3 import PPO
 
 import ccdiff_env
-from ccdiff_env import Scene, aec_env, errors, parallel_env
+from ccdiff_env import Scene, aec_env, parallel_env
 from ccdiff_env.envs.agent_selection import RANKINGS
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv
@@ -50,61 +47,37 @@ def test_pettingzoos_parallel_suite_passes_without_a_warning(scenes, form):
         parallel_api_test(parallel_env(scenes=scenes[:1], **form), num_cycles=150)
 
 
-def test_pettingzoos_parallel_suite_passes_over_many_scenes(scenes):
+def test_pettingzoos_other_suites_pass(scenes):
     for names in ("token", "slot"):
         parallel_api_test(parallel_env(scenes=scenes, agents=3, names=names), num_cycles=60)
-
-
-def test_pettingzoos_seed_suites_pass(scenes):
     parallel_seed_test(lambda: parallel_env(scenes=scenes, agents=3), num_cycles=40)
     seed_test(lambda: aec_env(scenes=scenes, agents=3), num_cycles=20)
-
-
-def test_pettingzoos_aec_suite_passes(scenes):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        options = {"agents": 4, "names": "slot", "max_cycles": 30}
-        api_test(aec_env(scenes=scenes[:1], **options), num_cycles=100)
-
-
-def test_pettingzoos_max_cycles_suite_passes(scenes):
     options = {"scenes": scenes[:1], "agents": 3, "terminate_at_goal": False}
     module = types.SimpleNamespace(
         parallel_env=lambda **more: parallel_env(**options, **more),
         env=lambda **more: aec_env(**options, **more),
     )
     max_cycles_test(module)
-
-
-def test_pettingzoos_render_suite_passes(scenes):
     render_test(lambda **more: aec_env(scenes=scenes[:1], agents=2, **more))
-
-
-def play(env, seed=0, steps=200, action=None, **options):
-    """Everything that an episode shows."""
-    observations, infos = env.reset(seed=seed, options=options)
-    trace = [(observations, infos)]
-    for _ in range(steps):
-        if not env.agents:
-            break
-        chosen = {
-            name: np.zeros(2, np.float32) if action is None else action(name) for name in env.agents
-        }
-        trace.append(env.step(chosen))
-    return trace
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        options = {"agents": 4, "names": "slot", "max_cycles": 30}
+        api_test(aec_env(scenes=scenes[:1], **options), num_cycles=100)
 
 
 def test_a_game_of_the_ego_alone_is_ego_v0(scenes):
     single = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
     game = parallel_env(scenes=scenes, agents=["ego"], traffic="idm")
-    trace = play(game, seed=4)
-    obs, _ = single.reset(seed=4)
-    assert (trace[0][0]["ego"] == obs).all()
-    for step in trace[1:]:
-        want = single.step(np.zeros(2, np.float32))
+    assert (game.reset(seed=4)[0]["ego"] == single.reset(seed=4)[0]).all()
+    zero = np.zeros(2, np.float32)
+    while game.agents:
+        step, want = game.step({"ego": zero}), single.step(zero)
         assert (step[0]["ego"] == want[0]).all()
         assert [part["ego"] for part in step[1:4]] == list(want[1:4])
     assert step[4]["ego"]["metrics"] == want[4]["metrics"]
+    assert game.step({}) == ({}, {}, {}, {}, {})
+    with pytest.raises(ResetNeededError):
+        game.step({"ego": zero})
 
 
 def test_names_are_instance_tokens_of_all_scenes_or_ranks(scenes):
@@ -120,37 +93,6 @@ def test_names_are_instance_tokens_of_all_scenes_or_ranks(scenes):
     _, infos = by_rank.reset(options={"scene": scenes[0].name})
     by_token.reset(options={"scene": scenes[0].name})
     assert [info["agent_id"] for info in infos.values()] == by_token.agents
-
-
-CONTACT_STEP_S = 0.02
-
-
-def contact_s(scene, step, agent_idx):
-    """When the boxes of agent 0 and of another first meet at constant velocity, by trying."""
-    tracks, times = scene.tracks(), np.arange(0.0, 20.0, CONTACT_STEP_S)
-
-    def boxes(i):
-        heading = tracks["heading"][i, step]
-        ahead = np.array([np.cos(heading), np.sin(heading)])
-        left = np.array([-ahead[1], ahead[0]])
-        corners = [(1, 1), (1, -1), (-1, -1), (-1, 1)] * scene.sizes[i, :2] / 2
-        speed = np.linalg.norm(tracks["velocity"][i, step])
-        moved = tracks["position"][i, step] + speed * times[:, None] * ahead
-        return shapely.polygons(moved[:, None] + corners @ np.stack([ahead, left]))
-
-    meet = shapely.intersects(boxes(0), boxes(agent_idx))
-    return times[meet.argmax()] if meet.any() else np.inf
-
-
-def metres_of_others(scene, step):
-    """Distance from agent 0 to each other vehicle that is there."""
-    tracks = scene.tracks()
-    position = tracks["position"][:, step]
-    return {
-        i: np.hypot(*(position[i] - position[0]))
-        for i, kind in enumerate(scene.agent_types)
-        if kind == "vehicle" and tracks["valid"][i, step] and i != 0
-    }
 
 
 def ranked_by_numpy(ranking, states, candidates):
@@ -205,49 +147,6 @@ def test_rankings_of_any_states_are_those_of_numpy():
             assert got == [0, *ranked_by_numpy(ranking, states, candidates)]
 
 
-def test_the_ranking_by_contact_is_that_of_boxes_that_are_moved(scenes):
-    contacts = 0
-    for scene, step in itertools.product(scenes, (20, 30, 60, 90)):
-        metres = metres_of_others(scene, step)
-        seconds = {i: contact_s(scene, step, i) for i in metres}
-        contacts += np.isfinite(list(seconds.values())).sum()
-        got = scene.ranked_vehicles(step, "ttc")
-        assert sorted(got[1:]) == sorted(metres)
-        for before, after in itertools.pairwise(got[1:]):
-            if np.isinf(seconds[before]):
-                assert np.isinf(seconds[after])
-                assert metres[before] <= metres[after]
-            else:
-                assert seconds[before] <= seconds[after] + CONTACT_STEP_S
-    assert contacts >= 20
-
-
-def test_agents_end_at_different_times_and_never_come_back(scenes):
-    env = parallel_env(scenes=scenes[:1], traffic="idm")
-    rng = np.random.default_rng(1)
-    env.reset(seed=0)
-    ends, step = {}, 0
-    while env.agents:
-        actions = {name: rng.uniform(-1, 1, 2).astype(np.float32) for name in env.agents}
-        before = list(env.agents)
-        obs, _, terminations, truncations, infos = env.step(actions)
-        step += 1
-        assert list(obs) == before
-        for name in before:
-            assert env.observation_space(name).contains(obs[name])
-            if terminations[name] or truncations[name]:
-                assert name not in ends
-                ends[name] = step
-                assert infos[name]["metrics"]["length"] == step
-    assert len(set(ends.values())) > 1
-    assert sorted(ends) == sorted(env.possible_agents)
-    assert env.step({}) == ({}, {}, {}, {}, {})
-    with pytest.raises(ResetNeededError):
-        env.step({"ego": np.zeros(2)})
-    with pytest.raises(ResetNeededError):
-        parallel_env(scenes=scenes[:1]).step({})
-
-
 def test_supersuit_wraps_it(scenes):
     supersuit = pytest.importorskip("supersuit")
     options = {"scenes": scenes, "agents": 3, "names": "slot", "horizon_steps": 20}
@@ -286,20 +185,24 @@ def test_copies_and_pickles_go_on_alike(scenes):
 
 
 def test_mistakes_are_named(scenes):
-    for options, kind in (
-        ({"agents": "every"}, ConfigError),
-        ({"agents": 0}, ConfigError),
-        ({"agents": ["nobody"]}, ConfigError),
-        ({"ranking": "height"}, ConfigError),
-        ({"names": "colour"}, ConfigError),
-        ({"controlled": "ego"}, ConfigError),
-        ({"adversaries": "egos"}, ConfigError),
+    for options in (
+        {"agents": "every"},
+        {"agents": 0},
+        {"ranking": "height"},
+        {"names": "colour"},
+        {"controlled": "ego"},
+        {"adversaries": "egos"},
+        {"num_slots": 3},
     ):
-        with pytest.raises(kind):
-            parallel_env(scenes=scenes, **options)
+        for make in (parallel_env, AgentVectorEnv):
+            if make is parallel_env or "names" not in options:
+                with pytest.raises(ConfigError):
+                    make(scenes=scenes, **options)
     env = parallel_env(scenes=scenes[:1], agents=2)
     with pytest.raises(UnknownNameError):
         env.action_space("nobody")
+    with pytest.raises(ResetNeededError):
+        env.step({})
     env.reset(seed=0)
     digest = env.worlds.native.digest(0)
     good = {name: np.zeros(2, np.float32) for name in env.agents}
@@ -312,9 +215,15 @@ def test_mistakes_are_named(scenes):
     ):
         with pytest.raises(ActionError):
             env.step(bad)
-    with pytest.raises(errors.UnknownNameError):
+    with pytest.raises(UnknownNameError):
         env.step({**good, "nobody": np.zeros(2)})
     assert env.worlds.native.digest(0) == digest
+    rows = AgentVectorEnv(2, scenes=scenes, **RULES)
+    with pytest.raises(ConfigError):
+        rows.reset(seed=[1, 2, 3])
+    rows.reset(seed=[1, 2])
+    with pytest.raises(ShapeError):
+        rows.step(np.zeros((2, 2)))
 
 
 def test_more_agents_than_there_are_are_refused_with_the_range(scenes):
@@ -341,35 +250,28 @@ def test_more_agents_than_there_are_are_refused_with_the_range(scenes):
     assert parallel_env(scenes=scenes, agents=int(most)).worlds.num_slots <= most
 
 
-# ---------------------------------------------------------------------------- starts that are drawn
-
-
 @pytest.mark.parametrize("ranking", ["nearest", "ttc", "cliques", "first", "random"])
 def test_vehicles_are_ranked_at_the_start_that_was_drawn(ranking):
-    options = {"traffic": "idm", "start_spread_steps": 60, "names": "slot"}
-    env = parallel_env(agents=4, adversaries=1, ranking=ranking, **options)
-    rows = ccdiff_env.AgentVectorEnv(
-        3, agents=4, ranking=ranking, traffic="idm", start_spread_steps=60
-    )
-    for seed in range(12):
-        _, infos = env.reset(seed=seed)
-        worlds = env.unwrapped.worlds
-        status = worlds.native.status(0)
+    options = {"agents": 4, "ranking": ranking, "traffic": "idm", "start_spread_steps": 60}
+    env = parallel_env(adversaries=1, names="slot", **options)
+    rows = AgentVectorEnv(3, **options)
+
+    def expect_ranked(worlds, e):
+        status = worlds.native.status(e)
         scene = worlds.scenes[status.scene_idx]
         expected = scene.ranked_vehicles(status.step_idx, ranking)[:4]
-        assert worlds.native.slot_agents(0)[: len(expected)] == expected
-        assert [infos[name]["agent_id"] for name in env.agents] == [
-            scene.agent_ids[a] for a in expected
-        ]
+        assert worlds.native.slot_agents(e)[: len(expected)] == expected
+        return [scene.agent_ids[a] for a in expected]
+
+    for seed in range(12):
+        _, infos = env.reset(seed=seed)
+        expected = expect_ranked(env.unwrapped.worlds, 0)
+        assert [infos[name]["agent_id"] for name in env.agents] == expected
         roles = [env.unwrapped.role(name) for name in env.agents]
         assert roles == ["ego", "adversary", "ego", "ego"][: len(expected)]
         rows.reset(seed=seed)
-        for e in range(3):
-            status = rows.worlds.native.status(e)
-            scene = rows.worlds.scenes[status.scene_idx]
-            expected = scene.ranked_vehicles(status.step_idx, ranking)[:4]
-            assert rows.worlds.native.slot_agents(e)[: len(expected)] == expected
-            assert rows.active_masks().reshape(3, -1)[e].sum() == len(expected)
+        counts = [len(expect_ranked(rows.worlds, e)) for e in range(3)]
+        assert rows.active_masks().reshape(3, -1).sum(axis=1).tolist() == counts
 
 
 def test_all_vehicles_are_those_of_the_start_that_was_drawn():
@@ -437,9 +339,7 @@ def test_rows_show_what_the_parallel_form_shows(scenes, more):
     assert ends > 10
 
 
-@pytest.mark.parametrize(
-    "form", [{"observation": "dict"}, {"observation": "bev"}, {"observation": "dict", "bev": {}}]
-)
+@pytest.mark.parametrize("form", [{"observation": "bev"}, {"observation": "dict", "bev": {}}])
 def test_dictionaries_rasters_and_indices_work_too(scenes, form):
     rows = AgentVectorEnv(2, scenes=scenes, discrete=True, **form, **RULES)
     game = parallel_env(scenes=scenes, discrete=True, names="slot", **form, **RULES)
@@ -456,17 +356,6 @@ def test_dictionaries_rasters_and_indices_work_too(scenes, form):
         for i in np.flatnonzero(infos.get("_final_obs", [])):
             assert rows.single_observation_space.contains(infos["final_obs"][i])
     assert rows.observation_space.contains(obs)
-
-
-def test_mistakes_are_named_of_agent_rows(scenes):
-    with pytest.raises(ConfigError):
-        AgentVectorEnv(1, scenes=scenes, num_slots=3)
-    rows = AgentVectorEnv(2, scenes=scenes, **RULES)
-    with pytest.raises(ConfigError):
-        rows.reset(seed=[1, 2, 3])
-    rows.reset(seed=[1, 2])
-    with pytest.raises(ShapeError):
-        rows.step(np.zeros((2, 2)))
 
 
 def test_sb3_counts_driven_episodes_only_and_learns(scenes):

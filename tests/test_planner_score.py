@@ -1,7 +1,5 @@
 """The score of planners by hand, beside scipy, and beside nuPlan's own classes where they are."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np
@@ -99,29 +97,20 @@ def test_ways_against_lanes_count_within_one_lane():
     assert right_way([*against(6.0, 4), *[(3, 98.2 + 2.0 * k) for k in range(9)]], 0.1) == 1.0
 
 
-def test_progress_is_a_share_of_the_logs_of_two_metres_at_least():
-    assert progress_share(30.0, 60.0) == 0.5
-    assert progress_share(90.0, 60.0) == 1.0
-    assert progress_share(0.0, 0.5) == 1.0  # a log that stands
-    assert progress_share(0.0, 8.0) == 0.25
-    assert progress_share(-1.9, 8.0) == 0.25
-    assert progress_share(-2.1, 0.0) == 0.0
-
-
-def test_one_object_costs_half_a_road_user_all():
-    assert no_at_fault({}) == 1.0
-    assert no_at_fault({"static": 1}) == 0.5
-    assert no_at_fault({"static": 2}) == 0.0
-    for kind in ("vehicle", "pedestrian", "cyclist", "motorcycle"):
-        assert no_at_fault({kind: 1}) == 0.0
-
-
 def test_the_score_is_the_product_and_the_weighted_mean():
+    # progress is a share of the log's of two metres at least; the third log stands
+    ways = [(30.0, 60.0), (90.0, 60.0), (0.0, 0.5), (0.0, 8.0), (-1.9, 8.0), (-2.1, 0.0)]
+    assert [progress_share(*way) for way in ways] == [0.5, 1.0, 1.0, 0.25, 0.25, 0.0]
+    # one object costs half, a road user all
+    hits = [{}, {"static": 1}, {"static": 2}, {"vehicle": 1}, {"pedestrian": 1}, {"cyclist": 1}]
+    assert [no_at_fault(hit) for hit in hits] == [1.0, 0.5, 0.0, 0.0, 0.0, 0.0]
     parts = dict.fromkeys(PROTOCOL.fields["score"]["gates"], 1.0)
     graded = {"ttc": 0.0, "progress": 0.5, "speed_limit": 0.5, "comfort": 1.0}
     assert score_of({**parts, **graded}) == pytest.approx((2.5 + 2.0 + 2.0) / 16)
     assert score_of({**parts, **graded, "right_way": 0.5}) == pytest.approx(6.5 / 32)
     assert score_of({**parts, **graded, "on_road": 0.0}) == 0.0
+    without_road = score_of({**parts, **graded, "on_road": None})
+    assert without_road == score_of({**parts, **graded, "on_road": 1.0})
 
 
 def street(*others, steps=150, ego_mps=None):

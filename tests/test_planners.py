@@ -1,7 +1,5 @@
 """Planners of every kind in the ego's seat: what they are given, what is refused, in one line."""
 
-from __future__ import annotations
-
 import copy
 import json
 from typing import ClassVar
@@ -32,41 +30,13 @@ from ccdiff_env_cli import main
 REPLAY = TRAFFIC["replay"]
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")[:2]
+NUM_SCENES = 2
 
 
 def trained(scenes, algorithm=PPO, policy="MlpPolicy", wrap=lambda env: env, **options):
     env = ccdiff_env.make_vec(2, scenes=scenes, autoreset_mode="same_step", **options)
     model = algorithm(policy, wrap(SB3VecEnv(env)), n_steps=8, batch_size=8, seed=0)
     return model.learn(16)
-
-
-class Counting:
-    """Counts its calls and the episodes that began."""
-
-    observation = "dict"
-    seen: list
-
-    def __init__(self, worlds):
-        self.began = np.zeros(worlds.num_worlds, int)
-        Counting.seen = [self]
-
-    def reset(self, worlds, indices):
-        self.began[indices] += 1
-
-    def __call__(self, obs):
-        self.obs = obs
-        return np.zeros((len(obs["ego"]), 2))
-
-
-def test_a_class_is_made_with_the_worlds_and_told_of_episodes(scenes):
-    drive(scenes, Counting, REPLAY)
-    planner = Counting.seen[0]
-    assert (planner.began >= 1).all()
-    assert planner.obs["agents_mask"].dtype == np.int8
-    assert planner.obs["ego"].shape[0] == 2
 
 
 class Bicycle:
@@ -91,14 +61,29 @@ def test_a_planner_names_the_options_it_needs_and_its_actions_are_held(scenes):
 
 
 class Sees:
-    """Keeps what it was given first."""
+    """Keeps what it was given first, and which episodes began."""
 
     def __init__(self, form, options):
-        self.observation, self.env_options, self.first = form, options, None
+        self.observation, self.env_options, self.first, self.began = form, options, None, set()
+
+    def reset(self, worlds, indices):
+        self.began |= {*indices}
 
     def __call__(self, obs):
         self.first = copy.deepcopy(obs) if self.first is None else self.first
         return np.zeros((2, 2))
+
+
+def test_a_class_is_made_with_the_worlds_and_told_of_episodes(scenes):
+    made = []
+
+    class Made(Sees):
+        def __init__(self, worlds):
+            super().__init__("dict", {})
+            made.append((self, worlds.num_worlds))
+
+    drive(scenes, Made, REPLAY)
+    assert all(planner.began == set(range(num_worlds)) for planner, num_worlds in made)
 
 
 @pytest.mark.parametrize(
@@ -116,6 +101,7 @@ def test_a_planner_is_given_what_an_environment_gives_in_that_form(scenes, form,
         planner.first, expected = {form: planner.first}, {form: expected}
     assert planner.first.keys() == expected.keys()
     for name, array in expected.items():
+        assert planner.first[name].dtype == array.dtype
         assert np.array_equal(planner.first[name], array), name
 
 
@@ -183,7 +169,10 @@ def test_pages_and_adversaries_take_every_planner(scenes, name):
         assert env.step(env.action_space.sample())[4] is not None
 
 
-@pytest.mark.parametrize("name", [*BUILT_IN, *SHIPPED, "test_planners:Bicycle"])
+OF_THE_WORLD = ("idm", "replay", "constant_velocity")
+
+
+@pytest.mark.parametrize("name", [*OF_THE_WORLD, *BUILT_IN, *SHIPPED, "test_planners:Bicycle"])
 def test_environments_take_every_planner_as_driver(scenes, name):
     """Egos go where they do in a page, alone and in vectors; given actions do nothing."""
     rollout = play_scene(scenes[0], traffic="idm", driver=name, seed=3)
@@ -286,14 +275,11 @@ def test_a_page_shows_a_policy_of_a_file(scenes, tmp_path, steps):
     rollout = play_scene(scenes[0], traffic="idm", driver=str(file))
     planned = drive(scenes[:1], str(file), TRAFFIC["idm"], record=scenes.names[:1])[1]
     same = slice(None, rollout.num_steps - 1)
-    assert np.array_equal(
-        rollout.position[0, same], planned[scenes[0].name].position[0, same], equal_nan=True
-    )
+    paths = [r.position[0, same] for r in (rollout, planned[scenes[0].name])]
+    assert np.array_equal(*paths, equal_nan=True)
     page = tmp_path / "page.html"
-    assert (
-        main(["view", scenes[0].name, "--traffic", "idm", "--driver", str(file), "-o", str(page)])
-        == 0
-    )
+    words = ["--traffic", "idm", "--driver", str(file), "-o", str(page)]
+    assert main(["view", scenes[0].name, *words]) == 0
     assert page.stat().st_size > 50_000
 
 
@@ -324,10 +310,7 @@ def test_normalised_observations_are_not_forgotten(scenes, tmp_path):
     expected = model.predict(normalised, deterministic=True)[0]
     np.testing.assert_allclose(seat(obs), expected, atol=1e-5)
     assert not hasattr(model, "ccdiff_env_statistics")
-
-
-def test_policies_that_say_nothing_are_refused(scenes, tmp_path):
-    model = trained(scenes)
+    # policies that say nothing are refused
     del model.observation_space.ccdiff_env
     model.save(tmp_path / "old.zip")
     with pytest.raises(ConfigError, match=r"old\.zip does not say what it was trained in"):
@@ -337,15 +320,8 @@ def test_policies_that_say_nothing_are_refused(scenes, tmp_path):
 QUICK = {"ccdiff": {"denoising_steps": 2}, "horizon_steps": 40}
 
 
-@pytest.fixture
-def worlds(scenes):
-    env = EgoVectorEnv(2, scenes=scenes)
-    yield env
-    env.close()
-
-
-def test_torch_has_one_thread_unless_told_otherwise(worlds):
-    before = torch.get_num_threads()
+def test_torch_has_one_thread_unless_told_otherwise(scenes):
+    worlds, before = EgoVectorEnv(2, scenes=scenes), torch.get_num_threads()
     try:
         for threads, found in ((3, 3), (None, 3), (1, 1)):
             SB3VecEnv(worlds, torch_threads=threads)

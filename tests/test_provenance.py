@@ -1,7 +1,5 @@
 """What a custom planner is made of: found without running anything."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

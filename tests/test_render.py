@@ -1,13 +1,10 @@
 """Images of scenes and from arrays, and files: pixels against shapely and arrays."""
 
-from __future__ import annotations
-
 import math
 import sys
 
 import numpy as np
 import pytest
-import shapely
 from array_scenes import agent, array_scene
 from PIL import Image
 
@@ -239,53 +236,3 @@ def test_drawing_the_logged_agents_over_the_map_is_the_image_of_the_log(scene):
 def test_what_cannot_be_drawn_is_refused_and_named_in_a_scene(scene, options, error, says):
     with pytest.raises(error, match=says):
         scene.render(**options)
-
-
-@pytest.mark.nuscenes
-def test_drivable_area_of_a_real_scene_is_where_shapely_says(data_root):
-    scenes, _ = _native.load_nuscenes(
-        str(data_root / "nuscenes"),
-        "v1.0-mini",
-        names=["scene-0103"],
-        exactly=True,
-        dt=0.5,
-        timing="recorded",
-        interpolation="linear",
-        ego_reference="rear_axle",
-        kinds=["vehicle"],
-        categories=["vehicle.ego"],
-        map_margin=100.0,
-        min_annotations=1,
-        require_map=True,
-        cache_directory=None,
-    )
-    scene, side, span_m = scenes[0], 400, 120.0
-    layers = scene.map_layers()
-    polygons = [shapely.Polygon(p["exterior"], p["holes"]) for p in layers["drivable_area"]]
-    drivable = shapely.union_all(polygons)
-    walkways = shapely.union_all([shapely.Polygon(p["exterior"]) for p in layers["walkways"]])
-    crossings = [shapely.Polygon(p["exterior"]) for p in layers["ped_crossings"]]
-    lines = [layer for name in ("road_dividers", "lane_dividers") for layer in layers[name]]
-    lines += [lane["centreline"] for lane in layers["lanes"]]
-    lines = shapely.union_all([shapely.LineString(line) for line in lines])
-    step = 10
-    tracks = scene.tracks()
-    image = scene.render(step, size=(side, side), span_m=span_m, **PLAIN)
-    centre = tracks["position"][0, step]
-    rows, columns = np.mgrid[2:side:5, 2:side:5].reshape(2, -1)
-    x = centre[0] + (columns + 0.5 - side / 2) * span_m / side
-    y = centre[1] - (rows + 0.5 - side / 2) * span_m / side
-    points = shapely.points(x, y)
-    # only pixels that one layer alone decides
-    clear = shapely.distance(drivable.boundary, points) > 1.0
-    clear &= shapely.distance(lines, points) > 0.8
-    clear &= shapely.distance(shapely.union_all([walkways, *crossings]), points) > 0.8
-    shown = tracks["valid"][:, step]
-    for where, size in zip(tracks["position"][shown, step], scene.sizes[shown], strict=True):
-        clear &= np.hypot(x - where[0], y - where[1]) > 0.5 * math.hypot(size[0], size[1]) + 1.0
-    inside = shapely.contains(drivable, points)
-    assert (clear & inside).sum() > 300
-    assert (clear & ~inside).sum() > 300
-    seen = image[rows, columns]
-    assert (seen[clear & inside] == COLOURS["drivable area"]).all()
-    assert (seen[clear & ~inside] == COLOURS["ground"]).all()

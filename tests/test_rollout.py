@@ -1,7 +1,5 @@
 """Recorded episodes: what they hold, and that files and scenes made of them say the same."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -20,14 +18,14 @@ def record(scene=None, scenes="val", **options):
     env.reset(seed=3, options={"scene": scene} if scene else None)
     recorder = Recorder(env, planner=options.get("driver", "straight"))
     recorder.start()
-    states, done = [env.worlds.native.states(0)], False
-    action = np.zeros(2, np.float32)
+    states, infos, done = [env.worlds.native.states(0)], [], False
     while not done:
-        _, _, terminated, truncated, _ = env.step(action)
+        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
         assert recorder.step()
         states.append(env.worlds.native.states(0))
+        infos.append(info)
         done = terminated or truncated
-    return env, recorder.rollout(), states
+    return env, recorder.rollout(), states, infos
 
 
 @pytest.fixture(scope="module")
@@ -39,14 +37,14 @@ def crash():
     """An ego that goes straight on until it hits something."""
     for scene in ccdiff_env.embedded_scenes("val"):
         options = {"on_off_road": "ignore", "terminate_at_goal": False}
-        env, rollout, _ = record(scenes=[scene], **options)
+        rollout = record(scenes=[scene], **options)[1]
         if rollout.collisions("ego"):
-            return env, rollout
+            return rollout
     raise AssertionError("nobody was hit")
 
 
-def test_states_are_those_that_the_world_showed(driven):
-    env, rollout, states = driven
+def test_states_and_figures_are_those_that_the_world_showed(driven):
+    env, rollout, states, infos = driven
     assert rollout.num_steps == len(states)
     assert rollout.start_step == 30
     for t, state in enumerate(states):
@@ -57,39 +55,22 @@ def test_states_are_those_that_the_world_showed(driven):
     assert rollout.meta["planner"] == "idm"
     assert rollout.meta["traffic"] == "idm"
     assert rollout.meta["config"]["horizon_steps"] == 100
-
-
-def test_figures_are_those_of_info():
-    env = EgoEnv(scenes="val", traffic="idm")
-    env.reset(seed=0)
-    recorder = Recorder(env)
-    recorder.start()
-    seen = []
-    for _ in range(5):
-        seen.append(env.step(np.array([0.3, 0.0], np.float32))[-1])
-        recorder.step()
-    info = recorder.rollout().info
     for name in ("speed", "ttc", "reward_progress"):
-        assert info[name].tolist() == [step[name] for step in seen]
+        assert rollout.info[name].tolist() == [info[name] for info in infos]
 
 
 def test_a_collision_is_listed_from_both_sides_where_the_boxes_begin_to_overlap():
-    _, rollout = crash()
+    rollout = crash()
     event = rollout.collisions("ego")[0]
     other = next(e for e in rollout.collisions(event.partner_id) if e.partner_id == "ego")
     assert (other.step, other.partner_id) == (event.step, "ego")
-    boxes = metrics.Motion(
-        rollout.position, rollout.heading, rollout.scene.sizes[:, :2], rollout.valid, dt_s=0.1
-    )
-    i, j = 0, rollout.agent_ids.index(event.partner_id)
+    partner = rollout.agent_ids.index(event.partner_id)
     controlled = np.arange(len(rollout.agent_ids)) == 0
-    assert boxes.collisions(controlled=controlled).matrix()[i, j]
-    before = metrics.Motion(
-        *(a[:, : event.step] for a in (rollout.position, rollout.heading)),
-        rollout.scene.sizes[:, :2],
-        rollout.valid[:, : event.step],
-    )
-    assert not before.collisions(controlled=controlled).matrix()[i, j]
+    for until, touch in ((None, True), (event.step, False)):
+        tracks = (a[:, :until] for a in (rollout.position, rollout.heading))
+        sizes, valid = rollout.scene.sizes[:, :2], rollout.valid[:, :until]
+        boxes = metrics.Motion(*tracks, sizes, valid, dt_s=0.1)
+        assert boxes.collisions(controlled=controlled).matrix()[0, partner] == touch
 
 
 def test_a_file_gives_the_same_episode(driven, tmp_path):
@@ -218,7 +199,7 @@ def test_recording_stops_at_the_end_of_the_episode():
 
 def test_plans_of_ccdiff_are_recorded_where_they_were_made():
     options = {"horizon_steps": 12, "terminate_at_goal": False, "on_collision": "ignore"}
-    _, rollout, _ = record(traffic="ccdiff", ccdiff={"denoising_steps": 2}, **options)
+    rollout = record(traffic="ccdiff", ccdiff={"denoising_steps": 2}, **options)[1]
     assert [plan.made_at for plan in rollout.plans] == [0, 5, 10]
     assert rollout.driver_names.count("ccdiff") >= 1
     for plan in rollout.plans:

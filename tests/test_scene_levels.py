@@ -1,14 +1,11 @@
 """Scenes in which roads pass over each other: what the loaders keep of heights."""
 
-from __future__ import annotations
-
 import json
 import pickle
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from array_scenes import rebuilt
 from shapely import Point, Polygon
 from shapely.ops import unary_union
 
@@ -21,16 +18,16 @@ from tests import overpass
 OBJECTS = [overpass.vehicle(1, overpass.on_bridge(0.0)), overpass.vehicle(2, overpass.below(-40.0))]
 
 
-def load(path: Path) -> Scene:
+def load(path):
     return ccdiff_env.load_gpudrive(path, cache=False)[0]
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Scene:
+def scene(tmp_path):
     return load(overpass.write(tmp_path / "bridge.json", OBJECTS))
 
 
-def area(scene: Scene, elevation_m: float) -> Any:
+def area(scene, elevation_m):
     """Road at an elevation, as shapely has it."""
     layers = scene.map_layers()
     ranges = layers["elevation_m"]["drivable_area"]
@@ -42,7 +39,7 @@ def area(scene: Scene, elevation_m: float) -> Any:
     return unary_union(polygons)
 
 
-def test_elevations_are_of_the_ground_and_roads_of_their_own_level(scene: Scene) -> None:
+def test_elevations_are_of_the_ground_and_roads_of_their_own_level(scene):
     np.testing.assert_allclose(scene.tracks()["elevation_m"][0], overpass.BRIDGE_M, atol=1e-5)
     np.testing.assert_allclose(scene.tracks()["elevation_m"][1], 0.0, atol=1e-5)
     layers = scene.map_layers()
@@ -62,7 +59,7 @@ def test_elevations_are_of_the_ground_and_roads_of_their_own_level(scene: Scene)
     assert layers["elevation_m"]["road_dividers"].tolist() == [[0.0, 0.0]]
 
 
-def test_a_scene_with_levels_is_told_of_and_kept(tmp_path: Path) -> None:
+def test_a_scene_with_levels_is_told_of_and_kept(tmp_path):
     path = overpass.write(tmp_path / "bridge.json", OBJECTS)
     first, second = (ccdiff_env.load_gpudrive(path, cache=tmp_path / "cache") for _ in range(2))
     assert (first.report.cache.hits, second.report.cache.hits) == (0, 1)
@@ -72,8 +69,8 @@ def test_a_scene_with_levels_is_told_of_and_kept(tmp_path: Path) -> None:
     assert (again.tracks()["elevation_m"] == first[0].tracks()["elevation_m"]).all()
 
 
-def test_hills_are_flat(tmp_path: Path) -> None:
-    def place(t: float) -> tuple[float, float, float]:
+def test_hills_are_flat(tmp_path):
+    def place(t):
         return (10 * t, 0.0, 1.5 * t)  # 15 % steep, 13 m up
 
     lane = {
@@ -89,7 +86,7 @@ def test_hills_are_flat(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("height", [1e9, -10_000.0, 1e300])
-def test_heights_that_are_none_on_earth_are_refused(tmp_path: Path, height: float) -> None:
+def test_heights_that_are_none_on_earth_are_refused(tmp_path, height):
     objects = json.loads(json.dumps(OBJECTS))
     objects[1]["position"][7]["z"] = height
     with pytest.raises(DatasetError, match=r"objects\[1\].position\[7\].*z.*9 km"):
@@ -101,7 +98,7 @@ def test_heights_that_are_none_on_earth_are_refused(tmp_path: Path, height: floa
 
 
 @pytest.mark.parametrize("of", ["object", "road"])
-def test_without_all_heights_a_scene_is_flat_and_says_so(tmp_path: Path, of: str) -> None:
+def test_without_all_heights_a_scene_is_flat_and_says_so(tmp_path, of):
     objects, roads = json.loads(json.dumps(OBJECTS)), overpass.roads()
     if of == "object":
         objects[1]["position"][7].pop("z")
@@ -113,7 +110,7 @@ def test_without_all_heights_a_scene_is_flat_and_says_so(tmp_path: Path, of: str
     assert any("1 places without a height" in note for note in found.report.scenes[0].notes)
 
 
-def test_scenarionet_files_hand_heights_on(scene: Scene, tmp_path: Path) -> None:
+def test_scenarionet_files_hand_heights_on(scene, tmp_path):
     write_scenario(scene, tmp_path / "own.pkl")
     again = ccdiff_env.load_scenarionet(tmp_path / "own.pkl")[0]
     np.testing.assert_allclose(
@@ -162,52 +159,30 @@ def test_scenarionet_files_hand_heights_on(scene: Scene, tmp_path: Path) -> None
     assert any("flat" in note for note in flat.report.scenes[0].notes)
 
 
-def test_arrays_with_heights_that_do_not_fit_are_refused(scene: Scene) -> None:
-    def build(elevation_m: Any, layers: Any = None) -> Scene:
-        tracks = scene.tracks()
-        tracks.pop("elevation_m")
-        return Scene.from_arrays(
-            "s",
-            agent_ids=scene.agent_ids,
-            agent_types=scene.agent_types,
-            sizes=scene.sizes,
-            map_layers=layers or scene.map_layers(),
-            elevation_m=elevation_m,
-            **tracks,
-        )
-
+def test_arrays_with_heights_that_do_not_fit_are_refused(scene):
     good = scene.tracks()["elevation_m"]
-    assert (build(good).tracks()["elevation_m"] == good).all()
+    assert (rebuilt(scene).tracks()["elevation_m"] == good).all()
     for wrong in (np.nan, np.inf, 1e30, -9001.0):
         bad = good.copy()
         bad[1, 3] = wrong
         with pytest.raises(SceneError, match=r"tracks.elevation_m\[94\]"):
-            build(bad)
+            rebuilt(scene, elevation_m=bad)
     with pytest.raises(ShapeError, match="elevation_m has shape"):
-        build(good[:, :-1])
-    for change, message in (
-        (
-            lambda m: m["lanes"][0].update(elevation_m=np.zeros(3, np.float32)),
-            r"lanes\[0\].elevation_m",
-        ),
-        (lambda m: m["lanes"][0].update(elevation_m="high"), "elevation_m"),
-        (
-            lambda m: m["elevation_m"].update(road_dividers=np.zeros((9, 2), np.float32)),
-            "road_dividers",
-        ),
-        (
-            lambda m: m["elevation_m"].update(road_dividers=np.full((1, 2), np.nan, np.float32)),
-            "road_dividers",
-        ),
-        (lambda m: m["elevation_m"].update(roofs=np.zeros((1, 2), np.float32)), "roofs"),
+        rebuilt(scene, elevation_m=good[:, :-1])
+    for of, wrong, message in (
+        ("lane", {"elevation_m": np.zeros(3, np.float32)}, r"lanes\[0\].elevation_m"),
+        ("lane", {"elevation_m": "high"}, "elevation_m"),
+        ("map", {"road_dividers": np.zeros((9, 2), np.float32)}, "road_dividers"),
+        ("map", {"road_dividers": np.full((1, 2), np.nan, np.float32)}, "road_dividers"),
+        ("map", {"roofs": np.zeros((1, 2), np.float32)}, "roofs"),
     ):
         layers = scene.map_layers()
-        change(layers)
+        (layers["lanes"][0] if of == "lane" else layers["elevation_m"]).update(wrong)
         with pytest.raises(CcdiffError, match=message):
-            build(good, layers)
+            rebuilt(scene, map_layers=layers)
 
 
-def test_bytes_of_an_earlier_format_are_refused(scene: Scene) -> None:
+def test_bytes_of_an_earlier_format_are_refused(scene):
     data = bytearray(scene.to_bytes())
     assert data[8] == 4
     data[8] = 3

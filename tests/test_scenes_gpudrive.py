@@ -1,7 +1,5 @@
 """Waymo scenes in GPUDrive's JSON: against what they were drawn from, and hostile ones."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math
@@ -11,7 +9,8 @@ import warnings
 
 import numpy as np
 import pytest
-from array_scenes import played
+import shapely
+from array_scenes import played, rebuilt
 from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene
 
 import ccdiff_env
@@ -40,21 +39,15 @@ def test_a_file_becomes_a_scene(loaded):
     (report,) = loaded.report.scenes
     assert (report.road, report.map_layers["lanes"]) == ("edges", 3)
     assert [(d.reason, d.tracks) for d in report.dropped] == [("fewer than 2 steps", 1)]
-    assert sorted(note.split('"')[1] for note in report.notes) == [
-        "lane",
-        "speed_bump",
-        "stop_sign",
-    ]
-
-
-def test_lanes_follow_where_one_ends_and_another_begins(loaded):
-    lanes = loaded[0].map_layers()["lanes"]
+    notes = sorted(note.split('"')[1] for note in report.notes)
+    assert notes == ["lane", "speed_bump", "stop_sign"]
+    # lanes follow where one ends and another begins
+    lanes = waymo.map_layers()["lanes"]
     assert [lane["successors"] for lane in lanes] == [[1], [], []]
     assert [lane["predecessors"] for lane in lanes] == [[], [0], []]
 
 
 def test_edges_bound_the_road(loaded):
-    shapely = pytest.importorskip("shapely")
     waymo = loaded[0]
     assert waymo.has_road
     areas = [
@@ -76,16 +69,14 @@ def test_edges_bound_the_road(loaded):
     assert (found[told] == expected[told].astype(bool)).all()
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.6])
-def test_who_leaves_the_road_is_off_it(loaded, turn):
-    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, traffic="idm")
-    *_, (_, _, info) = played(env, np.array([1.0, turn], dtype=np.float32))
-    assert info["off_road"], "straight on over the kerb, or a turn over the median"
-
-
-def test_the_logged_ego_stays_on_the_road(loaded):
-    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=80, driver="replay")
-    assert not any(info["off_road"] for *_, info in played(env))
+def test_who_leaves_the_road_is_off_it(loaded):
+    options = {"scenes": loaded, "history_steps": 10, "horizon_steps": 80}
+    for turn in (0.0, 0.6):  # straight on over the kerb, or a turn over the median
+        action = np.array([1.0, turn], np.float32)
+        *_, (_, _, info) = played(ccdiff_env.EgoEnv(traffic="idm", **options), action)
+        assert info["off_road"]
+    log = ccdiff_env.EgoEnv(driver="replay", **options)
+    assert not any(info["off_road"] for *_, info in played(log))
 
 
 def test_folders_and_patterns_are_read_when_looked_at(tmp_path):
@@ -156,9 +147,7 @@ def test_networks_and_images_see_the_road(loaded):
     states = [env.step(env.action_space.sample() * 0)[0] for _ in range(10)]
     assert np.isfinite(np.stack(states)).all()
     image = loaded[0].render(10, size=(300, 300), span_m=100.0)
-    bare = loaded[0].map_layers() | {"drivable_area": []}
-    kept = {name: getattr(loaded[0], name) for name in ("agent_ids", "agent_types", "sizes")}
-    without = ccdiff_env.Scene.from_arrays("bare", **kept, **loaded[0].tracks(), map_layers=bare)
+    without = rebuilt(loaded[0], map_layers=loaded[0].map_layers() | {"drivable_area": []})
     shown = (image != without.render(10, size=(300, 300), span_m=100.0)).any(axis=-1).mean()
     assert shown > 0.05, "the road's surface is drawn"
 
@@ -245,24 +234,13 @@ def test_damaged_and_odd_files_are_refused(tmp_path):
         ccdiff_env.load_gpudrive(path, cache=False)[0]
 
 
-def test_a_million_roads_cost_little_more_than_their_bytes(tmp_path):
+def test_a_million_roads_and_far_ones_cost_little_more_than_their_bytes(tmp_path):
     data = scene()
     data["roads"] += [{"type": "lane", "geometry": [{"x": 0, "y": 0}]}] * 1_000_000
+    line = [{"x": CENTRE[0] + 9e5, "y": CENTRE[1] + 9e5}, data["roads"][4]["geometry"][0]]
+    data["roads"].append({"type": "road_edge", "map_element_id": 15, "geometry": line})
     waymo = ccdiff_env.load_gpudrive(save(tmp_path / "many.json", data), cache=False)[0]
     assert len(waymo.map_layers()["lanes"]) == 3
-
-
-def test_far_roads_do_not_cost_their_distance(tmp_path):
-    data = scene()
-    far = {"x": CENTRE[0] + 9e5, "y": CENTRE[1] + 9e5}
-    data["roads"].append(
-        {
-            "type": "road_edge",
-            "map_element_id": 15,
-            "geometry": [far, data["roads"][4]["geometry"][0]],
-        }
-    )
-    waymo = ccdiff_env.load_gpudrive(save(tmp_path / "far.json", data), cache=False)[0]
     assert waymo.has_road
 
 

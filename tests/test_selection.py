@@ -1,7 +1,5 @@
 """Choice of adversaries: rows against numpy, rewards, vector form, learners, policy files."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle
@@ -243,7 +241,6 @@ def test_damaged_policy_files_are_refused(tmp_path, policy):
         (lambda t, h: t.update({"more": t["row.0.bias"]}), "more"),
         (lambda t, h: h.update(features=["x"]), "features"),
         (lambda t, h: h.update(strengths=[-1.0]), "strengths"),
-        (lambda t, h: h.update(max_candidates=10**9), "strengths"),
         (lambda t, h: h.update(kind="ccdiff"), "kind"),
     ):
         tensors, metadata = read_tensors(policy[1])

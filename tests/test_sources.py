@@ -1,24 +1,19 @@
 """Data sources: texts, the argument block, coverage, and what scenes without a road do not have."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import pickle
 import re
-import sys
 import warnings
 
 import numpy as np
 import pytest
-from planner_run import PARTS
+from array_scenes import rebuilt
 from test_scenes_scenarionet import scenario
 
 import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, mean_interval
-from ccdiff_env.bench.planner_score import score_of
-from ccdiff_env.bench.scenes import scene_names, source_title
-from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError, UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.scenes import of_kinds
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -33,6 +28,7 @@ from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
 
 FOLDER, MINI = "/data/nuscenes", "v1.0-mini"
+PLANNERS = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
 
 
 @pytest.mark.parametrize(
@@ -96,35 +92,6 @@ def test_wrong_texts_are_told_with_the_sources_there_are(text, message):
         assert part in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"traffic": "IDM"}, "did you mean 'idm'"),
-        ({"traffic": lambda world: 0}, "expected PythonTraffic"),
-        ({"scenes": "embeded"}, "did you mean 'embedded'"),
-        ({"scenes": []}, "at least one scene"),
-        ({"traffic": []}, "traffic is"),
-    ],
-)
-def test_options_that_many_mistake_say_what_is_meant(options, message):
-    with pytest.raises((ConfigError, UnknownNameError), match=message):
-        ccdiff_env.EgoEnv(**options)
-
-
-def test_a_file_that_is_no_scenario_says_so(tmp_path):
-    (tmp_path / "note.pkl").write_text("hello")
-    with pytest.raises(DatasetError, match="no pickle, expected a scenario description"):
-        ccdiff_env.load_scenarionet(tmp_path / "note.pkl")
-
-
-def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
-    from ccdiff_env.bench.ray import results_of_tasks
-
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingFeatureError, match="pip install 'ray"):
-        next(results_of_tasks(len, [[]]))
-
-
 def test_embedded_scenes_are_those_of_their_splits():
     splits = embedded_splits()
     for text, names in {
@@ -174,9 +141,8 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert said == "1 of 150 scenes of val"
     assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"
     out = tmp_path / "run"
-    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
-        assert main([*command, "--scenes", str(place), "--out", str(out)]) == 0
+        assert main([*PLANNERS, "--scenes", str(place), "--out", str(out)]) == 0
     settings = json.loads((out / "run.json").read_text())
     assert settings["source"] == str(place)
     assert settings["coverage"] == said
@@ -194,9 +160,8 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
 
 def test_a_limit_counts_the_scenes_that_are_played(tmp_path, capsys):
     out = tmp_path / "run"
-    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
     few = ["--scenes", "embedded/city", "--limit", "2", "--seeds", "0", "--out", str(out)]
-    assert main([*command, *few]) == 0
+    assert main([*PLANNERS, *few]) == 0
     said = "2 of 200 scenes of city"
     assert json.loads((out / "run.json").read_text())["coverage"] == said
     assert f"embedded scenes, {said}, the first 2" in (out / "report.html").read_text()
@@ -216,36 +181,27 @@ def arguments(words, use="test", **options):
     return parser.parse_args(words)
 
 
+NO = "nuscenes:/no@"
+
+
 @pytest.mark.parametrize(
     ("words", "played", "trained"),
     [
-        ([], "embedded/val", "embedded/train"),
-        (["--split", "all", "--limit", "2"], "embedded/all?limit=2", "embedded/train?limit=2"),
-        (["--scenes", "embedded"], "embedded/val", "embedded/train"),
+        ("", "embedded/val", "embedded/train"),
+        ("--split all --limit 2", "embedded/all?limit=2", "embedded/train?limit=2"),
+        ("--scenes embedded", "embedded/val", "embedded/train"),
+        ("--dataroot /no", f"{NO}v1.0-trainval/ccdiff100", f"{NO}v1.0-trainval/train+train_val"),
+        (f"--dataroot /no --version {MINI}", f"{NO}{MINI}/mini_val", f"{NO}{MINI}/mini_train"),
+        (f"--scenes {NO}mine/all --train-split train val", f"{NO}mine/all", f"{NO}mine/train+val"),
         (
-            ["--dataroot", "/no"],
-            "nuscenes:/no@v1.0-trainval/ccdiff100",
-            "nuscenes:/no@v1.0-trainval/train+train_val",
-        ),
-        (
-            ["--dataroot", "/no", "--version", MINI],
-            f"nuscenes:/no@{MINI}/mini_val",
-            f"nuscenes:/no@{MINI}/mini_train",
-        ),
-        (
-            ["--scenes", f"nuscenes:/no@{MINI}/all", "--train-split", "train", "val"],
-            f"nuscenes:/no@{MINI}/all",
-            f"nuscenes:/no@{MINI}/train+val",
-        ),
-        (
-            ["--scenes", "scenarionet:/a", "--train-scenes", "scenarionet:/b"],
+            "--scenes scenarionet:/a --train-scenes scenarionet:/b",
             "scenarionet:/a",
             "scenarionet:/b",
         ),
     ],
 )
 def test_short_forms_and_texts_name_the_same(words, played, trained):
-    args = arguments(words)
+    args = arguments(words.split())
     assert str(place_from(args)) == played
     assert str(other_place(args)) == trained
 
@@ -258,88 +214,32 @@ def test_short_forms_and_texts_name_the_same(words, played, trained):
         (["--version", MINI], "--version is of --dataroot"),
         (["--split", "vla"], "no split 'vla'"),
         (["--limit", "0"], "limit is 0"),
-    ],
-)
-def test_contradictions_are_refused(words, message, capsys):
-    with pytest.raises(ConfigError, match=message):
-        place_from(arguments(words))
-    assert main(["scenes", *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
         (["--scenes", "scenarionet:/a"], "scenarionet:/a has no split to train on"),
         (["--dataroot", "/a", "--version", "mine"], "no split to train on"),
         (["--train-scenes", "embedded", "--train-split", "val"], "give one of them"),
     ],
 )
-def test_scenes_of_training_must_be_known(words, message):
+def test_contradictions_are_refused(words, message, capsys):
+    trains = "train" in message or "them" in message
     with pytest.raises(ConfigError, match=message):
-        other_place(arguments(words))
+        (other_place if trains else place_from)(arguments(words))
+    if not trains:
+        assert main(["scenes", *words]) == 2
+        assert message in capsys.readouterr().err
 
 
-def test_a_new_source_is_one_record(monkeypatch, tmp_path, capsys):
-    town = ccdiff_env.embedded_scenes("val")
-    loads = []
+def test_figures_of_the_road_are_not_available_without_one(monkeypatch, tmp_path):
+    def bare(place):
+        town = ccdiff_env.embedded_scenes("val")[:2]
+        return ccdiff_env.SceneSet(
+            rebuilt(s, map_layers={**s.map_layers(), "drivable_area": []}) for s in town
+        )
 
-    def load(place):
-        loads.append(place)
-        return ccdiff_env.SceneSet(town[: int(place.path)])
-
-    monkeypatch.setitem(SOURCES, "dummy", Source("dummy", "Dummies", load, path="COUNT"))
-    text = "dummy:3"
-    assert ccdiff_env.load(text, limit=2).names == town.names[:2]
-    assert scene_names(text) == list(town.names[:3])
-    assert source_title(text) == "Dummies 3"
-    out, page = tmp_path / "run", tmp_path / "page.html"
-    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
-    assert main([*command, "--scenes", text, "--out", str(out), "--limit", "1"]) == 0
-    assert json.loads((out / "run.json").read_text())["source"] == f"{text}?limit=1"
-    assert main(["view", town.names[2], "--scenes", text, "-o", str(page)]) == 0
-    assert town.names[2] in page.read_text()
-    capsys.readouterr()
-    assert main(["scenes", "--scenes", text]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2 + 3
-    assert ccdiff_env.make_vec(1, scenes=text).reset(seed=0)[0].shape[0] == 1
-    assert main(["view", town.names[3], "--scenes", text]) == 2
-    assert "in dummy:3: no scene" in capsys.readouterr().err
-    with pytest.raises(ConfigError, match="dummy:COUNT"):
-        ccdiff_env.load("dumy:3")
-    assert all(place.source == "dummy" for place in loads)
-
-
-def without_road(scene):
-    """The scene without its drivable area."""
-    tracks = scene.tracks()
-    return ccdiff_env.Scene.from_arrays(
-        scene.name,
-        agent_ids=scene.agent_ids,
-        agent_types=scene.agent_types,
-        agent_categories=scene.agent_categories,
-        sizes=scene.sizes,
-        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
-        dt=scene.dt,
-        map_layers={**scene.map_layers(), "drivable_area": []},
-    )
-
-
-@pytest.fixture
-def roadless(monkeypatch):
-    """A source of scenes of which the first two have no road."""
-    town = ccdiff_env.embedded_scenes("val")
-    scenes = ccdiff_env.SceneSet([*map(without_road, town[:2]), *town[2:]])
-    assert [scene.has_road for scene in scenes[:3]] == [False, False, True]
-    source = Source("town", "Town", lambda place: scenes[: int(place.path)], path="COUNT")
-    monkeypatch.setitem(SOURCES, "town", source)
-
-
-def test_figures_of_the_road_are_not_available_without_one(roadless, tmp_path, capsys):
+    assert not bare(None)[0].has_road
+    monkeypatch.setitem(SOURCES, "town", Source("town", "Town", bare, path="COUNT"))
     common = ["--scenes", "town:2", "--quiet"]
     out = tmp_path / "planners"
-    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--out", str(out)]
-    assert main([*command, *common]) == 0
+    assert main([*PLANNERS, "--out", str(out), *common]) == 0
     head, row = (out / "figures.csv").read_text().splitlines()[:2]
     cells = dict(zip(head.split(","), row.split(","), strict=True))
     assert cells["on_road"] == ""
@@ -355,23 +255,6 @@ def test_figures_of_the_road_are_not_available_without_one(roadless, tmp_path, c
     assert "nan" not in text
     rows = json.loads(next((out / "raw").glob("constant_velocity-*.json")).read_text())["result"]
     assert all(row["off_road"] is None and row["num_agents"] > 1 for row in rows)
-
-
-def test_scenes_with_a_road_count_where_others_have_none(roadless, tmp_path):
-    out = tmp_path / "run"
-    command = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--quiet"]
-    assert main([*command, "--scenes", "town:12", "--seeds", "0", "--out", str(out)]) == 0
-    (result,) = (out / "raw").glob("*.json")
-    rows = json.loads(result.read_text())["result"]
-    rows = rows if isinstance(rows, list) else rows["rows"]
-    known = [row["on_road"] for row in rows if row["on_road"] is not None]
-    assert len(known) == 10
-    assert mean_interval(rows, "on_road")[0] == pytest.approx(np.mean(known))
-
-
-def test_the_score_without_a_road_is_that_of_the_other_parts():
-    parts = dict.fromkeys(PARTS, 0.5)
-    assert score_of({**parts, "on_road": None}) == score_of({**parts, "on_road": 1.0}) > 0.0
 
 
 def test_intervals_need_ten_scenes_and_known_figures():
@@ -397,12 +280,6 @@ def test_a_load_without_roads_warns_once(tmp_path):
     with pytest.warns(UserWarning, match="2 of 2 scenes have no road") as caught:
         ccdiff_env.load(f"scenarionet:{tmp_path}")
     assert len([w for w in caught if w.category is UserWarning]) == 1
-
-
-def test_run_folders_of_the_former_form_are_refused_in_a_line():
-    with pytest.raises(ConfigError, match="an older release") as caught:
-        source_title({"embedded": "val"})
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.nuscenes

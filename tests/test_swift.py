@@ -1,43 +1,25 @@
 """Swift traffic: what drives by a small network, its dial, and how it is taught."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from traffic_play import Play
 
 import ccdiff_env
 from ccdiff_env import _native
-from ccdiff_env.config import CcdiffConfig, WorldConfig
+from ccdiff_env.config import CcdiffConfig
 from ccdiff_env.envs import distil
 from ccdiff_env.errors import CcdiffError, CheckpointError, ConfigError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import SWIFT, NamedDriver
-from ccdiff_env.worlds import Worlds
 from ccdiff_env_cli import main
 
 
-@pytest.fixture(scope="module")
-def scenes():
-    return ccdiff_env.embedded_scenes("val")
-
-
-def played(scenes, steps=30, *, num_threads=1, seed=3, **options):
-    """Positions [W, steps, A, 2] of all agents, worlds of every scene side by side."""
-    goes_on = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
-    config = WorldConfig().with_options(traffic=SWIFT, driver="idm", **goes_on, **options)
-    worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=num_threads)
-    native, out = worlds.native, worlds.arrays()
-    native.reset([seed] * len(scenes), list(range(len(scenes))), None, out)
-    actions = np.zeros((len(scenes), 1, native.action_width), np.float32)
-    tracks = []
-    for _ in range(steps):
-        native.step(actions, out, None)
-        tracks.append([native.states(i)["position"].copy() for i in range(len(scenes))])
-    return worlds, tracks
+def driven(scenes, **options):
+    return Play(scenes, SWIFT, **{"driver": "idm", **options})
 
 
 def same(a, b):
@@ -45,58 +27,33 @@ def same(a, b):
     return all(np.array_equal(x, y) for s, t in steps for x, y in zip(s, t, strict=True))
 
 
-def test_bits_depend_on_seed_alone(scenes):
-    _, one = played(scenes)
-    assert same(one, played(scenes, num_threads=3)[1])
-    assert not same(one, played(scenes, seed=4)[1])
-    alone = ccdiff_env.scenes.SceneSet([scenes[2]])
-    assert same([[step[2]] for step in one], played(alone)[1])
-
-
-def test_plans_are_explained_and_snapshots_go_on(scenes):
-    worlds, _ = played(scenes, steps=12, ccdiff={"criticality": 2.0})
-    native = worlds.native
-    plan = worlds.explain(0)
-    assert plan is not None
+def test_plans_are_explained(scenes):
+    play = driven(scenes[:1], ccdiff={"criticality": 2.0})
+    play.step(12)
+    plan = play.worlds.explain(0)
     assert plan.made_at == 10
     assert plan.samples.shape[2] == 5
     assert plan.guided.any()
-    out = worlds.last
-    state, actions = native.snapshot(0), np.zeros((len(scenes), 1, native.action_width), np.float32)
-    first = []
-    for _ in range(8):
-        native.step(actions, out, None)
-        first.append(native.states(0)["position"].copy())
-    native.restore(0, state)
-    for expected in first:
-        native.step(actions, out, None)
-        assert np.array_equal(native.states(0)["position"], expected)
 
 
 def test_who_is_parked_or_walks_does_as_logged(scenes):
-    for scene, i in zip(scenes, range(len(scenes)), strict=True):
-        del i
+    moved = driven(scenes).positions(10)
+    for i, scene in enumerate(scenes):
         tracks = scene.tracks()
         span = np.where(tracks["valid"][..., None], tracks["position"], np.nan)
         still = np.nanmax(np.nanmax(span, 1) - np.nanmin(span, 1), 1) < 0.5
-        _, moved = played(ccdiff_env.scenes.SceneSet([scene]), steps=10)
         for a in np.flatnonzero(still & tracks["valid"][:, 30]):
-            assert np.array_equal(moved[0][0][a], moved[-1][0][a])
+            assert np.array_equal(moved[0][i][a], moved[-1][i][a])
 
 
 def test_the_dial_is_whose_world_it_is(scenes):
     """A strength asked for is as one configured; guided vehicles may be named."""
-    config = WorldConfig().with_options(traffic=SWIFT, driver="idm")
-    worlds = Worlds(scenes, config, num_worlds=1, num_threads=1)
-    native, out = worlds.native, worlds.arrays()
-    actions = np.zeros((1, 1, native.action_width), np.float32)
 
-    def after(criticality, guided=None):
-        native.reset([5], [0], None, out)
-        native.override_plan(0, guided=guided, criticality=criticality)
-        for _ in range(20):
-            native.step(actions, out, None)
-        return native.states(0)["position"].copy(), worlds.explain(0)
+    def after(criticality, guided=None, **options):
+        play = driven(scenes[:1], seed=5, **options)
+        play.native.override_plan(0, guided=guided, criticality=criticality)
+        play.step(20)
+        return play.states()["position"], play.worlds.explain(0)
 
     calm, _ = after(None)
     critical, plan = after(3.0)
@@ -105,21 +62,7 @@ def test_the_dial_is_whose_world_it_is(scenes):
     last = int(plan.ranking[-1])
     named = after(3.0, [last])[1]
     assert named.agents[named.guided].tolist() == [last]
-    configured = played(
-        ccdiff_env.scenes.SceneSet([scenes[0]]), 20, seed=5, ccdiff={"criticality": 3.0}
-    )[1]
-    assert np.array_equal(configured[-1][0], critical)
-
-
-def test_environments_curricula_and_shares_take_it(scenes):
-    env = ccdiff_env.make_vec(
-        4, scenes=scenes, traffic={SWIFT: 0.5, "idm": 0.5}, criticality=(0.0, 2.0)
-    )
-    env.reset(seed=0)
-    for _ in range(6):
-        obs, *_ = env.step(env.action_space.sample())
-    assert np.isfinite(obs).all()
-    env.close()
+    assert np.array_equal(after(None, ccdiff={"criticality": 3.0})[0], critical)
 
 
 @pytest.mark.parametrize(
@@ -134,7 +77,7 @@ def test_environments_curricula_and_shares_take_it(scenes):
 )
 def test_what_it_cannot_do_is_refused(scenes, options, text):
     with pytest.raises(CcdiffError, match=text):
-        played(scenes, 1, **options)
+        driven(scenes, **options).step()
 
 
 DIAL = [[0.0, 0.0], [1.0, 2.0], [2.0, 5.0]]
@@ -148,13 +91,10 @@ def written(file, dial=DIAL, **changed):
 
 @pytest.mark.parametrize(("criticality", "strength"), [(0.5, 1.0), (1.5, 3.5), (4.0, 11.0)])
 def test_the_dial_goes_through_its_pairs_and_on(scenes, tmp_path, criticality, strength):
-    same_strength = [[0.0, 0.0], [criticality, strength]]
-    own = [
-        played(scenes, 10, ccdiff={**written(tmp_path / "x.st", dial), "criticality": criticality})[
-            1
-        ]
-        for dial in (DIAL, same_strength, [[0.0, 0.0], [criticality, strength + 3.0]])
-    ]
+    own = []
+    for dial in (DIAL, [[0, 0], [criticality, strength]], [[0, 0], [criticality, strength + 3.0]]):
+        options = {**written(tmp_path / "x.st", dial), "criticality": criticality}
+        own.append(driven(scenes, ccdiff=options).positions(10))
     assert same(own[0], own[1])
     assert not same(own[0], own[2])
 
@@ -164,7 +104,8 @@ def test_only_guided_vehicles_are_told_of_the_ego(scenes, tmp_path):
     layer[:, distil.OWN : distil.OWN + 2 * distil.EGO + 1] += 0.1
     options = [written(tmp_path / "a.st"), written(tmp_path / "b.st", **{"trunk.0.weight": layer})]
     for criticality in (0.0, 2.0):
-        own = [played(scenes, 10, ccdiff={**o, "criticality": criticality})[1] for o in options]
+        told = [{**o, "criticality": criticality} for o in options]
+        own = [driven(scenes, ccdiff=ccdiff).positions(10) for ccdiff in told]
         assert same(*own) == (criticality == 0.0)
 
 
@@ -181,12 +122,12 @@ def test_only_guided_vehicles_are_told_of_the_ego(scenes, tmp_path):
 )
 def test_damaged_files_are_named(scenes, tmp_path, changes, text):
     with pytest.raises(CheckpointError, match=text):
-        played(scenes, 1, ccdiff=written(tmp_path / "own.safetensors", **changes))
+        driven(scenes, ccdiff=written(tmp_path / "own.safetensors", **changes)).step()
 
 
 def test_a_learned_choice_guides_it_and_who_chooses_at_a_cost_is_refused(scenes):
     """The shift of a plan in standard deviations is of networks that denoise."""
-    played(scenes, 10, ccdiff={"criticality": 1.0, "adversary_policy": "learned"})
+    driven(scenes, ccdiff={"criticality": 1.0, "adversary_policy": "learned"}).step(10)
     env = ccdiff_env.envs.AdversarySelectionVectorEnv(1, scenes=scenes, traffic=SWIFT)
     env.reset(seed=0)
     assert env.action_masks()[0, 0]

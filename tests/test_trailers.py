@@ -1,10 +1,8 @@
 """A truck and its trailer, two boxes that overlap and move together in the log, stay hitched."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from array_scenes import TIMES_S, agent, array_scene, played
+from array_scenes import TIMES_S, agent, array_scene, log_env, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
@@ -27,13 +25,7 @@ def hitched(x, y=20.0, **more):
 @pytest.mark.parametrize("starts", [False, True])
 def test_they_stay_hitched_whatever_drives(traffic, starts):
     x = 20.0 + (np.maximum(TIMES_S - 3.2, 0.0) ** 2 if starts else 8.0 * TIMES_S)
-    env = EgoEnv(
-        scenes=[array_scene(EGO, *hitched(x))],
-        driver="replay",
-        traffic=traffic,
-        terminate_at_goal=False,
-    )
-    for _, states, _ in played(env):
+    for _, states, _ in played(log_env(EGO, *hitched(x), traffic=traffic)):
         assert states["active"][1] == states["active"][2]
         if states["active"][1]:
             gap = states["position"][1] - states["position"][2]
@@ -62,10 +54,9 @@ def test_a_towed_box_rolls_round_a_bend_like_a_trailer():
     x2, y2 = 30.0 * np.sin(way - 8.2 / 30.0), 30.0 - 30.0 * np.cos(way - 8.2 / 30.0)
     truck = agent("truck", x, y, heading=way, **TRUCK)
     trailer = agent("trailer", x2, y2, heading=way - 8.2 / 30.0, **TRAILER)
-    scene = array_scene(agent("ego", -60.0 + 0.6 * np.arange(160), -50.0), truck, trailer)
-    env = EgoEnv(scenes=[scene], driver="replay", traffic="idm", terminate_at_goal=False)
+    ego = agent("ego", -60.0 + 0.6 * np.arange(160), -50.0)
     headings = []
-    for _, states, _ in played(env):
+    for _, states, _ in played(log_env(ego, truck, trailer, traffic="idm")):
         if states["active"][2]:
             turn = states["heading"][1] - states["heading"][2]
             headings.append((turn + np.pi) % (2.0 * np.pi) - np.pi)
@@ -85,19 +76,14 @@ def test_overlaps_of_parked_cars_and_of_neighbours_are_no_hitch():
 
 
 def test_contacts_between_them_never_count_and_the_trailer_is_no_agent_of_its_own():
-    scene = array_scene(
-        *[
-            {**one, "id": name}
-            for one, name in zip(hitched(8.0 * TIMES_S), ("ego", "t"), strict=True)
-        ]
-    )
-    env = EgoEnv(scenes=[scene], terminate_at_goal=False)
+    truck, trailer = hitched(8.0 * TIMES_S)
+    env = log_env({**truck, "id": "ego"}, trailer, driver="external")
+    scene = env.scenes[0]
     for _, states, info in played(env, np.array([0.1, 0.2], np.float32)):
         assert not info["collision"]
         assert info["ttc"] == 10.0
-        assert np.hypot(*(states["position"][0] - states["position"][1])) == pytest.approx(
-            8.0, abs=1.0
-        )
+        gap = states["position"][0] - states["position"][1]
+        assert np.hypot(*gap) == pytest.approx(8.0, abs=1.0)
     assert scene.ranked_vehicles(30, "nearest") == [0]
     rows = ccdiff_env.parallel_env(scenes=[scene], agents="all", start_spread_steps=5)
     rows.reset(seed=0)
@@ -136,30 +122,20 @@ def test_what_its_trailer_touches_an_ego_has_touched(driver):
     # a post that appears between the truck's rear and the trailer's
     shown = np.arange(160) >= 60
     post = agent("post", x[60] - 8.0, 20.0, size=(0.4, 0.4, 1.0), kind="static", valid=shown)
-    scene = array_scene({**truck, "id": "ego"}, trailer, post)
-    env = EgoEnv(scenes=[scene], driver=driver, on_collision="ignore")
-    contacts = [
-        (step, info["collision_partner"])
-        for step, _, info in played(env, np.float32([0.0, 0.0]))
-        if info["collision"]
-    ]
-    assert contacts == []  # given: it is in the trailer when it appears
+    ego, zero = {**truck, "id": "ego"}, np.zeros(2, np.float32)
+    options = {"driver": driver, "terminate_at_goal": True}
+    env = log_env(ego, trailer, post, on_collision="ignore", **options)
+    # given: it is in the trailer when it appears
+    assert not any(info["collision"] for _, _, info in played(env, zero))
     ahead = agent("post", x[60] - 4.0, 21.4, size=(0.4, 0.4, 1.0), kind="static")
     wide = {**trailer, "size": (12.0, 3.2, 3.8)}  # the truck passes the post, its trailer does not
-    env = EgoEnv(scenes=[array_scene({**truck, "id": "ego"}, wide, ahead)], driver=driver)
-    *_, (_, _, info) = played(env, np.float32([0.0, 0.0]))
+    *_, (_, _, info) = played(log_env(ego, wide, ahead, **options), zero)
     assert info["collision"] == 1.0
     assert info["collision_partner"] == 3.0
 
 
 def test_a_truck_that_is_stopped_by_a_contact_stops_with_its_trailer():
-    car = agent("car", 90.0, 20.0)
-    env = EgoEnv(
-        scenes=[array_scene(EGO, *hitched(8.0 * TIMES_S), car)],
-        driver="replay",
-        traffic="constant_velocity",
-        terminate_at_goal=False,
-    )
-    *_, (_, states, _) = played(env)
+    agents = EGO, *hitched(8.0 * TIMES_S), agent("car", 90.0, 20.0)
+    *_, (_, states, _) = played(log_env(*agents, traffic="constant_velocity"))
     assert states["speed"][1] == states["speed"][2] == 0.0
     assert states["position"][1, 0] - states["position"][2, 0] == pytest.approx(8.0, abs=1e-3)

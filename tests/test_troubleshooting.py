@@ -1,7 +1,5 @@
 """Every message of docs/troubleshooting.md is seen by making the mistake that it stands for."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import sys

@@ -1,7 +1,5 @@
 """A small made-up rollout that has everything a replay can show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
