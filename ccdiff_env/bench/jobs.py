@@ -51,12 +51,16 @@ class Job:
         found: dict[str, Any] = json.loads(json.dumps(whole, default=dict))
         return found
 
-    def run(self) -> Any:
-        """Do the work."""
+    def call(self, **more: Any) -> Any:
+        """Return what the function does, of ``more`` arguments beside those of the job."""
         use_one_thread()
         module, name = self.function.split(":")
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
-        found = function(**self.arguments)
+        return function(**self.arguments, **more)
+
+    def run(self) -> Any:
+        """Do the work."""
+        found = self.call()
         return found[0] if isinstance(found, tuple) else found
 
 

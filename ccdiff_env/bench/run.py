@@ -148,8 +148,8 @@ class Run:
 
     def replays(self, rows: Iterable[Mapping[str, Any]]) -> Pages:
         """Write replay pages of episodes; return their addresses from the run folder."""
-        wanted = [(self._dated(self._jobs[row["job"]]), row["scene"]) for row in rows]
-        pages, changed = make_replays(wanted, self.folder, **self._options)
+        dated = {name: self._dated(job) for name, job in self._jobs.items()}
+        pages, changed = make_replays(((dated[r["job"]], r["scene"]) for r in rows), self.folder)
         self._num_changed += changed
         return pages
 
