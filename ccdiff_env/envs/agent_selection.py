@@ -27,11 +27,10 @@ MAX_SLOTS = 512  #: Most slots of a world.
 @dataclass(frozen=True)
 class AgentSelection:
     """Who is controlled from outside, in every scene: ids, one per slot, the ego first, and
-    adversaries.
+    adversaries: by id, and as many of the slots behind the first as ``num_adversaries``.
 
-    Of a ranking at starts that are drawn, ``ids`` are all vehicles that any start has, and the
-    slots behind the first hold ``num_adversaries``; ``ranking`` is ``None`` for agents that are
-    chosen beforehand.
+    Of a ranking at starts that are drawn, ``ids`` are all vehicles that any start has; ``ranking``
+    is ``None`` for agents that are chosen beforehand.
     """
 
     ids: tuple[tuple[str, ...], ...]
@@ -59,65 +58,47 @@ class AgentSelection:
         if ranking not in RANKINGS:
             raise unknown("ranking", str(ranking), RANKINGS)
         count = _count("agents", agents, "all")
+        named = None if count is not None or isinstance(agents, (str, int)) else tuple(agents)
         if count is not None:
             _expect_most("agents", count, min(_most_vehicles(scenes), MAX_SLOTS))
-        elif not isinstance(agents, (str, int)):
-            _expect_known("agents", agents, {one for scene in scenes for one in scene.agent_ids})
-            _expect_most("agents", len(agents), MAX_SLOTS)
+        elif named is not None:
+            _expect_known("agents", named, {one for scene in scenes for one in scene.agent_ids})
+            _expect_most("agents", len(named), MAX_SLOTS)
         first, spread = config.history_steps, config.start_spread_steps
-        if spread and (count is not None or agents == "all"):
-            return cls._at_drawn_starts(scenes, first, spread, count, ranking, adversaries)
-        ids = []
+        drawn, ids, most = spread > 0 and named is None, [], 0
         for scene in scenes:
-            if count is None and agents != "all":
-                chosen = [str(one) for one in agents if one in scene.agent_ids]  # type: ignore[union-attr]
+            if named is not None:
+                chosen = [str(one) for one in named if one in scene.agent_ids]
+            elif drawn:  # among the vehicles of each start the worlds choose
+                starts = slice(first, min(first + spread, scene.num_steps - 2) + 1)
+                vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], bool)
+                vehicles[[towed for towed, _ in scene.towed]] = False
+                there = scene.tracks()["valid"][:, starts] & vehicles[:, None]
+                chosen = [scene.agent_ids[i] for i in np.flatnonzero(there.any(1))]
+                chosen.sort(key=lambda one: one != "ego")
+                most = max(most, int(there.sum(0).max()))
             else:
                 ranked = scene.ranked_vehicles(min(first, scene.num_steps - 1), ranking)
-                chosen = [scene.agent_ids[i] for i in ranked[:count]]
+                chosen = [scene.agent_ids[i] for i in ranked[: count or MAX_SLOTS]]
             if not chosen:
                 raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
-            ids.append(tuple(chosen[:MAX_SLOTS]))
-        against = None if adversaries is None else _count("adversaries", adversaries, "others")
-        if against is not None:
-            _expect_most("adversaries", against, max(len(chosen) for chosen in ids) - 1)
-        elif adversaries is not None and adversaries != "others":
-            _expect_known("adversaries", adversaries, {one for chosen in ids for one in chosen})
-        roles = tuple(_adversaries(adversaries, chosen) for chosen in ids)
-        return cls(tuple(ids), roles, max(len(chosen) for chosen in ids))
-
-    @classmethod
-    def _at_drawn_starts(
-        cls,
-        scenes: SceneSet,
-        first: int,
-        spread: int,
-        count: int | None,
-        ranking: VehicleRanking,
-        adversaries: Adversaries,
-    ) -> AgentSelection:
-        """Leave the choice among the vehicles of each start to the worlds."""
-        ids, most = [], 0
-        for scene in scenes:
-            starts = slice(first, min(first + spread, scene.num_steps - 2) + 1)
-            vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], bool)
-            vehicles[[towed for towed, _ in scene.towed]] = False
-            there = scene.tracks()["valid"][:, starts] & vehicles[:, None]
-            chosen = [scene.agent_ids[i] for i in np.flatnonzero(there.any(1))]
-            if not chosen:
-                raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
-            ids.append(tuple(sorted(chosen, key=lambda one: one != "ego")))
-            most = max(most, int(there.sum(0).max()))
-        num_slots = min(most if count is None else min(count, most), MAX_SLOTS)
-        by_slot = None if adversaries is None else _count("adversaries", adversaries, "others")
-        if adversaries == "others" or by_slot is not None:
+            ids.append(tuple(chosen))
+        if drawn:
+            num_slots = min(most, count or most, MAX_SLOTS)
+        else:
+            num_slots = max(len(chosen) for chosen in ids)
+        against, num = frozenset[str](), 0
+        if adversaries is not None:
+            by_slot = _count("adversaries", adversaries, "others")
             if by_slot is not None:
                 _expect_most("adversaries", by_slot, num_slots - 1)
-            num = num_slots - 1 if by_slot is None else by_slot
-            return cls(tuple(ids), (frozenset(),) * len(ids), num_slots, ranking, num)
-        if adversaries is not None:
-            _expect_known("adversaries", adversaries, {one for chosen in ids for one in chosen})
-        against = tuple(_adversaries(adversaries, chosen) for chosen in ids)
-        return cls(tuple(ids), against, num_slots, ranking)
+            if by_slot is not None or adversaries == "others":
+                num = by_slot or num_slots - 1
+            else:
+                _expect_known("adversaries", adversaries, {one for some in ids for one in some})
+                against = frozenset(adversaries)  # type: ignore[arg-type]
+        roles = tuple(against.intersection(chosen) for chosen in ids)
+        return cls(tuple(ids), roles, num_slots, ranking if drawn else None, num)
 
     def config(self, scenes: SceneSet, config: WorldConfig, shaping: float) -> WorldConfig:
         """Return the configuration with these agents of the scenes in its slots, in their roles.
@@ -188,12 +169,3 @@ def _expect_known(name: str, choice: Any, known: Collection[str]) -> None:
     for one in choice:
         if one not in known:
             raise ConfigError(f"{name}: no scene has an agent {one!r} to choose")
-
-
-def _adversaries(choice: Adversaries, ids: tuple[str, ...]) -> frozenset[str]:
-    if choice is None:
-        return frozenset()
-    count = _count("adversaries", choice, "others")
-    if choice == "others" or count is not None:
-        return frozenset(ids[1:] if count is None else ids[1 : count + 1])
-    return frozenset(one for one in ids if one in choice)  # type: ignore[operator]

@@ -6,16 +6,20 @@ import operator
 from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import Image
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.worlds import Worlds, normalize_seed
+from ccdiff_env.worlds import StepArrays, Worlds, normalize_seed
+from ccdiff_env.worlds.spaces import Form
+from ccdiff_env.worlds.step_arrays import F32, U8, Bool
 
-__all__ = ["AsVector"]
+Info = dict[str, Any]
 
 
 class AsVector(VectorEnv[Any, Any, Any]):
@@ -25,7 +29,19 @@ class AsVector(VectorEnv[Any, Any, Any]):
     reset_option_names: ClassVar[tuple[str, ...]]
     worlds: Worlds
     _render_options: dict[str, Any]
+    _form: Form
     _seeded = False
+
+    def _offer_spaces(self, num_envs: int) -> None:
+        """Set the spaces of so many rows of the worlds."""
+        self.num_envs = num_envs
+        self.single_observation_space: gymnasium.Space[Any] = self.worlds.observation_space(
+            self._form
+        )
+        self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._action_shape = (num_envs, *self.worlds.action_shape)
 
     @property
     def config(self) -> WorldConfig:
@@ -118,7 +134,43 @@ class AsVector(VectorEnv[Any, Any, Any]):
         self._seeded = True
         return seeds
 
-    def _put(self, infos: dict[str, Any], row: int, values: dict[str, Any]) -> None:
+    def _seen(self, out: StepArrays, *, copied: bool = False) -> Any:
+        """Observations [N, ...] of all rows in the chosen form."""
+        rows = out.obs.reshape(self.num_envs, -1)
+        bev = None if out.bev is None else out.bev.reshape(self.num_envs, *out.bev.shape[2:])
+        if copied:
+            rows, bev = rows.copy(), None if bev is None else bev.copy()
+        return self.worlds.layout.observation(self._form, rows, bev)
+
+    def _final(self, rows: F32, bev: U8 | None, ended: Bool, info: dict[str, Any]) -> Info:
+        """Last observations of rows that ended [N], of [N, ...], and what is said of them."""
+        final = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(ended):
+            raster = None if bev is None else bev[i].copy()
+            final[i] = self.worlds.layout.observation(self._form, rows[i].copy(), raster)
+        found = {"final_obs": final, "final_info": info}
+        return found | {f"_{name}": ended.copy() for name in found}
+
+    def _figures(self, columns: F32, mask: Bool) -> Info:
+        """Info columns [E, C, M] of some rows [N]; zeros in the others."""
+        values = columns.reshape(self.num_envs, -1).T.copy()
+        if not mask.all():
+            values[:, ~mask] = 0.0
+        return with_masks(self.worlds.column_names, values, mask)
+
+    def _metrics(self, ended: Bool, done: Bool) -> Info:
+        """Metrics of slots whose episode ended [E, C], in worlds of which some are done [E]."""
+        names, native, over = self.worlds.metric_names, self.worlds.native, np.flatnonzero(done)
+        values = np.zeros((len(names), *ended.shape))
+        values[:, over] = native.ended_metrics(over.tolist()).transpose(2, 0, 1)
+        for e in np.flatnonzero(ended.any(axis=1) & ~done).tolist():
+            values[:, e] = native.metrics(e).T
+        values[:, ~ended] = 0.0
+        mask = ended.ravel()
+        found = with_masks(names, values.reshape(len(names), -1), mask)
+        return {"metrics": found, "_metrics": mask.copy()}
+
+    def _put(self, infos: Info, row: int, values: Info) -> None:
         """Write values of a row into arrays with masks."""
         for name, value in values.items():
             if name not in infos:
@@ -129,13 +181,11 @@ class AsVector(VectorEnv[Any, Any, Any]):
             infos["_" + name][row] = value is not None
 
 
-def with_masks(
-    names: Sequence[str], values: npt.NDArray[Any], mask: npt.NDArray[np.bool_]
-) -> dict[str, Any]:
+def with_masks(names: Sequence[str], values: npt.NDArray[Any], mask: Bool) -> Info:
     """Values [K, E] as arrays [E], each with a mask of its own."""
     masks = np.empty((len(names), len(mask)), np.bool_)
     masks[:] = mask
-    info: dict[str, Any] = {}
+    info: Info = {}
     for name, row, shown in zip(names, values, masks, strict=True):
         info[name] = row
         info["_" + name] = shown

@@ -13,7 +13,9 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, MissingFeatureError, unknown
 from ccdiff_env.scenes import Scene
-from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds import StepArrays, Worlds
+from ccdiff_env.worlds.spaces import Form
+from ccdiff_env.worlds.step_arrays import F32
 
 Image = npt.NDArray[np.uint8]
 
@@ -98,6 +100,8 @@ class DrawnWorld:
     worlds: Worlds
     render_mode: str | None
     _render_options: dict[str, Any]
+    _form: Form
+    _info: str
     _window: Window | None = None
     _title = "ccdiff_env"  #: Title of the window.
 
@@ -110,6 +114,22 @@ class DrawnWorld:
     def scene(self) -> Scene:
         """Scene of the present episode."""
         return self.worlds.scenes[self.worlds.native.status(0).scene_idx]
+
+    def _observation(self, obs: F32, bev: Image | None, slot: int = 0) -> Any:
+        """Observation of a slot, from arrays [1, C, ...], in the chosen form."""
+        raster = None if bev is None else bev[0, slot]
+        return self.worlds.layout.observation(self._form, obs[0, slot], raster)
+
+    def _step_info(self, out: StepArrays, ended: bool, slot: int = 0) -> dict[str, Any]:
+        """Info columns of a slot's step, and at the end of its episode metrics."""
+        info: dict[str, Any] = {}
+        if self._info == "full" or (self._info == "end" and ended):
+            columns = out.columns[0, slot].tolist()
+            info.update(zip(self.worlds.column_names, columns, strict=True))
+        if ended and self._info != "none":
+            metrics = self.worlds.native.metrics(0)[slot].tolist()
+            info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
+        return info
 
     def render(self) -> Image | None:
         """Return an image [H, W, 3], show it, or do nothing, as the render mode says."""

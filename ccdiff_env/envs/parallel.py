@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -14,13 +14,12 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
-from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
-from ccdiff_env.envs.parts import InfoLevel, Shared, agent_parts
-from ccdiff_env.envs.reset_options import AGENT_OPTIONS, reset_options
+from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld, Image
+from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
 from ccdiff_env.traffic.options import VehicleRanking
-from ccdiff_env.worlds import Scenes, StepArrays, normalize_seed
-from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
+from ccdiff_env.worlds import Scenes, normalize_seed
+from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form
 
@@ -30,12 +29,10 @@ if TYPE_CHECKING:
     from ccdiff_env.traffic.keywords import AgentKeywords
 
 F32 = npt.NDArray[np.float32]
-U8 = npt.NDArray[np.uint8]
-Bool = npt.NDArray[np.bool_]
 Rows = dict[str, Any]
 
 
-class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
+class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: ignore[misc]
     """One world in Rust; chosen vehicles are driven by actions, the others by the background.
 
     Args:
@@ -60,6 +57,7 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
     """
 
+    _copied = ("_observation_spaces", "_action_spaces")
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
         "name": "ccdiff_env_multi_v0",
         "render_modes": RENDER_MODES,
@@ -89,32 +87,15 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         if max_cycles is not None:
             held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
             options = {"horizon_steps": max_cycles * held, **options}
-        self.worlds, selection, self._render_options = agent_parts(
-            shared, options, agents=agents, ranking=ranking, adversaries=adversaries,
-            adversary_shaping=adversary_shaping,
+        self._take_agents(
+            shared, options, adversary_shaping,
+            agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
-        chosen, resolved = self.worlds.scenes, self.worlds.config
-        self._kept: dict[str, Any] = {
-            "scenes": chosen,
-            "config": resolved,
-            "agents": agents,
-            "ranking": ranking,
-            "adversaries": adversaries,
-            "adversary_shaping": adversary_shaping,
-            "names": names,
-            "observation": observation,
-            "info": info,
-            "render_mode": render_mode,
-            "render_options": self._render_options,
-            "criticality": criticality,
-        }
-        self._selection = selection
+        self._made["names"] = names
         self._by_token = names == "token"
-        self.max_cycles = -(-resolved.horizon_steps // resolved.decision_steps)
-        self.render_mode = render_mode
-        self.possible_agents: list[str] = list(selection.names(names))
+        self.max_cycles = -(-self.config.horizon_steps // self.config.decision_steps)
+        self.possible_agents: list[str] = list(self._selection.names(names))
         self.agents: list[str] = []
-        self._form: Form = observation
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
             name: self.worlds.observation_space(observation) for name in self.possible_agents
         }
@@ -126,12 +107,9 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         self.state_space = spaces.Box(
             np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
         )
-        self._info: InfoLevel = info
-        self._seeded = False
         self._slots: dict[str, int] = {}
 
-    def _scene_idx(self) -> int:
-        return self.worlds.native.status(0).scene_idx
+    _make = __init__
 
     def observation_space(self, agent: str) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations, always the same object."""
@@ -167,19 +145,16 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         scene_idx = self.worlds.scene_index(given.get("scene"))
         drivers = self.worlds.agent_drivers(given.get("drivers"))
         normalized = None if seed is None else normalize_seed(seed)
-        if normalized is None and not self._seeded:
+        if normalized is None and not self.worlds.native.begun(0):
             normalized = int(np.random.default_rng().integers(2**63))
-        self._seeded = True
         out = self.worlds.arrays()
         self.worlds.native.reset([normalized], [scene_idx], None, out)
         self.worlds.assign(0, drivers)
         self._begin()
         common = self.worlds.reset_info(0, self._info)
-        ids = self.scene.agent_ids
         infos = {}
         for name in self.agents:
-            agent_idx = self._agent_of[self._slots[name]]
-            texts = {"agent_id": ids[agent_idx], "role": self.role(name)}
+            texts = {"agent_id": self._ids[self._slots[name]], "role": self.role(name)}
             infos[name] = common if self._info == "none" else {**common, **texts}
         if self.render_mode == "human":
             self.render()
@@ -187,15 +162,12 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
 
     def _begin(self) -> None:
         """Name the agents of the present episode."""
-        agents = self.worlds.native.slot_agents(0)
-        ids = self.scene.agent_ids
-        self._agent_of = {slot: agent for slot, agent in enumerate(agents) if agent is not None}
+        self._ids, self._adversary = self._in_slots(0)
         self._slots = {
-            ids[agent] if self._by_token else self.possible_agents[slot]: slot
-            for slot, agent in self._agent_of.items()
+            one if self._by_token else self.possible_agents[slot]: slot
+            for slot, one in enumerate(self._ids)
+            if one is not None
         }
-        names = [None if agent is None else ids[agent] for agent in agents]
-        self._adversary = self._selection.adversary_slots(self._scene_idx(), names)
         self.agents = list(self._slots)
 
     def role(self, agent: str) -> str:
@@ -224,25 +196,21 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             if self._slots and not actions:  # wrappers of PettingZoo and SuperSuit do that
                 return {}, {}, {}, {}, {}
             raise ResetNeededError("step: nobody is left, reset comes first")
-        self.worlds.native.step(self._actions(actions), self.worlds.arrays())
-        out = self.worlds.last
-        assert out is not None
-        before = self.agents
-        terminations, truncations, infos, live = {}, {}, {}, []
-        for name in before:
-            slot = self._slots[name]
-            terminations[name] = bool(out.terminated[0, slot])
-            truncations[name] = bool(out.truncated[0, slot])
-            ended = terminations[name] or truncations[name]
-            infos[name] = self._step_info(out, slot, ended)
-            if not ended:
-                live.append(name)
-        self.agents = live
+        checked, out = self._actions(actions), self.worlds.arrays()
+        self.worlds.native.step(checked, out)
+        slots = {name: self._slots[name] for name in self.agents}
+        terminated, truncated = out.terminated[0], out.truncated[0]
+        ended = terminated | truncated
+        self.agents = [name for name, slot in slots.items() if not ended[slot]]
         if self.render_mode == "human":
             self.render()
-        shown = {name: float(out.reward[0, self._slots[name]]) for name in before}
-        observations = self._observations(out.obs, out.bev, before)
-        return observations, shown, terminations, truncations, infos
+        return (
+            self._observations(out.obs, out.bev, slots),
+            {name: float(out.reward[0, slot]) for name, slot in slots.items()},
+            {name: bool(terminated[slot]) for name, slot in slots.items()},
+            {name: bool(truncated[slot]) for name, slot in slots.items()},
+            {name: self._step_info(out, bool(ended[slot]), slot) for name, slot in slots.items()},
+        )
 
     def _actions(self, actions: Mapping[str, Any]) -> F32:
         width = self.worlds.native.action_width
@@ -263,24 +231,8 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
         with np.errstate(over="ignore"):  # what overflows becomes infinite, and is refused
             return rows.astype(np.float32).reshape(1, -1, width)
 
-    def _step_info(self, out: StepArrays, slot: int, ended: bool) -> dict[str, Any]:
-        info: dict[str, Any] = {}
-        if self._info == "full" or (self._info == "end" and ended):
-            columns = out.columns[0, slot].tolist()
-            info.update(zip(self.worlds.column_names, columns, strict=True))
-        if ended and self._info != "none":
-            metrics = self.worlds.native.metrics(0)[slot].tolist()
-            info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
-        return info
-
-    def _observations(self, rows: F32, rasters: U8 | None, names: list[str]) -> Rows:
-        found = {}
-        for name in names:
-            slot = self._slots[name]
-            bev = None if rasters is None else rasters[0, slot].copy()
-            row = rows[0, slot].copy()
-            found[name] = self.worlds.layout.observation(self._form, row, bev)
-        return found
+    def _observations(self, rows: F32, rasters: Image | None, names: Iterable[str]) -> Rows:
+        return {name: self._observation(rows, rasters, self._slots[name]) for name in names}
 
     def state(self) -> F32:
         """Return the flat observations of all slots, one after the other; zero for absent ones."""
@@ -300,13 +252,9 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
                 scenes.
         """
         Snapshot.from_bytes(snapshot).put(self.worlds, 0, seed)
-        self.agents = []
-        if not self.worlds.native.begun(0):
+        self._go_on()
+        if not self.agents:
             return {}
-        self._seeded = True
-        self._begin()
-        alive = np.array(self.worlds.native.slot_alive(0))
-        self.agents = [name for name in self.agents if alive[self._slots[name]]]
         rows, bev = self.worlds.observe(0)
         return self._observations(rows[None], None if bev is None else bev[None], self.agents)
 
@@ -317,24 +265,12 @@ class MultiAgentEnv(DrawnWorld, FollowsTraining, ParallelEnv[str, Any, Any]):  #
             fork.restore(fork.snapshot(), seed=seed)
         return fork
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy or a pickle holds; a window is not part of it."""
-        return {
-            **self._kept,
-            "snapshot": self.snapshot(),
-            "seeded": self._seeded,
-            "training": self._training(),
-            "spaces": (self._observation_spaces, self._action_spaces),
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild the environment."""
-        extra = ("snapshot", "seeded", "training", "spaces")
-        MultiAgentEnv.__init__(self, **{k: v for k, v in state.items() if k not in extra})
-        self._follow(state["training"])
-        self.restore(state["snapshot"])
-        self._seeded = state["seeded"]
-        self._observation_spaces, self._action_spaces = state["spaces"]
+    def _go_on(self) -> None:
+        self.agents = []
+        if self.worlds.native.begun(0):
+            self._begin()
+            alive = self.worlds.native.slot_alive(0)
+            self.agents = [name for name in self.agents if alive[self._slots[name]]]
 
 
 __all__ = ["MultiAgentEnv"]

@@ -1,21 +1,37 @@
-"""What every environment is made from: its worlds, its planner or selection, options of images."""
+"""What every environment is made from, and copied with: worlds, planner or agents, images."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.agent_selection import Adversaries, Agents, AgentSelection
+from ccdiff_env.envs.agent_selection import AgentSelection, Bool
 from ccdiff_env.envs.drawing import check_render_mode, checked_render_options
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seated
-from ccdiff_env.traffic.options import Autoreset, VehicleRanking
+from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
-from ccdiff_env.worlds.curriculum import Criticality
+from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
+from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import FORMS, Form
 
 InfoLevel = Literal["full", "end", "none"]
+#: What resets of one ego per world take, and of several agents.
+EGO_OPTIONS = ("scene", "ego", "start", "style", "drivers")
+AGENT_OPTIONS = ("scene", "drivers")
+
+
+def reset_options(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
+    """Return the options of a reset; unknown ones are a :class:`ConfigError`."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"options is {given!r}, expected a dictionary")
+    for name in given:
+        if name not in known:
+            raise unknown("reset option", str(name), known)
+    return given
 
 
 class Shared(NamedTuple):
@@ -33,62 +49,99 @@ class Shared(NamedTuple):
     num_threads: int | None = 1
     autoreset: Autoreset = "disabled"
 
-    def checked(self) -> dict[str, Any]:
-        """Refuse choices that do not exist; return the options of images."""
-        if self.observation not in FORMS:
-            raise unknown("observation form", str(self.observation), FORMS)
-        if self.info not in ("full", "end", "none"):
-            raise unknown("info level", str(self.info), ("full", "end", "none"))
-        check_render_mode(self.render_mode, self.modes)
-        return checked_render_options(self.render_options)
 
-    def worlds(self, scenes: Scenes, config: WorldConfig) -> Worlds:
-        """Return the worlds of a configuration."""
-        return Worlds(
+class OnWorlds(FollowsTraining):
+    """Environments, which can be copied and pickled in the middle of their episodes."""
+
+    worlds: Worlds
+    _seat: Seat | None
+    _selection: AgentSelection
+    _copied: ClassVar[tuple[str, ...]]  #: Attributes that a copy has besides, where they are set.
+    _make: ClassVar[Callable[..., None]]  #: ``__init__``, whatever a subclass makes of it.
+
+    def _take(self, shared: Shared, **made: Any) -> None:
+        """Refuse choices that do not exist, and remember the others; ``made`` are further ones."""
+        if shared.observation not in FORMS:
+            raise unknown("observation form", str(shared.observation), FORMS)
+        if shared.info not in ("full", "end", "none"):
+            raise unknown("info level", str(shared.info), ("full", "end", "none"))
+        check_render_mode(shared.render_mode, shared.modes)
+        self._render_options = checked_render_options(shared.render_options)
+        self.render_mode = shared.render_mode
+        self._form: Form = shared.observation
+        self._info: str = shared.info
+        kept = ("observation", "info", "render_mode", "render_options", "criticality")
+        self._made = {**{name: getattr(shared, name) for name in kept}, **made}
+
+    def _play(self, shared: Shared, scenes: Scenes, config: WorldConfig) -> None:
+        """Make the worlds of a configuration."""
+        self.worlds = Worlds(
             scene_set(scenes),
-            config.with_options(autoreset=self.autoreset),
-            num_worlds=self.num_worlds,
-            num_threads=self.num_threads,
+            config.with_options(autoreset=shared.autoreset),
+            num_worlds=shared.num_worlds,
+            num_threads=shared.num_threads,
             trails=self.render_mode is not None,
-            criticality=self.criticality,
+            criticality=shared.criticality,
         )
 
+    def _take_ego(self, shared: Shared, options: Mapping[str, Any], **made: Any) -> None:
+        """Make worlds of one ego each, and its planner."""
+        self._take(shared, **made)
+        for name in ("controlled", "num_slots", "autoreset"):
+            if name in options:
+                raise ConfigError(f"{name} is not an option of environments with one ego per world")
+        config = shared.config
+        if config and (config.controlled not in ("ego", "any") or config.num_slots != 1):
+            raise ConfigError(
+                f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'"
+            )
+        chosen = scene_set(shared.scenes)
+        self._seat, config, given = seated(options, config, chosen[0].dt)
+        if self._seat is not None:
+            self._made["driver"] = options["driver"]
+        self._play(shared, chosen, world_config(chosen, config, given, shared.observation))
 
-def ego_parts(
-    shared: Shared, options: Mapping[str, Any]
-) -> tuple[Worlds, Seat | None, dict[str, Any]]:
-    """Return the worlds of one ego each, its planner, and options of images."""
-    images = shared.checked()
-    for name in ("controlled", "num_slots", "autoreset"):
-        if name in options:
-            raise ConfigError(f"{name} is not an option of environments with one ego per world")
-    config = shared.config
-    if config is not None and (config.controlled not in ("ego", "any") or config.num_slots != 1):
-        raise ConfigError(f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'")
-    chosen = scene_set(shared.scenes)
-    seat, config, given = seated(options, config, chosen[0].dt)
-    resolved = world_config(chosen, config, given, shared.observation)
-    return shared.worlds(chosen, resolved), seat, images
+    def _take_agents(
+        self, shared: Shared, options: Mapping[str, Any], shaping: float, /, **choice: Any
+    ) -> None:
+        """Make worlds of several agents each; ``choice`` is that of :class:`AgentSelection`."""
+        self._take(shared, adversary_shaping=shaping, **choice)
+        for name in ("controlled", "ego", "num_slots", "autoreset"):
+            if name in options:
+                raise ConfigError(f"{name} is not an option of several agents: use agents")
+        chosen = scene_set(shared.scenes)
+        resolved = world_config(chosen, shared.config, options, shared.observation)
+        self._selection = AgentSelection.of(chosen, resolved, **choice)
+        self._play(shared, chosen, self._selection.config(chosen, resolved, shaping))
 
+    def _in_slots(self, world_idx: int) -> tuple[list[str | None], Bool]:
+        """Return the ids in the slots of a world [C], and which of them are adversaries [C]."""
+        scene_idx = self.worlds.native.status(world_idx).scene_idx
+        agents, ids = (
+            self.worlds.native.slot_agents(world_idx),
+            self.worlds.scenes[scene_idx].agent_ids,
+        )
+        names = [None if agent is None else ids[agent] for agent in agents]
+        return names, self._selection.adversary_slots(scene_idx, names)
 
-def agent_parts(
-    shared: Shared,
-    options: Mapping[str, Any],
-    *,
-    agents: Agents,
-    ranking: VehicleRanking,
-    adversaries: Adversaries,
-    adversary_shaping: float,
-) -> tuple[Worlds, AgentSelection, dict[str, Any]]:
-    """Return the worlds of several agents each, who they are, and options of images."""
-    images = shared.checked()
-    for name in ("controlled", "ego", "num_slots", "autoreset"):
-        if name in options:
-            raise ConfigError(f"{name} is not an option of several agents: use agents")
-    chosen = scene_set(shared.scenes)
-    resolved = world_config(chosen, shared.config, options, shared.observation)
-    selection = AgentSelection.of(
-        chosen, resolved, agents=agents, ranking=ranking, adversaries=adversaries
-    )
-    resolved = selection.config(chosen, resolved, adversary_shaping)
-    return shared.worlds(chosen, resolved), selection, images
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds; a window is not part of it."""
+        worlds = self.worlds
+        return {
+            "made": {**self._made, "scenes": worlds.scenes, "config": worlds.config},
+            "training": self._training(),
+            "snapshots": [Snapshot.of(worlds, i) for i in range(worlds.num_worlds)],
+            "own": {name: vars(self)[name] for name in self._copied if name in vars(self)},
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Rebuild the environment."""
+        self._make(**state["made"])
+        self._follow(state["training"])
+        for i, snapshot in enumerate(state["snapshots"]):
+            snapshot.put(self.worlds, i)
+        vars(self).update(state["own"])
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Take up the episodes of a copy's worlds."""

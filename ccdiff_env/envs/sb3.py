@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
-from ccdiff_env.envs.reset_options import reset_options
+from ccdiff_env.envs.parts import reset_options
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError, MissingFeatureError

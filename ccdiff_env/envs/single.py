@@ -12,14 +12,13 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
-from ccdiff_env.envs.parts import InfoLevel, Shared, ego_parts
-from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
+from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.worlds import Scenes, normalize_seed
-from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
+from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form
 
@@ -29,10 +28,9 @@ if TYPE_CHECKING:
     from ccdiff_env.traffic.keywords import EgoKeywords
 
 F32 = npt.NDArray[np.float32]
-U8 = npt.NDArray[np.uint8]
 
 
-class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
+class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
     """Drive the ego of a logged scene among traffic, along its recorded route.
 
     Action
@@ -87,6 +85,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
     """
 
     _title = "ccdiff_env/Ego"
+    _copied = (
+        "_actions", "_np_random", "_np_random_seed", "spec", "observation_space", "action_space",
+    )  # fmt: skip
     metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -102,17 +103,12 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         **options: Unpack[EgoKeywords],
     ) -> None:
         shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
-        self._driver = options.get("driver")
-        self.worlds, self._seat, self._render_options = ego_parts(shared, options)
-        self._criticality = criticality
-        self.render_mode = render_mode
-        self._form: Form = observation
+        self._take_ego(shared, options)
         self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(observation)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
-        self._info: InfoLevel = info
         self._actions: list[bytes] | None = []
-        self._seeded = False
-        self._begun = False
+
+    _make = __init__
 
     @property
     def scenes(self) -> SceneSet:
@@ -141,9 +137,8 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
         assigned = self.worlds.agent_drivers(drivers)
         normalized = None if seed is None else normalize_seed(seed)
         super().reset(seed=normalized)
-        if normalized is None and not self._seeded:
+        if normalized is None and not self.worlds.native.begun(0):
             normalized = int(self.np_random.integers(2**63))
-        self._seeded = self._begun = True
         out = self.worlds.arrays()
         self.worlds.native.reset([normalized], [scene_idx], None, out, [wanted])
         if self._seat is not None:
@@ -168,30 +163,22 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             ShapeError, ActionError: If the action does not fit; nothing has moved then.
             ResetNeededError: Before the first reset and after the end of an episode.
         """
-        if self._seat is not None and self._begun:
+        if self._seat is not None and self.worlds.native.begun(0):
             action = self._seat.decide(self.worlds)[0]
         checked = self.worlds.actions(action, self.worlds.action_shape)
         out = self.worlds.arrays()
         self.worlds.native.step(checked, out)
         if self._actions is not None:
             self._actions.append(checked.tobytes())
-        info: dict[str, Any] = {}
-        done = bool(out.done[0])
-        if self._info == "full" or (self._info == "end" and done):
-            info.update(zip(self.worlds.column_names, out.columns[0, 0].tolist(), strict=True))
-        if done and self._info != "none":
-            metrics = self.worlds.native.metrics(0)[0].tolist()
-            info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
         if self.render_mode == "human":
             self.render()
-        reward = float(out.reward[0, 0])
-        terminated, truncated = bool(out.terminated[0, 0]), bool(out.truncated[0, 0])
-        return self._observation(out.obs, out.bev), reward, terminated, truncated, info
-
-    def _observation(self, obs: F32, bev: U8 | None) -> Any:
-        """Observation of arrays [E, C, ...] in the chosen form."""
-        raster = None if bev is None else bev[0, 0]
-        return self.worlds.layout.observation(self._form, obs[0, 0], raster)
+        return (
+            self._observation(out.obs, out.bev),
+            float(out.reward[0, 0]),
+            bool(out.terminated[0, 0]),
+            bool(out.truncated[0, 0]),
+            self._step_info(out, bool(out.done[0])),
+        )
 
     def observation(self) -> Any:
         """Return the present observation once more, as a new array."""
@@ -237,10 +224,9 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
             actions = [saved.actions[i : i + row_bytes] for i in starts]
         saved.put(self.worlds, 0, seed)
         self._actions = actions if seed is None else None
-        self._seeded = self._begun = self.worlds.native.begun(0)
         if self._seat is not None:
             self._seat.reset([0])
-        return self.observation() if self._begun else None
+        return self.observation() if self.worlds.native.begun(0) else None
 
     def explain(self) -> TrafficPlan:
         """Return the plan that CCDiff traffic follows.
@@ -275,43 +261,3 @@ class EgoEnv(DrawnWorld, FollowsTraining, gymnasium.Env[Any, Any]):
                 "without the actions before it"
             )
         return Certificate.of(self.worlds, b"".join(self._actions))
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy or a pickle holds; a window is not part of it."""
-        return {
-            "scenes": self.worlds.scenes,
-            "config": self.config,
-            "driver": None if self._seat is None else self._driver,
-            "observation": self._form,
-            "info": self._info,
-            "render_mode": self.render_mode,
-            "render_options": self._render_options,
-            "criticality": self._criticality,
-            "training": self._training(),
-            "snapshot": self.snapshot(),
-            "seeded": self._seeded,
-            "np_random": self._np_random,
-            "np_random_seed": self._np_random_seed,
-            "spec": self.spec,
-            "spaces": (self.observation_space, self.action_space),
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild the environment."""
-        keys = (
-            "scenes",
-            "config",
-            "observation",
-            "info",
-            "render_mode",
-            "render_options",
-            "criticality",
-        )
-        options: EgoKeywords = {} if state["driver"] is None else {"driver": state["driver"]}
-        EgoEnv.__init__(self, **{key: state[key] for key in keys}, **options)
-        self._follow(state["training"])
-        self.restore(state["snapshot"])
-        self._seeded = state["seeded"]
-        self._np_random, self._np_random_seed = state["np_random"], state["np_random_seed"]
-        self.spec = state["spec"]
-        self.observation_space, self.action_space = state["spaces"]  # with their generators

@@ -3,59 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-import gymnasium
 import numpy as np
-import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.as_vector import AsVector, with_masks
+from ccdiff_env.envs.as_vector import AsVector
 from ccdiff_env.envs.drawing import FPS
-from ccdiff_env.envs.parts import InfoLevel, Shared, ego_parts
-from ccdiff_env.envs.reset_options import EGO_OPTIONS, reset_options
+from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
-from ccdiff_env.worlds import Scenes, StepArrays, Worlds
-from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
+from ccdiff_env.worlds import Scenes, StepArrays
+from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form
+from ccdiff_env.worlds.step_arrays import F32, Bool
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from ccdiff_env.traffic.keywords import EgoKeywords
 
-F32 = npt.NDArray[np.float32]
-Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]
 
-#: What a copy has besides: who has begun, generators, spaces with theirs.
-_OWN = (
-    "_begun", "_seeded", "_np_random", "_np_random_seed", "spec", "single_observation_space",
-    "single_action_space", "observation_space", "action_space",
-)  # fmt: skip
 
-_AUTORESET: dict[AutoresetMode, Autoreset] = {
-    AutoresetMode.NEXT_STEP: "next_step",
-    AutoresetMode.SAME_STEP: "same_step",
-    AutoresetMode.DISABLED: "disabled",
-}
+def _name(mode: AutoresetMode) -> Autoreset:
+    return cast("Autoreset", mode.name.lower())
 
 
 def _mode(mode: AutoresetMode | str) -> AutoresetMode:
     """Return a mode given by name, in Gymnasium's spelling or in snake case."""
-    for known, name in _AUTORESET.items():
-        if mode in (known, known.value, name):
+    for known in AutoresetMode:
+        if mode in (known, known.value, _name(known)):
             return known
-    names = ", ".join(_AUTORESET.values())
+    names = ", ".join(map(_name, AutoresetMode))
     raise ConfigError(f"autoreset_mode is {mode!r}, expected one of {names}")
 
 
-class EgoVectorEnv(FollowsTraining, AsVector):
+class EgoVectorEnv(OnWorlds, AsVector):
     """E worlds in Rust, the ego of each driven by one row of actions.
 
     Args:
@@ -85,8 +72,11 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         are drawn. Environments can be pickled and deep-copied in the middle of episodes.
     """
 
-    worlds: Worlds
     reset_option_names = EGO_OPTIONS
+    _copied = (
+        "_begun", "_seeded", "_np_random", "_np_random_seed", "spec", "single_observation_space",
+        "single_action_space", "observation_space", "action_space",
+    )  # fmt: skip
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -106,36 +96,21 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         **options: Unpack[EgoKeywords],
     ) -> None:
         mode = _mode(autoreset_mode)
-        self._made = {
-            "observation": observation,
-            "info": info,
-            "copy": copy,
-            "num_threads": num_threads,
-            "render_mode": render_mode,
-            "render_options": render_options,
-            "criticality": criticality,
-        }
         shared = Shared(
             scenes, config, observation, info, render_mode, render_options, criticality,
-            ("rgb_array",), num_envs, num_threads, _AUTORESET[mode],
+            ("rgb_array",), num_envs, num_threads, _name(mode),
         )  # fmt: skip
-        self._driver = options.get("driver")
-        self.worlds, self._seat, self._render_options = ego_parts(shared, options)
-        self.num_envs = num_envs
-        self.render_mode = render_mode
+        self._take_ego(
+            shared, options,
+            num_envs=num_envs, copy=copy, num_threads=num_threads, autoreset_mode=mode,
+        )  # fmt: skip
+        self._offer_spaces(num_envs)
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
-        self._form: Form = observation
-        self.single_observation_space: gymnasium.Space[Any] = self.worlds.observation_space(
-            observation
-        )
-        self.single_action_space: gymnasium.Space[Any] = self.worlds.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self._action_shape = (num_envs, *self.worlds.action_shape)
-        self._info = info
         self._copy = copy
         self._kept = self._arrays_for(mode)
         self._begun = np.zeros(num_envs, np.bool_)
+
+    _make = __init__
 
     @property
     def begun(self) -> bool:
@@ -156,8 +131,9 @@ class EgoVectorEnv(FollowsTraining, AsVector):
             ConfigError: If a world has begun, or there is no such mode.
         """
         mode = _mode(autoreset_mode)
-        self.worlds.set_autoreset(_AUTORESET[mode])
+        self.worlds.set_autoreset(_name(mode))
         self.metadata = {**self.metadata, "autoreset_mode": mode}
+        self._made["autoreset_mode"] = mode
         self._kept = self._arrays_for(mode)
 
     def reset(
@@ -190,9 +166,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         mask = None if mask is None else self._reset_mask(mask)
         seeds = self._seeds(seed)
         arrays = self._kept or self.worlds.arrays()
-        if mask is not None and self._kept is None:
-            for i in np.flatnonzero(~mask):
-                self._keep(arrays, int(i))
+        self._keep_others(arrays, mask)
         listed = None if mask is None else mask.tolist()
         self.worlds.native.reset(seeds, scenes, listed, arrays, wanted)
         done = np.ones(self.num_envs, np.bool_) if mask is None else mask
@@ -234,67 +208,38 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         mask = None if active is None else self._mask("active", active)
         out = self._kept or self.worlds.arrays()
         self.worlds.native.step(checked, out, mask)
-        if mask is not None and self._kept is None:
-            for i in np.flatnonzero(~mask):
-                self._keep(out, int(i))
+        self._keep_others(out, mask)
         if self._seat is not None and out.was_reset.any():
             self._seat.reset(np.flatnonzero(out.was_reset))
-        columns, reward = out.columns[:, 0], out.reward[:, 0]
+        reward = out.reward[:, 0]
         terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
-        infos = self._step_infos(out, columns, mask)
+        infos = self._step_infos(out, mask)
         if self._copy and self._kept is not None:
             reward, terminated, truncated = reward.copy(), terminated.copy(), truncated.copy()
         return self._observation(out), reward, terminated, truncated, infos
 
-    def _step_infos(self, out: StepArrays, columns: F32, active: Bool | None) -> Info:
-        same_step = out.final_obs is not None
-        any_done, any_reset = bool(out.done.any()), bool(out.was_reset.any())
-        done = out.done
+    def _step_infos(self, out: StepArrays, active: Bool | None) -> Info:
         infos: Info = {}
-        if same_step and any_done:
-            infos["final_obs"], infos["_final_obs"] = self._final_obs(out), done.copy()
-            infos["final_info"] = self._final_info(columns, done)
-            infos["_final_info"] = done.copy()
+        any_done, done = bool(out.done.any()), out.done
+        if any_done and out.final_obs is not None:
+            about = {} if self._info == "none" else self._figures(out.columns, done)
+            about |= self._ended_metrics(out)
+            bev = None if out.final_bev is None else out.final_bev[:, 0]
+            infos.update(self._final(out.final_obs[:, 0], bev, done, about))
         if self._info == "full":
             running = ~out.was_reset if active is None else active & ~out.was_reset
             if running.any():
-                infos.update(self._figures(columns, running, not running.all()))
-        if self._info != "none" and any_done and not same_step:
+                infos.update(self._figures(out.columns, running))
+        if any_done and out.final_obs is None:
             if self._info == "end":
-                infos.update(self._figures(columns, done, True))
-            infos["metrics"] = self._metrics(done)
-            infos["_metrics"] = done.copy()
-        if any_reset:
+                infos.update(self._figures(out.columns, done))
+            infos.update(self._ended_metrics(out))
+        if out.was_reset.any():
             self._reset_infos(infos, out.was_reset.copy())
         return infos
 
-    def _final_info(self, columns: F32, done: Bool) -> Info:
-        info: Info = {}
-        if self._info != "none":
-            info = self._figures(columns, done, True)
-            info["metrics"], info["_metrics"] = self._metrics(done), done.copy()
-        return info
-
-    def _figures(self, columns: F32, mask: Bool, partly: bool) -> Info:
-        values = columns.T.copy()
-        if partly:
-            values[:, ~mask] = 0.0
-        return with_masks(self.worlds.column_names, values, mask)
-
-    def _metrics(self, done: Bool) -> Info:
-        rows = np.flatnonzero(done)
-        values = np.zeros((len(self.worlds.metric_names), self.num_envs))
-        values[:, rows] = self.worlds.native.ended_metrics(rows.tolist())[:, 0].T
-        return with_masks(self.worlds.metric_names, values, done)
-
-    def _final_obs(self, out: StepArrays) -> npt.NDArray[np.object_]:
-        assert out.final_obs is not None
-        final = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(out.done):
-            bev = None if out.final_bev is None else out.final_bev[i, 0].copy()
-            row = out.final_obs[i, 0].copy()
-            final[i] = self.worlds.layout.observation(self._form, row, bev)
-        return final
+    def _ended_metrics(self, out: StepArrays) -> Info:
+        return {} if self._info == "none" else self._metrics(out.done[:, None], out.done)
 
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
         for i in np.flatnonzero(which):
@@ -302,10 +247,13 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         return infos
 
     def _observation(self, out: StepArrays) -> Any:
-        rows, bev = out.obs[:, 0], None if out.bev is None else out.bev[:, 0]
-        if self._copy and self._kept is not None:
-            rows, bev = rows.copy(), None if bev is None else bev.copy()
-        return self.worlds.layout.observation(self._form, rows, bev)
+        return self._seen(out, copied=self._copy and self._kept is not None)
+
+    def _keep_others(self, arrays: StepArrays, mask: Bool | None) -> None:
+        """Write what worlds show that a call leaves alone, where it writes new arrays."""
+        if mask is not None and self._kept is None:
+            for i in np.flatnonzero(~mask):
+                self._keep(arrays, int(i))
 
     def _keep(self, arrays: StepArrays, world_idx: int) -> Any:
         """Write a world's present observation into arrays and return it as a single one's."""
@@ -362,33 +310,7 @@ class EgoVectorEnv(FollowsTraining, AsVector):
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy or a pickle holds."""
-        native = self.worlds.native
-        return {
-            **self._made,
-            "num_envs": self.num_envs,
-            "scenes": self.worlds.scenes,
-            "config": self.config,
-            "autoreset_mode": self.autoreset_mode,
-            "driver": None if self._seat is None else self._driver,
-            "training": self._training(),
-            "snapshots": [native.snapshot(i) for i in range(self.num_envs)],
-            "own": {name: vars(self)[name] for name in _OWN if name in vars(self)},
-        }
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild the environment."""
-        driver, training, snapshots, own = (
-            state.pop(name) for name in ("driver", "training", "snapshots", "own")
-        )
-        EgoVectorEnv.__init__(self, **state, **({} if driver is None else {"driver": driver}))
-        self._follow(training)
-        for i, snapshot in enumerate(snapshots):
-            self.worlds.native.restore(i, snapshot)
-        vars(self).update(own)
-        if self._seat is not None and self.begun:
-            self._seat.reset(np.flatnonzero(self._begun))
+    def _go_on(self) -> None:
         if self._kept is not None:
             for i in np.flatnonzero(self._begun):
                 self._keep(self._kept, int(i))
