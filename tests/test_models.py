@@ -16,7 +16,7 @@ from ccdiff_env.models import (
     train,
     training_loop,
 )
-from ccdiff_env.models.curves import Curves
+from ccdiff_env.models.training import Curves
 from ccdiff_env.scenes import load_nuscenes
 from ccdiff_env.traffic import NETWORKS, SWIFT
 

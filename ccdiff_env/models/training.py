@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ccdiff_env.errors import CheckpointError, ConfigError
-from ccdiff_env.models.curves import Curves
-from ccdiff_env.models.training_loop import run_training
 from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator
 from ccdiff_env.models.weights import require_networks
 from ccdiff_env.scenes import Scene
-from ccdiff_env.system.files import reading
+from ccdiff_env.system.files import read_text, reading, write_aside
+from ccdiff_env.system.progress import bar
 
-WEIGHTS = "weights.safetensors"
-STATE = "state.safetensors"
+if TYPE_CHECKING:
+    from ccdiff_env import _models
+
+_CHUNK = 20  #: Training steps between looks at the clock.
+_COOLDOWN_SHARE = 0.2
 LICENCE = "CC-BY-NC-SA-4.0"
 
 
@@ -84,7 +88,7 @@ def train(
 
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    state = folder / STATE
+    state, weights = folder / "state.safetensors", folder / "weights.safetensors"
     resumed = state.exists()
     with reading("training state", state, CheckpointError):
         config, training = (
@@ -121,22 +125,67 @@ def train(
                 raise CheckpointError(f"step is {run.step}")
     notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
     curves = Curves(folder, run.step)
+    settled = {
+        "solver_steps": 5 if teacher is None else 1,
+        "num_samples": 5,
+        "guidance_weight": 1.0,
+    }
+    said = ""
+
+    def checkpoint() -> None:
+        run.save(os.fspath(state))
+        run.export(os.fspath(weights), json.dumps(notes))
+        errors = run.validate(validation_samples, **settled)
+        if errors is not None:
+            curves.write("validation", run.step, errors)
+            nonlocal said
+            said = (
+                f", minADE {errors['min_ade_m']:.2f} m, constant velocity "
+                f"{errors['constant_velocity_ade_m']:.2f} m"
+            )
+            if "nats" in errors:
+                said += f", {errors['nats']:.3f} nats, {errors['nats_untold']:.3f} without routes"
+
+    begin = last = time.monotonic()
+    first = run.step
+    total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
+    shown = bar("s" if steps is None else "steps", progress)
     try:
-        run_training(
-            run,
-            (folder / STATE, folder / WEIGHTS),
-            curves,
-            steps,
-            minutes,
-            notes,
-            checkpoint_minutes,
-            validation_samples,
-            progress,
-            solver_steps=5 if teacher is None else 1,
-        )
+        while steps is None or run.step < steps:
+            elapsed = time.monotonic() - begin
+            if run.cooldown is not None and run.step >= run.cooldown[1]:
+                break
+            count = _CHUNK if steps is None else min(_CHUNK, steps - run.step)
+            if run.cooldown is None:
+                _maybe_cool_down(run, first, steps, total, elapsed)
+            if run.cooldown is not None:
+                count = max(min(count, run.cooldown[1] - run.step), 1)
+            losses = run.run(count)
+            now = time.monotonic()
+            shown.update(count if steps is not None else now - begin - elapsed)
+            loss = sum(losses) / len(losses)
+            shown.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
+            curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
+            if now - last > checkpoint_minutes * 60.0:
+                checkpoint()
+                last = time.monotonic()
     finally:
+        # also on Ctrl-C, so that nothing is lost
+        checkpoint()
+        shown.close()
         curves.close()
-    return folder / WEIGHTS
+    return weights
+
+
+def _maybe_cool_down(
+    run: _models.Trainer, first: int, steps: int | None, total_s: float, elapsed_s: float
+) -> None:
+    if steps is not None:
+        if run.step >= steps - max(round(steps * _COOLDOWN_SHARE), 1):
+            run.cool_down(steps - run.step)
+    elif elapsed_s >= total_s * (1.0 - _COOLDOWN_SHARE):
+        pace = elapsed_s / (run.step - first) if run.step > first else 1.0
+        run.cool_down(max(int((total_s - elapsed_s) / pace), 1))
 
 
 def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -148,3 +197,39 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
         for key, value in changes.items()
     }
     return {**preset, **parts}
+
+
+class Curves:
+    """Loss and validation curves: CSV files, and TensorBoard where it is installed."""
+
+    def __init__(self, out: Path, step: int) -> None:
+        self._out = out
+        for path in (out / "loss.csv", out / "validation.csv"):
+            if path.exists():  # a killed run wrote rows after its last checkpoint
+                rows = [(row.split(",")[0], row) for row in read_text(path).splitlines(True)]
+                kept = [row for at, row in rows if not at.isdigit() or int(at) <= step]
+                write_aside(path, "".join(kept))
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            self._board = None
+        else:
+            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step)
+
+    def write(self, name: str, step: int, values: dict[str, float]) -> None:
+        """Append a row to ``<name>.csv``."""
+        path = self._out / f"{name}.csv"
+        fresh = not path.exists()
+        with path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            if fresh:
+                writer.writerow(["step", *values])
+            writer.writerow([step, *(f"{v:.6g}" for v in values.values())])
+        if self._board is not None:
+            for key, value in values.items():
+                self._board.add_scalar(f"{name}/{key}", value, step)
+
+    def close(self) -> None:
+        """Flush TensorBoard."""
+        if self._board is not None:
+            self._board.close()
