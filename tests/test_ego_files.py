@@ -11,6 +11,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits
 from ccdiff_env.envs import ego_network
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.worlds import Worlds
 
@@ -69,17 +70,17 @@ def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dynamics": "bicycle"}, "BicycleLimits"),
-        ({"action": {"max_yaw_rate_radps": 0.5}}, "trained for"),
-        ({"observation": {"num_neighbors": 3}}, "trained on observations"),
-        ({"decision_steps": 2}, "decision_steps=3"),
+        ({"dynamics": "bicycle"}, 'the worlds have "bicycle"'),
+        ({"action": {"max_yaw_rate_radps": 0.5}}, "action.max_yaw_rate_radps = 1.0"),
+        ({"observation": {"num_neighbors": 3}}, "observation.num_neighbors = "),
+        ({"decision_steps": 2}, "decision_steps = 3"),
     ],
 )
 def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, scenes):
     policy = planners.load(path)
     worlds = Worlds(scenes, policy.config.with_options(**options), num_worlds=1)
     with pytest.raises(ConfigError, match=message) as caught:
-        policy.drive(worlds)
+        Seat(policy, "policy").begin(worlds)
     assert "\n" not in str(caught.value)
     assert "env_options" in str(caught.value)
 
@@ -104,7 +105,7 @@ def test_planners_hold_actions_as_in_training(path, scenes):
     options = {**GOES_ON, "on_collision": "stop", "autoreset": "disabled", "traffic": "idm"}
     config = policy.config.with_options(**options)
     worlds = Worlds(scenes, config, num_worlds=len(scenes))
-    act, out = policy.drive(worlds), worlds.arrays()
+    act, out = Seat(policy, "policy"), worlds.arrays()
     everyone = list(range(len(scenes)))
     worlds.native.reset([3] * len(scenes), everyone, None, out)
     metrics = [None] * len(scenes)

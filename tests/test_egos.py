@@ -92,7 +92,7 @@ def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(scenes,
         )
         for worlds in (seat, traffic):
             worlds.native.reset([0], [0], None, worlds.arrays())
-        act = policy.drive(seat)
+        act = policy.act
         for _ in range(30):
             seat.native.step(act(seat.last.obs[:, 0]).reshape(1, 1, 2), seat.last)
             traffic.native.step(np.zeros((1, 1, 2), np.float32), traffic.last)

@@ -166,7 +166,7 @@ class Seat:
             takes = any(p.default is p.empty and p.kind < p.VAR_POSITIONAL for p in given)
             made = (given_worlds,) if takes else ()
             self._act = self._answer(lambda: self._planner(*made), worlds, range(worlds.num_worlds))
-        if not (callable(self._act) or hasattr(self._act, "drive")):
+        if not callable(self._act):
             raise ConfigError(f"{self.name}: a {type(self._act).__name__} cannot be called")
         fit = getattr(self._act, "fit", None)
         if isinstance(fit, Fit):
@@ -179,9 +179,7 @@ class Seat:
                 )
         self._worlds, self._given_worlds = worlds, given_worlds
         self._tracker: Tracker | None = None
-        drives = hasattr(self._planner, "drive")  # a policy of the package: it holds actions itself
-        self._act = self._planner.drive(worlds) if drives else self._act
-        self._held = Held(worlds, 1 if drives else self.config.decision_steps)
+        self._held = Held(worlds, self.config.decision_steps)
         self.reset(range(worlds.num_worlds))
 
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,11 @@ import numpy.typing as npt
 from ccdiff_env._native import EgoNetwork
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.planners.holding import Held
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.system.files import reading
 from ccdiff_env.system.tensors import write_tensors
 from ccdiff_env.worlds import Worlds
-from ccdiff_env.worlds.fit import fitting_fields, schema_digest
+from ccdiff_env.worlds.fit import Fit, fitting_fields, schema_digest
 from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, Ranges, read_policy
 
 __all__ = ["EgoPolicy", "load_ego", "save_ego"]
@@ -55,13 +54,13 @@ class EgoPolicy:
     ) -> None:
         self.config = WorldConfig().with_options(**options)  #: Configuration of worlds that fit.
         self.about, self.styles = dict(about), dict(styles)
-        self._schema = schema
+        #: What it was trained in.
+        self.fit = Fit(fitting_fields(self.config), "flat", schema)
         worlds = _worlds(self.config)
         self.check(worlds)
         self.size = worlds.layout.size
         self.tensors = {name: np.ascontiguousarray(tensors[name]) for name in tensors}
-        whole = json.loads(self.config.to_json())
-        observation, action = (json.dumps(whole[name]) for name in ("observation", "action"))
+        observation, action = (json.dumps(self.fit.options[n]) for n in ("observation", "action"))
         self._network = EgoNetwork(observation, action, self.tensors)
 
     @property
@@ -70,22 +69,8 @@ class EgoPolicy:
         return {"config": self.config}
 
     def check(self, worlds: Worlds) -> None:
-        """Refuse worlds whose observations or actions are not those of the policy.
-
-        Raises:
-            ConfigError: In one line that says what differs.
-        """
-        action = self.config.action
-        if worlds.config.action != action:
-            raise ConfigError(
-                f"policy: trained for {action.dynamics}, the worlds have "
-                f"{worlds.config.action.dynamics}; make them with its env_options"
-            )
-        if schema_digest(worlds.native.layout_json) != self._schema:
-            raise ConfigError(
-                f"policy: trained on observations {self._schema}, the worlds' are "
-                f"{schema_digest(worlds.native.layout_json)}; make them with its env_options"
-            )
+        """Refuse worlds that give it something else with a :class:`ConfigError` that says what."""
+        self.fit.check(worlds.config, worlds.native.layout_json, "policy")
 
     def act(self, obs: npt.NDArray[Any]) -> F32:
         """Return actions [N, A] in [-1, 1] for flat observations [N, D]; nothing is drawn.
@@ -98,26 +83,7 @@ class EgoPolicy:
             raise ShapeError(f"policy: obs has shape {given.shape}, expected (N, {self.size})")
         return self._network.act(given)
 
-    def drive(self, worlds: Worlds) -> Callable[[npt.NDArray[Any]], F32]:
-        """Return a function from observations [E, D] of worlds to actions [E, A].
-
-        Worlds that do not hold actions themselves are given every action for as many steps as the
-        policy was trained to hold it.
-
-        Raises:
-            ConfigError: If the worlds do not fit.
-        """
-        self.check(worlds)
-        held = self.config.decision_steps
-        if worlds.config.decision_steps not in (1, held):
-            raise ConfigError(
-                f"policy: trained with decision_steps={held}, the worlds have "
-                f"{worlds.config.decision_steps}; make them with its env_options"
-            )
-        if worlds.config.decision_steps == held:
-            return self.act
-        holding = Held(worlds, held)
-        return lambda obs: holding(lambda _: self.act(obs))
+    __call__ = act
 
 
 def save_ego(

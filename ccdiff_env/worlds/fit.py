@@ -98,7 +98,7 @@ class Fit:
                 part, wanted, given = _first_difference(name, wanted, given)
                 raise ConfigError(
                     f"{who} was trained with {part} = {_short(wanted)}, the worlds have "
-                    f"{_short(given)}: make them with its options"
+                    f"{_short(given)}: make them with its env_options"
                 )
         if self.schema != schema_digest(layout_json):
             raise ConfigError(f"{who} was trained on observations that this version makes no more")
