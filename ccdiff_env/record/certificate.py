@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import dataclasses
 import hashlib
 import json
@@ -21,6 +20,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.version import __version__
+from ccdiff_env.worlds import fit
 
 if TYPE_CHECKING:
     from ccdiff_env.worlds import Worlds
@@ -31,8 +31,7 @@ MOST_EPISODES = 100_000  #: Episodes since the seed that a replay goes through.
 
 def schema_digest(worlds: Worlds) -> str:
     """Digest of what observations and info columns mean."""
-    text = worlds.native.layout_json + _native.columns_json()
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+    return fit.schema_digest(worlds.native.layout_json + _native.columns_json())
 
 
 def _state_digest(worlds: Worlds) -> str:
@@ -125,22 +124,14 @@ class Certificate:
         """
         try:
             fields = parsed_object(text)
-            found = fields.pop("format")
-        except (ValueError, KeyError) as error:
-            raise SnapshotError(f"certificate: damaged ({error})") from None
-        if found != FORMAT:
-            raise SnapshotError(f"certificate: format {found!r}, this release reads {FORMAT!r}")
-        try:
+            if (found := fields.pop("format")) != FORMAT:
+                raise SnapshotError(f"certificate: format {found!r}, this release reads {FORMAT!r}")
             packed = fields["actions"]
             data = base64.b64decode(packed["float32"], validate=True)
             fields["actions"] = np.frombuffer(data, "<f4").reshape(packed["shape"])
             fields["config"] = WorldConfig.from_json(json.dumps(fields["config"]))
-            for name, kind in (
-                ("seed", int),
-                ("episode_idx", int),
-                ("scene", str),
-                ("digest", str),
-            ):
+            kinds = {"seed": int, "episode_idx": int, "scene": str, "digest": str}
+            for name, kind in kinds.items():
                 if type(fields[name]) is not kind:
                     raise SnapshotError(f"certificate: {name} is {fields[name]!r}")
             if not 0 <= fields["episode_idx"] <= MOST_EPISODES:
@@ -153,7 +144,7 @@ class Certificate:
             return cls(**fields)
         except SnapshotError:
             raise
-        except (ValueError, KeyError, TypeError, binascii.Error) as error:
+        except (ValueError, KeyError, TypeError) as error:
             raise SnapshotError(f"certificate: damaged ({error})") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -111,25 +111,21 @@ class Recorder:
             self._scene = with_tracks(self._scene, self._scene.tracks(), sizes=sizes)
         self._episode = (status.scene_idx, status.seed, status.episode)
         self._elapsed, self._start_step = status.elapsed_steps, status.step_idx
-        self._states: list[dict[str, Any]] = []
+        self._states: list[dict[str, Any]] = [{**native.states(world)}]
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
         self._plans: list[TrafficPlan] = []
         self._kept: dict[str, int] = {}  #: Step of the newest plan of each driver that plans.
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
-        self._slot = self._ego_slot()
+        agents = native.slot_agents(world)
+        ego = self._ids.index("ego") if "ego" in self._ids else None
+        self._slot = agents.index(ego) if ego is not None and ego in agents else 0
         self._touching = {(i, j) for i, j, *_ in native.contacts(world)}
         self._off_road = native.off_road(world)[0].copy()
         self._drivers = native.drivers(world)
         self._seed = status.seed
         self._start_elapsed = status.elapsed_steps
-        self._keep()
-
-    def _ego_slot(self) -> int:
-        agents = self._worlds.native.slot_agents(self._world_idx)
-        ego = self._ids.index("ego") if "ego" in self._ids else None
-        return agents.index(ego) if ego is not None and ego in agents else 0
 
     def step(self) -> bool:
         """Record the state after a step; returns whether the world still plays the same episode.
@@ -158,12 +154,8 @@ class Recorder:
         self._contact_events(at)
         self._road_events(at)
         self._end_events(at)
-        self._keep()
+        self._states.append({**native.states(world)})
         return True
-
-    def _keep(self) -> None:
-        states = self._worlds.native.states(self._world_idx)
-        self._states.append({**states})
 
     def _keep_plan(self, driver: str) -> None:
         plan = self._worlds.explain(self._world_idx, driver)
@@ -213,7 +205,7 @@ class Recorder:
             raise ResetNeededError(
                 "recorder: no step is recorded; call its step() after each of the environment"
             )
-        stacked = {
+        stacked: dict[str, Any] = {
             name: np.stack([s[name] for s in self._states], axis=1)
             for name in _STATES
             if name in self._states[0]
@@ -230,11 +222,8 @@ class Recorder:
             start_step=self._start_step,
             dt_s=config.dt_s,
             agent_ids=self._ids,
-            position=stacked["position"],
-            heading=stacked["heading"],
-            velocity=stacked["velocity"],
-            valid=stacked["active"],
-            elevation_m=stacked.get("elevation_m"),
+            valid=stacked.pop("active"),
+            **stacked,
             drivers=np.array([drivers.index(name) for name in self._drivers], np.int64),
             driver_table=table,
             events=tuple(self._events),

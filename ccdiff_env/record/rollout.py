@@ -33,6 +33,14 @@ EVENT_KINDS = (
     "time_limit",
 )  # fmt: skip
 FORMAT = "ccdiff-env rollout 2"
+#: Tracks of a rollout: type, and axes behind [A, T].
+_TRACKS: dict[str, tuple[Any, tuple[int, ...]]] = {
+    "position": (np.float32, (2,)),
+    "heading": (np.float32, ()),
+    "velocity": (np.float32, (2,)),
+    "valid": (np.bool_, ()),
+    "elevation_m": (np.float32, ()),
+}
 
 
 @dataclass(frozen=True)
@@ -102,23 +110,16 @@ class Rollout:
         if self.valid.ndim != 2 or self.valid.shape[1] < 1:
             raise ShapeError(f"valid has shape {self.valid.shape}, expected [A, T]")
         a, t = len(self.agent_ids), self.valid.shape[1]
-        for name, shape in (
-            ("position", (a, t, 2)),
-            ("heading", (a, t)),
-            ("velocity", (a, t, 2)),
-            ("valid", (a, t)),
-            ("drivers", (a,)),
-        ):
-            expect_shape(name, getattr(self, name), shape)
+        for name, (_, axes) in _TRACKS.items():
+            if name != "elevation_m" or self.elevation_m is not None:
+                expect_shape(name, getattr(self, name), (a, t, *axes))
+        expect_shape("drivers", self.drivers, (a,))
         for name, values in self.info.items():
             expect_shape(f"info[{name!r}]", values, (t - 1,))
-        there, levels = self.valid, self.elevation_m is not None
-        if levels:
-            expect_shape("elevation_m", self.elevation_m, (a, t))
-        if levels != ("elevation_m" in self.scene.tracks()):
+        if ("elevation_m" in self.tracks()) != ("elevation_m" in self.scene.tracks()):
             raise DatasetError("elevation_m is wanted in scenes with levels, and only there")
-        for name in ("position", "heading", "velocity", *(["elevation_m"] if levels else ())):
-            if not np.isfinite(getattr(self, name)[there]).all():
+        for name, values in self.tracks().items():
+            if not np.isfinite(values[self.valid]).all():
                 raise DatasetError(f"{name} is not finite where valid")
         if not (1e-3 <= self.dt_s <= 10.0 and math.isclose(self.dt_s, self.scene.dt, rel_tol=1e-5)):
             raise DatasetError(f"dt_s is {self.dt_s}, expected {self.scene.dt} of the scene")
@@ -142,6 +143,11 @@ class Rollout:
             f"Rollout({self.scene.name}, {self.num_steps} steps of {self.dt_s:g} s, "
             f"{len(self.agent_ids)} agents, {len(self.plans)} plans, {len(self.events)} events)"
         )
+
+    def tracks(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the arrays of all states by name, as those of :meth:`Scene.tracks`."""
+        found = {name: getattr(self, name) for name in _TRACKS}
+        return {name: array for name, array in found.items() if array is not None}
 
     @property
     def num_steps(self) -> int:
@@ -176,25 +182,17 @@ class Rollout:
             Scene: Of ``start_step + T`` steps, with the agents that are there at one step at least.
                 An environment starts it where this episode started.
         """
-        log = self.scene.tracks()
-        before = slice(0, self.start_step)
-        valid = np.concatenate([log["valid"][:, before], self.valid], axis=1)
-        heading = np.concatenate([log["heading"][:, before], self.heading], axis=1)
-        for row, there in zip(heading, valid, strict=True):
-            row[there] = np.unwrap(row[there])
+        log = dict[str, Any](self.scene.tracks())
         tracks = {
-            "position": np.concatenate([log["position"][:, before], self.position], axis=1),
-            "heading": heading,
-            "velocity": np.concatenate([log["velocity"][:, before], self.velocity], axis=1),
-            "valid": valid,
+            name: np.concatenate([log[name][:, : self.start_step], array], axis=1)
+            for name, array in self.tracks().items()
         }
-        if self.elevation_m is not None:
-            heights = [log["elevation_m"][:, before], self.elevation_m]
-            tracks["elevation_m"] = np.concatenate(heights, axis=1)
+        for row, there in zip(tracks["heading"], tracks["valid"], strict=True):
+            row[there] = np.unwrap(row[there])
         return with_tracks(
             self.scene,
             tracks,
-            np.flatnonzero(valid.any(axis=1)),
+            np.flatnonzero(tracks["valid"].any(axis=1)),
             name=name or f"{self.scene.name} rollout",
             source=f"rollout of {self.scene.source}",
         )
@@ -212,12 +210,7 @@ class Rollout:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the episode to one file: numpy's ``.npz`` without pickles, the rest as JSON."""
-        arrays: dict[str, npt.NDArray[Any]] = {
-            name: getattr(self, name)
-            for name in ("position", "heading", "velocity", "valid", "drivers")
-        }
-        if self.elevation_m is not None:
-            arrays["elevation_m"] = self.elevation_m
+        arrays = {**self.tracks(), "drivers": self.drivers}
         arrays["scene"] = np.frombuffer(self.scene.to_bytes(), np.uint8)
         for name, values in self.info.items():
             arrays[f"info/{name}"] = values
@@ -265,6 +258,11 @@ class Rollout:
         plans = tuple(
             _plan(arrays, i, made_at, names) for i, (made_at, names) in enumerate(head["plans"])
         )
+        tracks: dict[str, Any] = {
+            name: _typed(arrays, name, dtype)
+            for name, (dtype, _) in _TRACKS.items()
+            if name in arrays or name != "elevation_m"
+        }
         drivers = _typed(arrays, "drivers", np.int64)
         table = tuple((str(name), str(kind)) for name, kind in head["driver_table"])
         if drivers.size and not 0 <= drivers.min() <= drivers.max() < len(table):
@@ -274,10 +272,6 @@ class Rollout:
             start_step=int(head["start_step"]),
             dt_s=float(head["dt_s"]),
             agent_ids=tuple(scene.agent_ids),
-            position=_typed(arrays, "position", np.float32),
-            heading=_typed(arrays, "heading", np.float32),
-            velocity=_typed(arrays, "velocity", np.float32),
-            valid=_typed(arrays, "valid", np.bool_),
             drivers=drivers,
             driver_table=table,
             events=tuple(_event(*fields) for fields in head["events"]),
@@ -288,9 +282,7 @@ class Rollout:
             },
             plans=plans,
             meta=head["meta"],
-            elevation_m=(
-                _typed(arrays, "elevation_m", np.float32) if "elevation_m" in arrays else None
-            ),
+            **tracks,
         )
 
 
@@ -337,9 +329,7 @@ def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
     tracks = dict[str, Any](rollout.scene.tracks())
     shape = (len(rollout.agent_ids), rollout.scene.num_steps - rollout.start_step)
     changed: dict[str, Any] = {}
-    heights = () if rollout.elevation_m is None else ("elevation_m",)
-    for part in ("position", "heading", "velocity", "valid", *heights):
-        recorded = getattr(rollout, part)
+    for part, recorded in rollout.tracks().items():
         changed[part] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
         changed[part][:, : rollout.num_steps] = recorded
         changed[part][ego] = tracks[part][ego, rollout.start_step :]

@@ -179,24 +179,9 @@ class FollowsTraining:
         self.set_scene_weights(weights)
 
     def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
-
-        Raises:
-            ConfigError: If there is no curriculum, or the number is out of range.
-        """
+        """Say how far training has come, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""
         self.worlds.set_progress(progress)
 
     def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
-        """Draw the scenes of episodes that begin later by weights, all alike for ``None``.
-
-        Args:
-            weights: One for each scene [S], none negative; see
-                :class:`~ccdiff_env.worlds.curriculum.SceneWeights` for weights by how episodes
-                went.
-
-        Raises:
-            ConfigError: If weights are no numbers, negative, not finite or all zero, or scenes are
-                played in their order.
-            ShapeError: If their number is another one than that of the scenes.
-        """
+        """Draw scenes by weights, see :meth:`ccdiff_env.worlds.Worlds.set_scene_weights`."""
         self.worlds.set_scene_weights(weights)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-__all__ = ["FORMS", "Entry", "Form", "InfoColumn", "Layout", "action_space", "read_columns"]
+__all__ = ["FORMS", "Entry", "Form", "InfoColumn", "Layout", "read_columns"]
 
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
@@ -99,15 +99,22 @@ class Layout:
         return cls(entries, schema["size"], tuple(bev["shape"]), channels)
 
     def space(self, form: Form) -> gymnasium.Space[Any]:
-        """Space of observations in a form."""
-        if form == "bev":
-            return self.raster_space()
+        """Space of observations in a form: a Box of the flat row [D], a Dict of the entries (a Box,
+        a MultiBinary for each mask) and the raster, or a Box uint8 of the raster alone.
+        """
         if form == "flat":
             return self.flat_space()
-        parts = dict(self.dict_space().spaces)
-        if self.raster is not None:
-            parts["bev"] = self.raster_space()
-        return spaces.Dict(parts)
+        raster = None if self.raster is None else spaces.Box(0, 255, self.raster, np.uint8)
+        if form == "bev":
+            assert raster is not None, "this form goes with a raster"
+            return raster
+        parts: dict[str, gymnasium.Space[Any]] = {
+            entry.name: spaces.MultiBinary(entry.shape[0])
+            if entry.is_mask
+            else spaces.Box(*entry.bounds(), dtype=np.float32)
+            for entry in self.entries
+        }
+        return spaces.Dict(parts if raster is None else {**parts, "bev": raster})
 
     def observation(self, form: Form, rows: F32, bev: U8 | None) -> Any:
         """Observations in a form, of rows [..., D] and rasters [..., channels, S, S]: views."""
@@ -119,27 +126,12 @@ class Layout:
         parts = self.split(rows)
         return parts if bev is None else {**parts, "bev": bev}
 
-    def raster_space(self) -> spaces.Box:
-        """Box [channels, S, S] uint8 of the raster."""
-        assert self.raster is not None, "this form goes with a raster"
-        return spaces.Box(0, 255, self.raster, np.uint8)
-
     def flat_space(self) -> spaces.Box:
         """Box [D] float32 of the flat row."""
         bounds = [entry.bounds() for entry in self.entries]
         low = np.concatenate([low.ravel() for low, _ in bounds])
         high = np.concatenate([high.ravel() for _, high in bounds])
         return spaces.Box(low, high, dtype=np.float32)
-
-    def dict_space(self) -> spaces.Dict:
-        """Dict of a float32 Box for each entry, and a MultiBinary for each mask."""
-        parts: dict[str, gymnasium.Space[Any]] = {}
-        for entry in self.entries:
-            if entry.is_mask:
-                parts[entry.name] = spaces.MultiBinary(entry.shape[0])
-            else:
-                parts[entry.name] = spaces.Box(*entry.bounds(), dtype=np.float32)
-        return spaces.Dict(parts)
 
     def split(self, rows: F32) -> dict[str, npt.NDArray[Any]]:
         """Dictionary form of flat rows [..., D]: views of the values, int8 arrays for masks."""
@@ -151,10 +143,3 @@ class Layout:
             else:
                 parts[entry.name] = part.reshape(*rows.shape[:-1], *entry.shape)
         return parts
-
-
-def action_space(width: int, num_actions: int | None) -> spaces.Box | spaces.Discrete:
-    """Box(-1, 1, [W]) float32 of normalised actions, or Discrete for the indices of a grid."""
-    if num_actions is not None:
-        return spaces.Discrete(num_actions)
-    return spaces.Box(-1.0, 1.0, (width,), np.float32)

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
@@ -22,7 +23,7 @@ from ccdiff_env.worlds.configured import SceneChoice
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
 from ccdiff_env.worlds.networks import network_policies
-from ccdiff_env.worlds.spaces import Form, Layout, action_space, read_columns
+from ccdiff_env.worlds.spaces import Form, Layout, read_columns
 from ccdiff_env.worlds.step_arrays import F32, U8, StepArrays
 
 PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
@@ -43,6 +44,12 @@ def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
         for name, policy in config.named_drivers.items()
         if isinstance(policy.options, PythonTraffic)
     }
+
+
+def _integer(name: str, value: Any, expected: str) -> int:
+    if isinstance(value, (bool, np.bool_)) or not hasattr(value, "__index__"):
+        raise ConfigError(f"{name} is {value!r}, expected {expected}")
+    return operator.index(value)
 
 
 class Worlds:
@@ -126,8 +133,13 @@ class Worlds:
 
     @property
     def action_space(self) -> gymnasium.Space[Any]:
-        """Space of an agent's actions, a new one each time: wrappers may change it."""
-        return action_space(self.native.action_width, self.native.num_actions)
+        """Space of an agent's actions, a new one each time: wrappers may change it.
+
+        Box(-1, 1, [W]) float32 of normalised actions, or Discrete for the indices of a grid.
+        """
+        if self.native.num_actions is not None:
+            return spaces.Discrete(self.native.num_actions)
+        return spaces.Box(-1.0, 1.0, (self._width,), np.float32)
 
     def observation_space(self, form: Form) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations in a form; it says what they are made from.
@@ -178,9 +190,7 @@ class Worlds:
                 few = ", ".join(list(self._index)[:5])
                 raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {few} ...")
             return self._index[choice]
-        if isinstance(choice, (bool, np.bool_)) or not hasattr(choice, "__index__"):
-            raise ConfigError(f"scene is {choice!r}, expected a name or an index")
-        index = operator.index(choice)
+        index = _integer("scene", choice, "a name or an index")
         if not 0 <= index < len(self._index):
             raise UnknownNameError(f"no scene {index}, expected an index below {len(self._index)}")
         return index
@@ -200,9 +210,7 @@ class Worlds:
         if (ego is not None or start is not None) and scene_idx is None:
             raise ConfigError("options: ego and start are given without a scene")
         if start is not None:
-            if isinstance(start, (bool, np.bool_)) or not hasattr(start, "__index__"):
-                raise ConfigError(f"start is {start!r}, expected a step of the log")
-            start = operator.index(start)
+            start = _integer("start", start, "a step of the log")
             if not 0 <= start < 2**63:
                 raise ConfigError(f"start is {start}, expected a step of the log")
         if ego is None or scene_idx is None:
@@ -260,8 +268,7 @@ class Worlds:
         scene = self.scenes[self.native.status(world_idx).scene_idx]
         places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
         found = {agent: driver for agent, driver in drivers.items() if agent in places}
-        unknown = [] if passing_over else [agent for agent in drivers if agent not in places]
-        if unknown:
+        if not passing_over and (unknown := [agent for agent in drivers if agent not in places]):
             raise UnknownNameError(
                 f"drivers: {scene.name} (world {world_idx}) has no agent {unknown[0]!r}"
             )
@@ -277,17 +284,19 @@ class Worlds:
         self.drivers[world_idx] = found
 
     def set_progress(self, progress: float) -> None:
-        """Tell the curriculum how far training has come, 0 to 1.
+        """Say how far training has come, 0 to 1: episodes that begin later follow.
 
         Raises:
-            ConfigError: If there is none, or the number is out of range.
+            ConfigError: If there is no curriculum, or the number is out of range.
         """
         if self.curriculum is None:
             raise ConfigError("progress: the environment was made without criticality")
         self.curriculum.progress = progress
 
     def set_scene_weights(self, weights: Any) -> None:
-        """Draw the scenes of episodes that begin later by weights.
+        """Draw the scenes of episodes that begin later by weights [S], all alike for ``None``.
+
+        :class:`~ccdiff_env.worlds.curriculum.SceneWeights` gives weights by how episodes went.
 
         Raises:
             ConfigError: If weights are no numbers, negative, not finite or all zero, or scenes are
