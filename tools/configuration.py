@@ -36,7 +36,10 @@ PLAIN_FORMS = {
 }
 #: Fields that classes of Python have in another form.
 OWN_FORM = {"WorldConfig": "named_drivers", "PythonOptions": "model"}
-HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit."""
+HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit.
+
+docs/configuration.md says what the choices mean.
+"""
 
 from __future__ import annotations
 
@@ -154,12 +157,8 @@ def _alias(choice: Mapping[str, Any]) -> str:
     plain = [v["name"] for v in choice["variants"] if v["form"] is None]
     parts = [f"Literal[{', '.join(json.dumps(name) for name in plain)}]"] if plain else []
     parts += [_annotation(v["form"]) for v in choice["variants"] if v["form"] is not None]
-    lines = [_wrapped(_python(choice["doc"]), "#: ", "#: ")] + ["#:"] * bool(plain)
-    for variant in choice["variants"] if plain else []:
-        lines.append(
-            _wrapped(f"* ``{variant['name']}``: {_python(variant['doc'])}", "#: ", "#:   ")
-        )
-    text = "\n".join([*lines, f"{choice['name']}: TypeAlias = {' | '.join(parts)}\n"])
+    text = _wrapped(_python(choice["doc"]), "#: ", "#: ")
+    text += f"\n{choice['name']}: TypeAlias = {' | '.join(parts)}\n"
     if plain:
         return text
     names = ", ".join(f"{v['name']!r}: {_annotation(v['form'])}" for v in choice["variants"])

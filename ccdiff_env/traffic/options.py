@@ -1,4 +1,7 @@
-"""Fields of configurations, written by `python -m tools.configuration`: do not edit."""
+"""Fields of configurations, written by `python -m tools.configuration`: do not edit.
+
+docs/configuration.md says what the choices mean.
+"""
 
 from __future__ import annotations
 
@@ -9,46 +12,20 @@ from typing import Any, Literal, TypeAlias
 from ccdiff_env.traffic.checked_options import Options
 
 #: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
-#:
-#: * ``ego``: The ego.
-#: * ``any``: A vehicle and a start drawn for each episode from those whose log is 10 m away at the
-#:   end of the horizon; in a scene without any, the ego. ``ego="any"`` for short.
-#: * ``vehicles``: Vehicles present at the start, the ego first, then by ``ranking``, as many as
-#:   there are slots.
-#: * ``ids``: Agents by id; unknown ones leave their slot empty.
-#: * ``per_scene``: Agents by id for each scene by its name; other slots stay empty.
 Controlled: TypeAlias = (
     Literal["ego", "any", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 )
 
 #: Which vehicles come first where an episode starts.
-#:
-#: * ``cliques``: Those of heavy cliques of the time-to-contact graph of the three seconds before.
-#: * ``nearest``: The nearest to the ego.
-#: * ``ttc``: Those that would touch the ego soonest at constant velocities, then the nearest.
-#: * ``first``: The scene's order.
-#: * ``random``: A shuffle, the same for every episode.
 VehicleRanking: TypeAlias = Literal["cliques", "nearest", "ttc", "first", "random"]
 
 #: Who moves pedestrians.
-#:
-#: * ``replay``: Their log.
-#: * ``social_force``: The social force model along their logged paths: they give way to vehicles
-#:   and to each other.
 Pedestrians: TypeAlias = Literal["replay", "social_force"]
 
 #: What follows when a controlled agent touches another one, or leaves the road.
-#:
-#: * ``ignore``: Nothing; the event is reported.
-#: * ``stop``: The agent stands still from then on, and its episode goes on.
-#: * ``remove``: The agent leaves the world, and its episode ends.
-#: * ``terminate``: The agent's episode ends.
 Consequence: TypeAlias = Literal["ignore", "stop", "remove", "terminate"]
 
 #: What follows when agents without a slot touch.
-#:
-#: * ``ignore``: They go on through one another (paper).
-#: * ``stop``: They stay where they touch.
 TrafficCollision: TypeAlias = Literal["ignore", "stop"]
 
 
@@ -105,9 +82,6 @@ class DeltaPoseLimits(Options):
 
 
 #: Whose driving actions change.
-#:
-#: * ``idm``: IDM on the route.
-#: * ``pdm``: PDM-Closed on its centre line, asked at every step.
 AssistedBase: TypeAlias = Literal["idm", "pdm"]
 
 
@@ -213,11 +187,6 @@ class ObservationConfig(Options):
 
 
 #: How the reward is made.
-#:
-#: * ``sum``: Weighted sum of the components.
-#: * ``product``: New progress times factors for comfort, speed, time to contact and distance from
-#:   the route, as in CaRL (Jaeger et al., 2025); collisions count where they are the agent's fault.
-#:   The weights of the factors are unused.
 RewardForm: TypeAlias = Literal["sum", "product"]
 
 
@@ -274,18 +243,9 @@ class IdmConfig(Options):
 
 
 #: What happens to a world whose episode has ended (Gymnasium's autoreset modes).
-#:
-#: * ``next_step``: The next step resets it; the action of that step is ignored and its reward is
-#:   zero.
-#: * ``same_step``: It is reset within the step; the last observation goes to ``final_obs``.
-#: * ``disabled``: It waits for a reset; stepping it is an error.
 Autoreset: TypeAlias = Literal["next_step", "same_step", "disabled"]
 
 #: How the scene of an episode is chosen when the reset names none.
-#:
-#: * ``random``: Uniformly, from the world's generator.
-#: * ``sequential``: World i of E plays scenes i, i + E, i + 2E … in the order of the scene list,
-#:   and round again.
 SceneOrder: TypeAlias = Literal["random", "sequential"]
 
 
@@ -385,58 +345,24 @@ class EgosConfig(Options):
 
 
 #: The decision causal graph that the network sees.
-#:
-#: * ``causal``: Edges within the thresholds of the weights: 3 s to contact, 50 m.
-#: * ``full``: An edge between all pairs (ablation "Enc" off), as far as the network has slots.
 GraphMode: TypeAlias = Literal["causal", "full"]
 
 #: How the vehicles to be guided are found.
-#:
-#: * ``cliques``: Occurrence in heavy cliques of the time-to-contact graph over the history (as the
-#:   released lists).
-#: * ``greedy``: The paper's greedy cliques on G times attention.
-#: * ``distance_cliques``: Occurrence in heavy cliques of the distance graph.
-#: * ``ttc``: Time to contact with the nearest in it of ``collision_targets``, then distance from
-#:   it.
-#: * ``first``: The order of the scene, the ego first: what the release calls random.
-#: * ``random``: A shuffle from the world's own seed.
-#: * ``gradient``: Alignment of the gradients of realism and guidance (the paper's ideal
-#:   definition).
-#: * ``list``: Agent ids by scene name, most important first; scenes without a list are filled by
-#:   nearness.
 Ranking: TypeAlias = (
     Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
     | Mapping[str, tuple[str, ...]]
 )
 
 #: Who drives the vehicles outside the guided set.
-#:
-#: * ``ccdiff``: The network, without guidance.
-#: * ``idm``: The intelligent driver model along their routes.
-#: * ``replay``: The log (paper, as released). Who has left the log by being guided once never
-#:   returns to it.
 BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]
 
 #: Contacts with whom count in the collision objectives.
-#:
-#: * ``ego``: The ego, and every vehicle that is driven from outside.
-#: * ``all``: Every vehicle (paper).
 CollisionTargets: TypeAlias = Literal["ego", "all"]
 
 #: How a vehicle stands to the nearest of those with whom contacts count.
-#:
-#: * ``rear_end``: Headings within 45 degrees, beside each other by at most 2 m: one behind the
-#:   other.
-#: * ``cut_in``: Headings within 45 degrees, beside each other by more than 2 m: in another lane.
-#: * ``crossing``: Headings apart by 45 to 135 degrees.
-#: * ``head_on``: Headings apart by more than 135 degrees.
 Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
 
 #: Which vehicles stand still for the whole episode.
-#:
-#: * ``parked``: Those that never move in the log.
-#: * ``standing``: Those slower than 0.5 m/s in the log at the start (as released).
-#: * ``nobody``: None: what a log says of later is not asked.
 ParkedRule: TypeAlias = Literal["parked", "standing", "nobody"]
 
 
