@@ -14,7 +14,7 @@ from ccdiff_env.models import (
     guidance_preset,
     shipped_weights,
     train,
-    training_loop,
+    training,
 )
 from ccdiff_env.models.training import Curves
 from ccdiff_env.scenes import load_nuscenes
@@ -83,7 +83,7 @@ def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
 ):
     """Header and numbers: constants of the data come back from the state to the last bit."""
     options = {"settings": {**QUICK, "seed": 3}, "progress": False, "steps": 10}
-    monkeypatch.setattr(training_loop, "_CHUNK", 3)
+    monkeypatch.setattr(training, "_CHUNK", 3)
     often = train([road()], out=tmp_path / "often", checkpoint_minutes=0.0, **options)
     train([road()], out=tmp_path / "whole", **options)
     write, left = Curves.write, [2]

@@ -78,7 +78,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
     ) -> None:
         shared = Shared(
             scenes, config, observation, info, render_mode, render_options, criticality,
-            ("rgb_array",), num_worlds, num_threads, "same_step",
+            num_worlds, num_threads, "same_step",
         )  # fmt: skip
         self._take_agents(
             shared, options, adversary_shaping,

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import AgentSelection, Bool
-from ccdiff_env.envs.drawing import check_render_mode, checked_render_options
+from ccdiff_env.envs.drawing import checked_render_options
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seated
 from ccdiff_env.traffic.options import Autoreset
@@ -44,7 +44,6 @@ class Shared(NamedTuple):
     render_mode: str | None
     render_options: Mapping[str, Any] | None
     criticality: Criticality | None
-    modes: tuple[str, ...] = ("human", "rgb_array")  #: Render modes that there are.
     num_worlds: int = 1
     num_threads: int | None = 1
     autoreset: Autoreset = "disabled"
@@ -65,7 +64,11 @@ class OnWorlds(FollowsTraining):
             raise unknown("observation form", str(shared.observation), FORMS)
         if shared.info not in ("full", "end", "none"):
             raise unknown("info level", str(shared.info), ("full", "end", "none"))
-        check_render_mode(shared.render_mode, shared.modes)
+        if shared.render_mode not in (None, "rgb_array"):
+            raise ConfigError(
+                f"render_mode is {shared.render_mode!r}, expected None or rgb_array; "
+                "gymnasium.wrappers.HumanRendering shows the images of the latter in a window"
+            )
         self._render_options = checked_render_options(shared.render_options)
         self.render_mode = shared.render_mode
         self._form: Form = shared.observation

@@ -98,7 +98,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         mode = _mode(autoreset_mode)
         shared = Shared(
             scenes, config, observation, info, render_mode, render_options, criticality,
-            ("rgb_array",), num_envs, num_threads, _name(mode),
+            num_envs, num_threads, _name(mode),
         )  # fmt: skip
         self._take_ego(
             shared, options,
