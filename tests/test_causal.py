@@ -48,6 +48,15 @@ def networkx_ranking(measure, threshold, min_size, top, top_k):
     return sorted(counts, key=lambda a: -counts[a])[:top_k]
 
 
+def cliques(measure, threshold=0.0, min_size=2, top=3, top_k=10):
+    """Agents that take part in cliques of a measure without absent agents."""
+    found = causal.rank(
+        "cliques", top_k=top_k, valid=[True] * measure.shape[-1], ttc=measure,
+        threshold=threshold, min_size=min_size, top_per_frame=top,
+    )  # fmt: skip
+    return found.agents[: found.num_named]
+
+
 def test_released_lists_of_all_real_scenes_are_reproduced():
     folder = released_ranker()
     if folder is None:
@@ -56,9 +65,9 @@ def test_released_lists_of_all_real_scenes_are_reproduced():
     assert len(lists) == 8
     for scene, expected in lists.items():
         ttc = np.moveaxis(np.load(folder / f"{scene}.npz")["ttc"], -1, 0)
-        assert list(causal.rank_cliques(ttc)) == expected, scene
+        assert cliques(ttc) == expected, scene
         script = networkx_ranking(ttc.astype(float), 0.5, 3, 3, 10)
-        assert causal.rank_cliques(ttc, threshold=0.5, min_size=3) == script, scene
+        assert cliques(ttc, threshold=0.5, min_size=3) == script, scene
 
 
 @st.composite
@@ -79,24 +88,24 @@ def measures(draw):
 @settings(max_examples=300, deadline=None)
 @given(measures(), st.sampled_from([0.0, 0.3]), st.integers(1, 4), st.integers(1, 5))
 def test_rankings_are_those_of_listing_all_cliques_with_networkx(measure, threshold, min_size, top):
-    got = causal.rank_cliques(measure, threshold, min_size, top, 10)
+    got = cliques(measure, threshold, min_size, top, 10)
     assert got == networkx_ranking(measure, threshold, min_size, top, 10)
 
 
 def test_a_search_that_is_cut_short_says_so():
     measure = np.random.default_rng(0).random((1, 40, 40))
     measure[0, :20] *= np.random.default_rng(1).random((20, 40)) < 0.5
-    assert causal.clique_counts(measure).exact
-    cut = causal.clique_counts(measure, node_limit=2)
-    assert not cut.exact
-    assert cut.num_cliques == 3
+    options = {"top_k": 3, "valid": [True] * 40, "ttc": measure}
+    assert causal.rank("cliques", **options).exact
+    assert not causal.rank("cliques", **options, node_limit=2).exact
 
 
 def test_the_weights_of_absent_agents_do_not_count():
     measure = np.full((2, 4, 4), np.nan)
     measure[:, :2, :2] = 0.5
-    assert causal.rank_cliques(measure) == [0, 1]
-    assert causal.rank_cliques(np.zeros((0, 4, 4))) == []
+    found = causal.rank("cliques", top_k=4, valid=[True, True, False, False], ttc=measure)
+    assert (found.agents, found.num_named) == ([0, 1], 2)
+    assert cliques(np.zeros((0, 4, 4))) == []
 
 
 CAR = [4.5, 2.0]
@@ -240,8 +249,10 @@ def test_greedy_ranking_sees_attention_only_through_the_graph():
 def test_distance_ranking_counts_cliques_of_near_agents():
     position = np.array([[0, 0], [100, 0], [5, 0], [101, 0], [300, 0]])
     near = causal.distance(position, normalised=True)
-    assert causal.rank_distance(position) == networkx_ranking(near[None].astype(float), 0, 2, 3, 10)
-    assert set(causal.rank_distance(position)) == {0, 1, 2, 3}
+    found = causal.rank("distance_cliques", top_k=10, valid=[True] * 5, distance=near)
+    named = found.agents[: found.num_named]
+    assert named == networkx_ranking(near[None].astype(float), 0, 2, 3, 10)
+    assert set(named) == {0, 1, 2, 3}
 
 
 def test_short_rankings_are_filled_by_contact_then_distance_then_index():
@@ -268,11 +279,11 @@ def test_bad_input_is_refused_with_the_offending_part():
     with pytest.raises(UnknownNameError, match="swept"):
         causal.ttc([[0, 0]], [0], [0], [CAR], method="swept")
     with pytest.raises(ConfigError, match=r"rank\.threshold"):
-        causal.rank_cliques(np.zeros((1, 2, 2)), threshold=-1)
+        cliques(np.zeros((1, 2, 2)), threshold=-1)
     with pytest.raises(ConfigError, match="normalised"):
-        causal.rank_cliques(np.full((1, 2, 2), 20.0))
+        cliques(np.full((1, 2, 2), 20.0))
     with pytest.raises(ShapeError):
-        causal.rank_cliques(np.zeros((1, 2, 3)))
+        cliques(np.zeros((1, 2, 3)))
     with pytest.raises(ConfigError, match=r"graph\.ttc_s"):
         causal.graph(np.zeros((2, 2)), np.zeros((2, 2)), max_ttc_s=-1)
     with pytest.raises(UnknownNameError, match="agent"):

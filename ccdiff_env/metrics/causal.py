@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ShapeError
+from ccdiff_env.errors import ShapeError, expect_shape
 
 TTC_CAP_S = 20.0  #: Times to contact are capped here, seconds.
 DISTANCE_CAP_M = 20.0  #: Distances beyond this are 0 in the normalised form, metres.
@@ -24,9 +24,9 @@ NODE_LIMIT = 20_000  #: Cliques that a search visits per step at most, by defaul
 GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
 
 __all__ = [
-    "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "CliqueCounts",
-    "Graph", "Ranking", "apart", "clique_counts", "distance", "graph", "normalise_distance",
-    "normalise_ttc", "rank", "rank_cliques", "rank_distance", "rank_greedy", "ttc",
+    "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "Graph",
+    "Ranking", "apart", "distance", "graph", "normalise_distance", "normalise_ttc", "rank",
+    "rank_greedy", "ttc",
 ]  # fmt: skip
 
 
@@ -78,8 +78,7 @@ def _part(
     """Write into measures of pairs [T, M, M] what holds between levels."""
     if elevation_m is not None:
         heights, _ = _history("elevation_m", elevation_m, np.float32, 2)
-        if heights.shape != pairs.shape[:2]:
-            raise ShapeError(f"elevation_m has shape {heights.shape}, expected {pairs.shape[:2]}")
+        expect_shape("elevation_m", heights, pairs.shape[:2])
         pairs[apart(heights)] = none
     return pairs
 
@@ -132,13 +131,9 @@ def ttc(
     speeds, _ = _history("speed", speed, np.float32, 2)
     sizes = np.asarray(size, dtype=np.float32)
     shape = points.shape[:2]
-    for name, got, expected in (
-        ("heading", headings.shape, shape),
-        ("speed", speeds.shape, shape),
-        ("size", sizes.shape, (shape[1], 2)),
-    ):
-        if got != expected:
-            raise ShapeError(f"{name} has shape {got}, expected {expected}")
+    expect_shape("heading", headings, shape)
+    expect_shape("speed", speeds, shape)
+    expect_shape("size", sizes, (shape[1], 2))
     seconds: npt.NDArray[np.float32] = _native.causal_ttc(
         np.ascontiguousarray(points[..., 0]),
         np.ascontiguousarray(points[..., 1]),
@@ -184,14 +179,17 @@ def distance(
 
 def normalise_ttc(ttc_s: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """Turn seconds into (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later."""
-    seconds = np.asarray(ttc_s, dtype=np.float32)
-    return (TTC_CAP_S - np.clip(seconds, 0.0, TTC_CAP_S)) / np.float32(TTC_CAP_S)
+    return _near(ttc_s, TTC_CAP_S)
 
 
 def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """Turn metres into (20 - d) / 20, 1 for the same place and 0 for 20 m or beyond."""
-    metres = np.asarray(distance_m, dtype=np.float32)
-    return (DISTANCE_CAP_M - np.clip(metres, 0.0, DISTANCE_CAP_M)) / np.float32(DISTANCE_CAP_M)
+    return _near(distance_m, DISTANCE_CAP_M)
+
+
+def _near(values: npt.ArrayLike, cap: float) -> npt.NDArray[np.float32]:
+    given = np.asarray(values, dtype=np.float32)
+    return (cap - np.clip(given, 0.0, cap)) / np.float32(cap)
 
 
 @dataclass(frozen=True)
@@ -232,119 +230,6 @@ def graph(
     return Graph(adjacency=adjacency, sparsity=sparsity)
 
 
-@dataclass(frozen=True)
-class CliqueCounts:
-    """How often agents take part in the heaviest cliques."""
-
-    #: Agent indices by falling count; equal counts in the order of first appearance.
-    agents: npt.NDArray[np.int64]
-    counts: npt.NDArray[np.int64]  #: Number of cliques that hold each of ``agents``.
-    num_cliques: int  #: Cliques counted over all steps.
-    exact: bool  #: Whether the search was completed at every step.
-
-
-def _matrices(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    array, _ = _history(name, values, np.float64, 3)
-    return array
-
-
-def clique_counts(
-    measure: npt.ArrayLike,
-    *,
-    threshold: float = 0.0,
-    min_size: int = 2,
-    top_per_frame: int = 3,
-    node_limit: int = NODE_LIMIT,
-) -> CliqueCounts:
-    """Count in how many of the heaviest cliques of every step each agent takes part.
-
-    Agents i and j are joined where ``measure[t, i, j]`` or ``measure[t, j, i]`` exceeds the
-    threshold; the weight of the pair is the sum of the two. Not all cliques are listed: a
-    branch-and-bound search finds the heaviest.
-
-    Args:
-        measure: [T, M, M] or [M, M], values in [0, 1], NaN for absent agents.
-        threshold: at least 0.
-        min_size: smallest clique that counts.
-        top_per_frame: heaviest cliques taken per step.
-        node_limit: cliques visited per step before the search settles for the heaviest seen.
-    """
-    agents, counts, num_cliques, exact = _native.causal_clique_occurrences(
-        _matrices("measure", measure), threshold, min_size, top_per_frame, node_limit
-    )
-    return CliqueCounts(
-        agents=np.asarray(agents, dtype=np.int64),
-        counts=np.asarray(counts, dtype=np.int64),
-        num_cliques=num_cliques,
-        exact=exact,
-    )
-
-
-def rank_cliques(
-    ttc: npt.ArrayLike,
-    threshold: float = 0.0,
-    min_size: int = 2,
-    top_per_frame: int = 3,
-    top_k: int = 10,
-    *,
-    node_limit: int = NODE_LIMIT,
-) -> list[int]:
-    """Rank agents by their number of occurrences in the heaviest cliques of the time-to-contact
-    graph.
-
-    The defaults are those that made the released lists of key agents; ``threshold=0.5,
-    min_size=3`` are those of the
-    released script. The list is not filled up: it is short, or empty, where few agents meet.
-
-    Args:
-        ttc: [T, M, M], normalised times to contact, 1 for contact now and 0 for 20 s or later, NaN
-            for absent agents.
-        threshold: agents are joined where a value exceeds this in either direction.
-        min_size: smallest clique that counts.
-        top_per_frame: heaviest cliques taken per step.
-        top_k: agents to return at most.
-        node_limit: cliques visited per step before the search settles for the heaviest seen.
-
-    Returns:
-        Agent indices, most frequent first; ties in the order of first appearance.
-
-    Examples:
-        >>> near = np.zeros((1, 4, 4))
-        >>> near[0, 1, 3] = 0.9
-        >>> rank_cliques(near)
-        [1, 3]
-    """
-    counts = clique_counts(
-        ttc,
-        threshold=threshold,
-        min_size=min_size,
-        top_per_frame=top_per_frame,
-        node_limit=node_limit,
-    )
-    return [int(agent) for agent in counts.agents[: max(top_k, 0)]]
-
-
-def rank_distance(
-    position: npt.ArrayLike,
-    valid: npt.ArrayLike | None = None,
-    *,
-    threshold: float = 0.0,
-    min_size: int = 2,
-    top_per_frame: int = 3,
-    top_k: int = 10,
-) -> list[int]:
-    """Rank agents as :func:`rank_cliques` does, on relative distances in place of times to contact.
-
-    Args:
-        position: [M, 2] or [T, M, 2], metres.
-        valid: bool [M] or [T, M], optional.
-        threshold: agents are joined where (20 - d) / 20 exceeds this: 0 joins those within 20 m.
-        min_size, top_per_frame, top_k: as in :func:`rank_cliques`.
-    """
-    near = distance(position, valid, normalised=True)
-    return rank_cliques(near, threshold, min_size, top_per_frame, top_k)
-
-
 def rank_greedy(
     graph: npt.ArrayLike,
     attention: npt.ArrayLike | None = None,
@@ -365,8 +250,7 @@ def rank_greedy(
     weights = np.asarray(graph, dtype=np.float64)
     if attention is not None:
         factors = np.asarray(attention, dtype=np.float64)
-        if factors.shape != weights.shape:
-            raise ShapeError(f"attention has shape {factors.shape}, expected {weights.shape}")
+        expect_shape("attention", factors, weights.shape)
         weights = weights * factors
     if weights.ndim != 2:
         raise ShapeError(f"graph has shape {weights.shape}, expected [M, M]")
@@ -401,18 +285,35 @@ def rank(
     """Choose key agents by a named ranker and fill up by ascending time to contact, then distance,
     then index.
 
+    Agents i and j are joined where a measure of ``[t, i, j]`` or ``[t, j, i]`` exceeds the
+    threshold; the weight of the pair is the sum of the two. Not all cliques are listed: a
+    branch-and-bound search finds the heaviest. The defaults are those that made the released lists
+    of key agents; ``threshold=0.5, min_size=3`` are those of the released script.
+
     Args:
-        ranker: ``"cliques"`` and ``"distance_cliques"`` count clique occurrences, ``"first"`` takes
-            agents in their order, ``"random"`` shuffles by the seed, ``"listed"`` takes ``agents``,
-            ``"scores"`` sorts by falling ``scores``.
+        ranker: ``"cliques"`` and ``"distance_cliques"`` count in how many of the heaviest cliques
+            of every step an agent takes part, equal counts in the order of first appearance,
+            ``"first"`` takes agents in their order, ``"random"`` shuffles by the seed, ``"listed"``
+            takes ``agents``, ``"scores"`` sorts by falling ``scores``.
         top_k: agents to choose; fewer only where fewer are there.
         valid: bool [M], whether an agent is there.
-        ttc, distance: [T, M, M] or [M, M], normalised; for their rankers and for filling up.
+        ttc, distance: [T, M, M] or [M, M], normalised, NaN for absent agents; for their rankers and
+            for filling up.
         agents: a list, as of a person, for ``"listed"``.
         scores: [M], for ``"scores"``, such as the alignment of the gradients of realism and
             guidance.
         seed: for ``"random"``.
-        threshold, min_size, top_per_frame, node_limit: as in :func:`rank_cliques`.
+        threshold: at least 0.
+        min_size: smallest clique that counts.
+        top_per_frame: heaviest cliques taken per step.
+        node_limit: cliques visited per step before the search settles for the heaviest seen.
+
+    Examples:
+        >>> near = np.zeros((1, 4, 4))
+        >>> near[0, 1, 3] = 0.9
+        >>> found = rank("cliques", top_k=3, valid=[True] * 4, ttc=near)
+        >>> found.agents, found.num_named
+        ([1, 3, 0], 2)
     """
     there = np.ascontiguousarray(valid, dtype=bool)
 

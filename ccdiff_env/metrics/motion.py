@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import SceneError, ShapeError
+from ccdiff_env.errors import SceneError, ShapeError, expect_shape
 
 Variant = Literal["all", "controlled", "new", "controlled_new"]
 
@@ -88,8 +88,7 @@ class Displacement:
 
 def _states(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
     array = np.ascontiguousarray(values, dtype=np.float32)
-    if array.shape != shape:
-        raise ShapeError(f"{name} has shape {array.shape}, expected {shape}")
+    expect_shape(name, array, shape)
     return array
 
 
@@ -138,8 +137,7 @@ class Motion:
         there = np.isfinite(points).all(axis=-1) & np.isfinite(headings)
         if valid is not None:
             given = np.asarray(valid, dtype=bool)
-            if given.shape != shape:
-                raise ShapeError(f"valid has shape {given.shape}, expected {shape}")
+            expect_shape("valid", given, shape)
             there &= given
         sizes = _states("size", size, (shape[0], 2))
         if not ((sizes >= 0.0) & np.isfinite(sizes))[there.any(axis=1)].all():
@@ -162,8 +160,7 @@ class Motion:
         if mask is None:
             return np.full(self.num_agents, default)
         array = np.ascontiguousarray(mask, dtype=bool)
-        if array.shape != (self.num_agents,):
-            raise ShapeError(f"{name} has shape {array.shape}, expected ({self.num_agents},)")
+        expect_shape(name, array, (self.num_agents,))
         return array
 
     def collisions(

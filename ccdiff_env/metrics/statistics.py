@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.errors import ConfigError, ShapeError, expect_shape
 
 #: Bounds over the paper's six methods and eleven columns: :func:`scores` on the paper's scale.
 PAPER_BOUNDS: Mapping[str, tuple[float, float]] = {
@@ -89,8 +89,7 @@ def scores(
     arrays = {name: np.asarray(table, dtype=np.float64) for name, table in tables.items()}
     shape = arrays["scr"].shape
     for name, array in arrays.items():
-        if array.shape != shape:
-            raise ShapeError(f"{name} has shape {array.shape}, expected {shape}")
+        expect_shape(name, array, shape)
     given = None
     if bounds is not None:
         for name, (least, largest) in bounds.items():
@@ -101,13 +100,7 @@ def scores(
                     f"bounds of {name} are {(least, largest)}, expected (least, largest)"
                 )
         given = [bounds.get(name) for name in tables]
-    cs, rs = _native.metrics_scores(
-        arrays["scr"].ravel(),
-        arrays["orr"].ravel(),
-        arrays["fde"].ravel(),
-        arrays["cfd"].ravel(),
-        given,
-    )
+    cs, rs = _native.metrics_scores(*(array.ravel() for array in arrays.values()), given)
     return np.asarray(cs).reshape(shape), np.asarray(rs).reshape(shape)
 
 
