@@ -18,7 +18,7 @@ from ccdiff_env.system.files import reading
 from ccdiff_env.system.tensors import write_tensors
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import Fit, fitting_fields, schema_digest
-from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, Ranges, read_policy
+from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, PolicyFile, Ranges, read_policy
 
 __all__ = ["EgoPolicy", "load_ego", "save_ego"]
 
@@ -33,33 +33,20 @@ def _worlds(config: WorldConfig) -> Worlds:
 
 
 class EgoPolicy:
-    """A trained ego.
+    """A trained ego, of what a file says."""
 
-    Args:
-        tensors: Weights by name, and ``mean`` and ``std`` [D] of observations.
-        options: Fields of :class:`~ccdiff_env.config.WorldConfig` that fit: what it observes, what
-            its actions mean, for how many steps it holds them.
-        schema: Digest of the meaning of its observations.
-        about: How it was trained.
-        styles: Ranges of the factors of reward weights that it was trained for, by name: its dial.
-    """
-
-    def __init__(
-        self,
-        tensors: Mapping[str, F32],
-        options: Mapping[str, Any],
-        schema: str,
-        about: Mapping[str, Any],
-        styles: Ranges = NO_STYLE,
-    ) -> None:
-        self.config = WorldConfig().with_options(**options)  #: Configuration of worlds that fit.
-        self.about, self.styles = dict(about), dict(styles)
+    def __init__(self, file: PolicyFile) -> None:
+        #: Configuration of worlds that fit.
+        self.config = WorldConfig().with_options(**file.options)
+        #: How it was trained, and the ranges of its dial: factors of reward weights by name.
+        self.about, self.styles = file.about, dict(file.styles)
         #: What it was trained in.
-        self.fit = Fit(fitting_fields(self.config), "flat", schema)
+        self.fit = Fit(fitting_fields(self.config), "flat", file.schema)
         worlds = _worlds(self.config)
         self.check(worlds)
         self.size = worlds.layout.size
-        self.tensors = {name: np.ascontiguousarray(tensors[name]) for name in tensors}
+        #: Weights by name, and ``mean`` and ``std`` [D] of observations.
+        self.tensors = {name: np.ascontiguousarray(a) for name, a in file.tensors.items()}
         observation, action = (json.dumps(self.fit.options[n]) for n in ("observation", "action"))
         self._network = EgoNetwork(observation, action, self.tensors)
 
@@ -140,4 +127,4 @@ def load_ego(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE
     """
     found = read_policy(path, style)
     with reading("policy", path):
-        return EgoPolicy(found.tensors, found.options, found.schema, found.about, found.styles)
+        return EgoPolicy(found)

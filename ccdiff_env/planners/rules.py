@@ -55,31 +55,6 @@ class RulePlanner:
         return actions if native.num_actions is None else actions[:, 0]
 
 
-class _Pdm(RulePlanner):
-    """PDM-Closed (Dauner et al. 2023)."""
-
-    kind = "pdm"
-
-
-class _PdmCcdiff(_Pdm):
-    """PDM-Closed whose proposals meet four samples of CCDiff in place of constant velocity."""
-
-    network = ("ccdiff", {"num_samples": 4, "replan_steps": 10, "parked_rule": "nobody"})
-
-
-class _LaneIdm(RulePlanner):
-    """The worlds' intelligent driver model on the centre lines, at the road's limit."""
-
-    kind = "idm"
-
-
-class _Diffusion(RulePlanner):
-    """CCDiff drives the ego with its route: one careful plan every half second."""
-
-    kind = "plan"
-    network = ("ccdiff", {"follow_route": True, "careful": True, "parked_rule": "nobody"})
-
-
 class NoOp:
     """Takes the zero action at every step: the unicycle keeps its speed and heading.
 
@@ -97,10 +72,17 @@ class NoOp:
         return self._nothing
 
 
-#: Planners by name.
+def _rule(kind: str, network: str | None = None, **options: Any) -> type[RulePlanner]:
+    found = None if network is None else (network, options)
+    return type("Rule", (RulePlanner,), {"kind": kind, "network": found})
+
+
+#: Planners by name: PDM-Closed (Dauner et al. 2023); the same, whose proposals meet four samples of
+#: CCDiff in place of constant velocity; the worlds' intelligent driver model on the centre lines,
+#: at the road's limit; CCDiff with the ego's route, one careful plan every half second.
 RULES: dict[str, type[RulePlanner]] = {
-    "pdm": _Pdm,
-    "pdm_ccdiff": _PdmCcdiff,
-    "lane_idm": _LaneIdm,
-    "diffusion": _Diffusion,
+    "pdm": _rule("pdm"),
+    "pdm_ccdiff": _rule("pdm", "ccdiff", num_samples=4, replan_steps=10, parked_rule="nobody"),
+    "lane_idm": _rule("idm"),
+    "diffusion": _rule("plan", "ccdiff", follow_route=True, careful=True, parked_rule="nobody"),
 }
