@@ -19,17 +19,11 @@ __all__ = ["Replay", "replay"]
 
 @dataclass(frozen=True)
 class Replay:
-    """A certified episode, simulated again.
+    """A certified episode, simulated again."""
 
-    Args:
-        env: The environment at the end of the episode.
-        rewards: Rewards [T].
-        frames: Images [T + 1] of the steps, if asked for.
-    """
-
-    env: EgoEnv
-    rewards: npt.NDArray[np.float64]
-    frames: list[npt.NDArray[np.uint8]]
+    env: EgoEnv  #: The environment at the end of the episode.
+    rewards: npt.NDArray[np.float64]  #: Rewards [T].
+    frames: list[npt.NDArray[np.uint8]]  #: Images [T + 1] of the steps, if asked for.
 
 
 def replay(

@@ -47,32 +47,21 @@ def _state_digest(worlds: Worlds) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """Everything that one episode follows from, and a digest of how it came out.
+    """Everything that one episode follows from, and a digest of how it came out."""
 
-    Args:
-        package, schema: Version of the package, and digest of what observations and info columns
-            mean.
-        scene, scene_hash: Name and content hash of the scene.
-        config: Configuration.
-        seed, episode_idx: Seed of the world, and number of the episode since then.
-        actions: Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
-        digest: Digest of the final states and of the metrics of the episode.
-        ego, start_step: Id and first step of an ego that was drawn.
-        style: Factors of weights of the reward that were drawn or set.
-    """
-
-    package: str
-    schema: str
-    scene: str
-    scene_hash: str
-    config: WorldConfig
-    seed: int
-    episode_idx: int
+    package: str  #: Version of the package.
+    schema: str  #: Digest of what observations and info columns mean.
+    scene: str  #: Name of the scene.
+    scene_hash: str  #: Content hash of the scene.
+    config: WorldConfig  #: Configuration.
+    seed: int  #: Seed of the world.
+    episode_idx: int  #: Number of the episode since that seed.
+    #: Actions [T, W] float32 as handed to the world (grid indices for discrete ones).
     actions: npt.NDArray[np.float32] = field(repr=False)
-    digest: str
-    ego: str | None = None
-    start_step: int | None = None
-    style: dict[str, float] | None = None
+    digest: str  #: Digest of the final states and of the metrics of the episode.
+    ego: str | None = None  #: Id of an ego that was drawn.
+    start_step: int | None = None  #: First step of an ego that was drawn.
+    style: dict[str, float] | None = None  #: Factors of reward weights that were drawn or set.
 
     @classmethod
     def of(cls, worlds: Worlds, actions: bytes) -> Certificate:

@@ -30,17 +30,11 @@ Cause: TypeAlias = Literal["none", "adversaries", "ego", "either", "both"]
 
 @dataclass(frozen=True)
 class EgoPlan:
-    """A way to drive on: two accelerations one after the other, along a shifted route.
+    """A way to drive on: two accelerations one after the other, along a shifted route."""
 
-    Args:
-        acceleration_mps2: At first, and after ``switch_s``.
-        switch_s: Seconds until the second one.
-        offset_m: Distance from the route to drive at, left positive.
-    """
-
-    acceleration_mps2: tuple[float, float]
-    switch_s: float
-    offset_m: float
+    acceleration_mps2: tuple[float, float]  #: At first, and after ``switch_s``.
+    switch_s: float  #: Seconds until the second one.
+    offset_m: float  #: Distance from the route to drive at, left positive.
 
 
 HOLD_S = 2.1  #: How long a steady plan lasts.
@@ -52,41 +46,31 @@ STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2
 class Avoidability:
     """Whether some ego plan avoids every collision.
 
-    Args:
-        avoidable: Whether one of the plans tried does.
-        plan: The first of them, least aggressive first; ``None`` if there is none.
-        num_tried, num_safe: Plans tried, and plans among them that avoid all collisions. The search
-            stops after the batch of plans in which one was found.
-        held, unchanged: Of a search with ``reactive=True``: share of futures that did not choose
-            the plan in which it avoids all collisions, 0 without a plan, and share in which the ego
-            without a plan does.
+    The search stops after the batch of plans in which one was found.
     """
 
-    avoidable: bool
-    plan: EgoPlan | None
-    num_tried: int
-    num_safe: int
+    avoidable: bool  #: Whether one of the plans tried does.
+    plan: EgoPlan | None  #: The first of them, least aggressive first.
+    num_tried: int  #: Plans tried.
+    num_safe: int  #: Plans among them that avoid all collisions.
+    #: With ``reactive=True``, share of futures that did not choose the plan in which it avoids all
+    #: collisions, 0 without a plan.
     held: float | None = None
+    #: With ``reactive=True``, share of these futures in which the ego without a plan does.
     unchanged: float | None = None
 
 
 @dataclass(frozen=True)
 class Attribution:
-    """Who a collision of the ego comes from, by taking one cause away at a time.
+    """Who a collision of the ego comes from, by taking one cause away at a time."""
 
-    Args:
-        collided: Whether the ego collides as things are.
-        without_adversaries: Whether it collides when nobody is guided against it.
-        with_reference: Whether it collides when a reference planner drives it.
-        cause: ``"none"``: no collision; ``"adversaries"`` or ``"ego"``: it disappears without that
-            one only; ``"either"``: without any one of the two; ``"both"``: it stays in either case.
-        rollouts: What happened in the three cases, in the order above.
-    """
-
-    collided: bool
-    without_adversaries: bool
-    with_reference: bool
+    collided: bool  #: Whether the ego collides as things are.
+    without_adversaries: bool  #: Whether it collides when nobody is guided against it.
+    with_reference: bool  #: Whether it collides when a reference planner drives it.
+    #: ``"none"``: no collision; ``"adversaries"`` or ``"ego"``: it disappears without that one
+    #: only; ``"either"``: without any one of the two; ``"both"``: it stays in either case.
     cause: Cause
+    #: What happened in the three cases, in the order above.
     rollouts: tuple[Rollout, Rollout, Rollout]
 
 

@@ -45,63 +45,44 @@ _TRACKS: dict[str, tuple[Any, tuple[int, ...]]] = {
 
 @dataclass(frozen=True)
 class RolloutEvent:
-    """Something that happened.
+    """Something that happened."""
 
-    Args:
-        step: Recorded step at which it is seen first: 0 is the start of the episode.
-        agent_id: The agent that it is about.
-        partner_id: The other agent of a collision.
-        kind: One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the
-            agent that is hit; ``static`` is a collision with a static obstacle.
-        at_fault: Whether a collision counts against this agent.
-    """
-
-    step: int
-    agent_id: str
-    partner_id: str | None
+    step: int  #: Recorded step at which it is seen first: 0 is the start of the episode.
+    agent_id: str  #: The agent that it is about.
+    partner_id: str | None  #: The other agent of a collision.
+    #: One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the agent
+    #: that is hit; ``static`` is a collision with a static obstacle.
     kind: str
-    at_fault: bool = False
+    at_fault: bool = False  #: Whether a collision counts against this agent.
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
-    """One episode of one world: states of A agents over T recorded steps.
+    """One episode of one world: states of A agents over T recorded steps, in the scene frame.
 
-    Args:
-        scene: The scene that was played.
-        start_step: Step of the log at which the recording starts.
-        dt_s: Seconds between steps.
-        agent_ids: All agents, in the order of the scene.
-        position, heading, velocity: [A, T, 2] metres, [A, T] radians, [A, T, 2] m/s in the scene
-            frame; zero where not valid. The state at ``start_step`` comes first.
-        valid: Whether an agent is in the world [A, T].
-        drivers: Who drives each agent [A]: indices of ``driver_table``.
-        driver_table: Name and kind of each driver: those under names of their own are of another
-            kind's.
-        events: What happened, by step.
-        info: Info columns of the ego (else of the first controlled agent) of each step [T - 1], by
-            name.
-        plans: Plans of the background, by the recorded step ``made_at`` from whose states each was
-            made: sample pose h is at ``made_at + h + 1``. Empty where it makes none.
-        meta: Seed, configuration, traffic, planner, source: what JSON can hold.
-        elevation_m: Elevation of the ground below each agent [A, T], metres, in a scene with
-            levels.
+    Entries of states are zero where not valid. The state at ``start_step`` comes first.
     """
 
-    scene: Scene
-    start_step: int
-    dt_s: float
-    agent_ids: tuple[str, ...]
-    position: F32
-    heading: F32
-    velocity: F32
-    valid: Bool
-    drivers: npt.NDArray[np.int64]
+    scene: Scene  #: The scene that was played.
+    start_step: int  #: Step of the log at which the recording starts.
+    dt_s: float  #: Seconds between steps.
+    agent_ids: tuple[str, ...]  #: All agents, in the order of the scene.
+    position: F32  #: Centres, metres, [A, T, 2].
+    heading: F32  #: Headings, radians, [A, T].
+    velocity: F32  #: Velocities, m/s, [A, T, 2].
+    valid: Bool  #: Whether an agent is in the world, [A, T].
+    drivers: npt.NDArray[np.int64]  #: Who drives each agent: indices of ``driver_table``, [A].
+    #: Name and kind of each driver: those under names of their own are of another kind's.
     driver_table: tuple[tuple[str, str], ...] = tuple((name, name) for name in DRIVER_NAMES)
-    events: tuple[RolloutEvent, ...] = ()
+    events: tuple[RolloutEvent, ...] = ()  #: What happened, by step.
+    #: Info columns of the ego (else of the first controlled agent) of each step [T - 1], by name.
     info: Mapping[str, F32] = field(default_factory=dict)
+    #: Plans of the background, by the recorded step ``made_at`` from whose states each was made:
+    #: sample pose h is at ``made_at + h + 1``.
     plans: tuple[TrafficPlan, ...] = ()
+    #: Seed, configuration, traffic, planner, source: what JSON can hold.
     meta: Mapping[str, Any] = field(default_factory=dict)
+    #: Elevation of the ground below each agent, metres, in a scene with levels, [A, T].
     elevation_m: F32 | None = None
 
     def __post_init__(self) -> None:

@@ -53,14 +53,9 @@ NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.w
 
 @dataclass(frozen=True)
 class NamedDriver:
-    """A driver under a custom name.
+    """A driver under a custom name."""
 
-    Args:
-        kind: One of :data:`KINDS` that takes options.
-        options: Its options.
-    """
-
-    kind: str
+    kind: str  #: One of :data:`KINDS` that takes options.
     options: Options
 
     @classmethod
