@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from ccdiff_env.traffic.keywords import AgentKeywords
 
-__all__ = ["AgentVectorEnv"]
-
 Info = dict[str, Any]
 
 

@@ -37,8 +37,6 @@ from ccdiff_env.scenes.sources import coverage, title
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import SWIFT, CcdiffConfig, NamedDriver
 
-__all__ = ["collect", "collisions", "fitted_dial", "save", "train"]
-
 F32: TypeAlias = npt.NDArray[np.float32]
 
 #: Bins of each axis; steps for which a draw is held, and seconds of a step.

@@ -11,8 +11,6 @@ from torch import nn
 from ccdiff_env.planners.ego import EgoPolicy
 from ccdiff_env.worlds.spaces import Layout
 
-__all__ = ["Agent"]
-
 Floats: TypeAlias = np.ndarray[Any, Any]
 WIDTH_ROWS, WIDTH = 64, 128
 

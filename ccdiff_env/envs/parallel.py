@@ -267,6 +267,3 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
             self._begin()
             alive = self.worlds.native.slot_alive(0)
             self.agents = [name for name in self.agents if alive[self._slots[name]]]
-
-
-__all__ = ["MultiAgentEnv"]

@@ -14,8 +14,6 @@ from ccdiff_env.errors import SnapshotError
 from ccdiff_env.record.certificate import Certificate, schema_digest
 from ccdiff_env.worlds import Scenes, scene_set
 
-__all__ = ["Replay", "replay"]
-
 
 @dataclass(frozen=True)
 class Replay:

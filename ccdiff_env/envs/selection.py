@@ -29,8 +29,6 @@ from ccdiff_env.worlds.spaces import InfoColumn
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-__all__ = ["FEATURES", "STRENGTHS", "AdversarySelectionEnv", "AdversarySelectionVectorEnv"]
-
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
 Info = dict[str, Any]

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from ccdiff_env.planners.rules import RULES
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["Arbiter"]
-
 F64 = npt.NDArray[np.float64]
 Bool = npt.NDArray[np.bool_]
 

@@ -244,9 +244,7 @@ class Seat:
         """Return the actions [E, 2] that follow trajectories [E, T, 3]."""
         try:
             self._tracker = self._tracker or Tracker(self._worlds, frame=self._frame)
-            if trajectories.shape[1]:
-                self._tracker.expect_near(trajectories, due)
-            return self._tracker(trajectories)
+            return self._tracker(trajectories, due)
         except CcdiffError as error:
             raise type(error)(f"{self.name} returned trajectories: {error}") from None
 

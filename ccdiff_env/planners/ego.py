@@ -20,8 +20,6 @@ from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import Fit, fitting_fields, schema_digest
 from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, PolicyFile, Ranges, read_policy
 
-__all__ = ["EgoPolicy", "load_ego", "save_ego"]
-
 F32 = npt.NDArray[np.float32]
 
 _LAYERS = ("encoder.0", "encoder.2", "policy.0", "policy.2", "policy.4")

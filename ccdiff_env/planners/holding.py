@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["Held"]
-
 
 class Held:
     """Holds the actions of a batch for the ``steps`` of a decision, unless the worlds do so

@@ -16,8 +16,6 @@ from ccdiff_env.errors import ActionError, ConfigError, expect_shape
 from ccdiff_env.scenes import map_queries
 from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["Tracker", "curve_speed", "lane_ahead", "overlap", "road_distance"]
-
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 FRAMES = ("scene", "ego")  #: Frames of trajectories.
@@ -143,14 +141,22 @@ class Tracker:
         self._reach = max(round(reach_s / self._dt_s), 1)
         self._limits, self._frame = action, frame
 
-    def __call__(self, trajectories: npt.ArrayLike) -> F32:
+    def __call__(
+        self, trajectories: npt.ArrayLike, near: npt.NDArray[np.bool_] | None = None
+    ) -> F32:
         """Return actions [E, 2] that follow trajectories [E, T, 3].
 
         Pose t is where the first slot shall be after t + 1 steps. Worlds whose slot is
         empty get zeros.
 
+        Args:
+            trajectories: Poses x, y (m) and heading (rad).
+            near: Worlds [E] whose trajectory must begin near the vehicle: within :data:`NEAR_M` and
+                twice what it drives until the first pose at its speed or 10 m/s; none by default.
+
         Raises:
             ShapeError: For another shape.
+            ActionError: If one does not; names the world, both places and what may lie between.
         """
         native, wanted = self._native, np.asarray(trajectories, np.float64)
         steps = max(wanted.shape[1], 1) if wanted.ndim == 3 else 1
@@ -164,9 +170,12 @@ class Tracker:
                 continue
             states = native.states(i)
             heading, speed = float(states["heading"][agent]), float(states["speed"][agent])
+            at = np.zeros(2) if self._frame == "ego" else states["position"][agent]
+            if near is not None and near[i]:
+                self._expect_near(i, wanted[i, 0, :2], np.asarray(at, np.float64), speed)
             ahead, left = wanted[i, aim - 1, :2]
             if self._frame == "scene":
-                x, y = wanted[i, aim - 1, :2] - states["position"][agent]
+                x, y = wanted[i, aim - 1, :2] - at
                 ahead = x * np.cos(heading) + y * np.sin(heading)
                 left = y * np.cos(heading) - x * np.sin(heading)
             acceleration = 2.0 * (ahead - speed * time_s) / time_s**2
@@ -177,35 +186,18 @@ class Tracker:
             actions[i] = np.clip(action, -1.0, 1.0)
         return actions
 
-    def expect_near(self, trajectories: npt.ArrayLike, which: npt.NDArray[np.bool_]) -> None:
-        """Refuse trajectories [E, T, 3] that begin where the vehicles of some worlds [E] are not.
-
-        The first pose may be :data:`NEAR_M` from the vehicle, and twice what it drives until then
-        at its speed or 10 m/s.
-
-        Raises:
-            ActionError: Names the world, where the trajectory begins, where the vehicle is and what
-                may lie between.
-        """
-        native, first = self._native, np.asarray(trajectories, np.float64)[:, 0, :2]
-        for i in np.flatnonzero(which):
-            agent = native.slot_agents(i)[0]
-            if agent is None or not native.slot_alive(i)[0]:
-                continue
-            states = native.states(i)
-            own = self._frame == "ego"
-            at = np.zeros(2) if own else np.asarray(states["position"][agent], np.float64)
-            most = NEAR_M + 2.0 * self._dt_s * max(abs(float(states["speed"][agent])), 10.0)
-            away = float(np.hypot(*(first[i] - at)))
-            if away > most:
-                status = native.status(i)
-                raise ActionError(
-                    f"world {i} ({self._worlds.scenes[status.scene_idx].name}, step "
-                    f"{status.elapsed_steps}): the first pose is at {_metres(first[i])}, "
-                    f"{away:.1f} m from the vehicle, which is at {_metres(at)} in the frame "
-                    f"{self._frame!r}; expected at most {most:.1f} m. A planner says which frame "
-                    'it means: frame = "scene" (the default) or "ego"'
-                )
+    def _expect_near(self, world_idx: int, first: F64, at: F64, speed_mps: float) -> None:
+        most = NEAR_M + 2.0 * self._dt_s * max(abs(speed_mps), 10.0)
+        away = float(np.hypot(*(first - at)))
+        if away > most:
+            status = self._native.status(world_idx)
+            raise ActionError(
+                f"world {world_idx} ({self._worlds.scenes[status.scene_idx].name}, step "
+                f"{status.elapsed_steps}): the first pose is at {_metres(first)}, "
+                f"{away:.1f} m from the vehicle, which is at {_metres(at)} in the frame "
+                f"{self._frame!r}; expected at most {most:.1f} m. A planner says which frame "
+                'it means: frame = "scene" (the default) or "ego"'
+            )
 
 
 def _metres(point: F64) -> str:

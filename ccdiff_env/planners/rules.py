@@ -19,8 +19,6 @@ from ccdiff_env.traffic import CcdiffConfig, NamedDriver
 from ccdiff_env.worlds import Worlds, network_policies
 from ccdiff_env.worlds.worlds_view import behind
 
-__all__ = ["RULES", "NoOp", "RulePlanner"]
-
 
 class RulePlanner:
     """Drives the first slot of every world.

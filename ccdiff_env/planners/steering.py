@@ -11,8 +11,6 @@ from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, Delta
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["Steering"]
-
 F32 = npt.NDArray[np.float32]
 
 

@@ -15,8 +15,6 @@ from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
 from ccdiff_env.system.files import parsed_object, read_text, reading
 from ccdiff_env.traffic.plan_fields import PlanFields
 
-__all__ = ["PAPER_PROTOCOL", "PLAN_ARRAYS", "TrafficPlan", "read_ranking"]
-
 _KINDS = {"Vec<usize>": np.int64, "Vec<bool>": np.bool_, "Vec<Real>": np.float32}
 #: Arrays of a plan: type, axes (as in :class:`PlanFields`), whether it may be missing.
 PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {

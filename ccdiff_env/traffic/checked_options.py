@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 from ccdiff_env import _native
 from ccdiff_env.errors import unknown_option
 
-__all__ = ["Options", "check"]
-
 _T = TypeVar("_T")
 
 

@@ -11,11 +11,6 @@ from ccdiff_env.traffic import options as tables
 from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import PythonTraffic
 
-__all__ = [
-    "EGOS", "KINDS", "NETWORKS", "SWIFT", "Kind", "NamedDriver", "Options", "driver_names",
-    "driver_titles",
-]  # fmt: skip
-
 Options: TypeAlias = IdmConfig | CcdiffConfig | EgosConfig | PythonTraffic  #: Options of a driver.
 
 

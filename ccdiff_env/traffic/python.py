@@ -20,11 +20,6 @@ from ccdiff_env.traffic.options import PythonOptions
 if TYPE_CHECKING:
     from ccdiff_env.scenes import Scene, SceneSet
 
-__all__ = [
-    "AGENT_KINDS", "ROUTE_SPACING_M", "BoundTraffic", "LoggedFuture", "PythonTraffic",
-    "TrafficBatch",
-]  # fmt: skip
-
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]

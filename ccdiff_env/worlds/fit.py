@@ -20,8 +20,6 @@ from ccdiff_env.system.files import parsed_object
 if TYPE_CHECKING:
     from ccdiff_env.config import WorldConfig
 
-__all__ = ["Fit", "fitting_fields", "schema_digest"]
-
 ATTRIBUTE = "ccdiff_env"  #: Name of the attribute of a space.
 #: Name of the attribute of a policy of stable-baselines3 with the mean, scale and limit by which
 #: its observations were normalised.

@@ -18,11 +18,6 @@ from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, u
 from ccdiff_env.system.files import parsed_object, reading
 from ccdiff_env.system.tensors import read_tensors
 
-__all__ = [
-    "FITTING", "FORMAT", "LEARNED", "NO_STYLE", "SHIPPED", "PolicyFile", "adversary_policy_path",
-    "egos_policy", "read_policy",
-]  # fmt: skip
-
 F32 = npt.NDArray[np.float32]
 #: Lowest and highest factors of weights of the reward, by name.
 Ranges: TypeAlias = Mapping[str, tuple[float, float]]

@@ -11,8 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-__all__ = ["FORMS", "Entry", "Form", "InfoColumn", "Layout", "read_columns"]
-
 F32 = npt.NDArray[np.float32]
 U8 = npt.NDArray[np.uint8]
 #: Forms of observations: the row, a dictionary of its entries and the raster, the raster alone.

@@ -8,8 +8,6 @@ from typing import Any
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import Worlds
 
-__all__ = ["behind", "worlds_view"]
-
 #: What can be read, of each kind of object; a mapping says what its own parts show, or what comes
 #: of a call. Nothing tells which scene it is, by which seed it is played, or who drives the others:
 #: so that nobody can look the episode up, or play it beforehand.
