@@ -24,18 +24,13 @@ SELECTION_ID = "ccdiff_env/AdversarySelection-v0"
 
 def register() -> None:
     """Enter the environments in Gymnasium's registry."""
-    if EGO_ID not in gymnasium.registry:
-        gymnasium.register(
-            EGO_ID,
-            entry_point="ccdiff_env.envs.single:EgoEnv",
-            vector_entry_point="ccdiff_env.envs.vector:EgoVectorEnv",
-        )
-    if SELECTION_ID not in gymnasium.registry:
-        gymnasium.register(
-            SELECTION_ID,
-            entry_point="ccdiff_env.envs.selection:AdversarySelectionEnv",
-            vector_entry_point="ccdiff_env.envs.selection:AdversarySelectionVectorEnv",
-        )
+    for name, *entries in (
+        (EGO_ID, "single:EgoEnv", "vector:EgoVectorEnv"),
+        (SELECTION_ID, "selection:AdversarySelectionEnv", "selection:AdversarySelectionVectorEnv"),
+    ):
+        if name not in gymnasium.registry:
+            single, vector = (f"ccdiff_env.envs.{entry}" for entry in entries)
+            gymnasium.register(name, entry_point=single, vector_entry_point=vector)
 
 
 make_vec = EgoVectorEnv  #: The vector environment, by the name of Gymnasium's function.

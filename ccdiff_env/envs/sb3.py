@@ -21,6 +21,7 @@ from ccdiff_env.worlds.fit import STATISTICS
 try:
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 except ModuleNotFoundError as error:
     raise MissingFeatureError(
@@ -142,8 +143,7 @@ class SB3VecEnv(VecEnv):
         self.reset_infos = [self._info_of(infos, i) for i in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
-        self._returns[:] = 0.0
-        self._lengths[:] = 0
+        self._returns[:] = self._lengths[:] = 0
         return obs
 
     def step_async(self, actions: np.ndarray[Any, Any]) -> None:
@@ -158,19 +158,17 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         out: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        seconds = round(time.time() - self._start, 6)
         for i in np.flatnonzero(dones):
-            info = self._info_of(infos.get("final_info", {}), i)
-            info["terminal_observation"] = infos["final_obs"][i]
-            info["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
-            info["episode"] = {
-                "r": round(float(self._returns[i]), 6),
-                "l": int(self._lengths[i]),
-                "t": round(time.time() - self._start, 6),
+            episode = {"r": round(float(self._returns[i]), 6), "l": int(self._lengths[i])}
+            out[i] = {
+                **self._info_of(infos.get("final_info", {}), i),
+                "terminal_observation": infos["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "episode": {**episode, "t": seconds},
             }
             self.reset_infos[i] = self._info_of(infos, i)
-            out[i] = info
-        self._returns[dones] = 0.0
-        self._lengths[dones] = 0
+        self._returns[dones] = self._lengths[dones] = 0
         return obs, np.asarray(rewards, dtype=np.float32), dones, out
 
     @staticmethod
@@ -216,12 +214,7 @@ class SB3VecEnv(VecEnv):
         return [method(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Whether each world is wrapped.
-
-        Episodes are monitored natively, so that ``Monitor`` counts as present.
-        """
-        from stable_baselines3.common.monitor import Monitor
-
+        """Whether each world is wrapped; episodes are monitored natively, as by ``Monitor``."""
         return [issubclass(wrapper_class, Monitor) for _ in self._get_indices(indices)]
 
 

@@ -122,14 +122,14 @@ class AdversarySelectionVectorEnv(AsVector):
             if name not in known:
                 raise unknown("option", name, known)
         known_counts, sound = get_args(Counts), [0.0 < float(one) <= 10.0 for one in strengths]
-        asked: list[tuple[str, Any, bool, str]] = [
+        several, rows = (type(k) is int and 1 <= k <= 64 for k in (num_adversaries, max_candidates))
+        for name, value, fits, expected in (
             ("strengths", strengths, sound != [] and all(sound), "numbers above 0, at most 10"),
             ("counts", counts, counts in known_counts, f"one of {known_counts}"),
             ("shift_cost", shift_cost, 0.0 <= shift_cost <= 1e6, "0 to 1000000"),
-        ]
-        numbers = ("max_candidates", max_candidates), ("num_adversaries", num_adversaries)
-        asked += [(n, k, type(k) is int and 1 <= k <= 64, "1 to 64") for n, k in numbers]
-        for name, value, fits, expected in asked:
+            ("max_candidates", max_candidates, rows, "1 to 64"),
+            ("num_adversaries", num_adversaries, several, "1 to 64"),
+        ):
             if not fits:
                 raise ConfigError(f"{name} is {value!r}, expected {expected}")
         self.strengths, self.num_adversaries = tuple(map(float, strengths)), num_adversaries
@@ -153,8 +153,8 @@ class AdversarySelectionVectorEnv(AsVector):
         self.render_mode, self._render_options = self.ego.render_mode, self.ego._render_options
         #: The action that chooses nobody, the last one.
         self.nobody = max_candidates * len(self.strengths)
-        rows = (max_candidates, len(FEATURES))
-        self.single_observation_space = spaces.Box(-_BOUND, _BOUND, rows, np.float32)
+        shape = (max_candidates, len(FEATURES))
+        self.single_observation_space = spaces.Box(-_BOUND, _BOUND, shape, np.float32)
         self.single_action_space = spaces.Discrete(self.nobody + 1)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -166,7 +166,7 @@ class AdversarySelectionVectorEnv(AsVector):
         #: Worlds [E] whose episode is over, or has not begun.
         self.ended = np.ones(num_envs, np.bool_)
         #: Present observations [E, R, F], which the next decision overwrites.
-        self.obs = np.zeros((num_envs, *rows), np.float32)
+        self.obs = np.zeros((num_envs, *shape), np.float32)
         #: Sums of the episodes [K, E], and their decisions.
         self._totals = np.zeros((len(_NAMES) + 1, num_envs))
 

@@ -117,16 +117,11 @@ class Seat:
     Args:
         planner: See :class:`Planner`; a class is made with the worlds where it takes an argument.
         name: What errors call it.
-        env_options: Fields of :class:`~ccdiff_env.WorldConfig` for worlds that fit, or ``config``;
-            by default the planner's.
     """
 
-    def __init__(
-        self, planner: Any, name: str, env_options: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, planner: Any, name: str) -> None:
         self.name = name
-        wanted = getattr(planner, "env_options", {}) if env_options is None else env_options
-        options = dict(wanted)
+        options = dict(getattr(planner, "env_options", {}))
         #: Configuration of worlds that fit.
         self.config = (options.pop("config", None) or WorldConfig()).with_options(**options)
         #: Whether the planner says that it uses what a vehicle cannot know.
@@ -185,10 +180,12 @@ class Seat:
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
         """Tell the planner that episodes begin in some worlds."""
         if self._worlds is not None:
-            self._held.reset(np.asarray(indices, np.int64))
+            which = np.asarray(indices, np.int64)
+            self._held.reset(which)
             if hasattr(self._act, "reset"):
-                given = self._given_worlds, np.asarray(indices, np.int64)
-                self._answer(lambda: self._act.reset(*given), self._worlds, indices)
+                self._answer(
+                    lambda: self._act.reset(self._given_worlds, which), self._worlds, which
+                )
 
     def decide(self, worlds: Worlds) -> npt.NDArray[Any]:
         """Return actions for the present of worlds, whose seats are taken at the first call."""
@@ -253,11 +250,8 @@ class Seat:
         assert self._worlds is not None
         if self._form == "flat" or self._worlds.layout.raster is None:
             return None
-        found = np.zeros((self._worlds.num_worlds, *self._worlds.layout.raster), np.uint8)
-        for i in range(self._worlds.num_worlds):
-            _, rasters = self._worlds.observe(i)
-            found[i] = 0 if rasters is None else rasters[0]
-        return found
+        rasters = (self._worlds.observe(i)[1] for i in range(self._worlds.num_worlds))
+        return np.stack([found[0] for found in rasters if found is not None])
 
     def _answer(
         self, ask: Callable[[], Any], worlds: Worlds, indices: Sequence[int] | npt.NDArray[np.int64]
@@ -368,23 +362,14 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
 def seated(
     options: Mapping[str, Any], config: WorldConfig | None, dt_s: float
 ) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
-    """Take a planner out of an environment's option ``driver``.
+    """Take a planner out of an environment's option ``driver``; ``dt_s`` is the scenes' step.
 
-    Args:
-        options, config: Options of the environment, and the configuration that they change.
-        dt_s: Seconds of a step of the scenes.
-
-    Returns:
-        seat, config, options: Who makes the ego's actions; ``None`` and the same as before for a
-            driver of the world. A planner's own configuration stands in for none.
-
-    Raises:
-        ConfigError: For a name of neither.
+    Returns who makes the ego's actions, configuration and options: ``None`` and the same as before
+    for a driver of the world. A planner's own configuration stands in for none. A name of neither
+    is a :class:`ConfigError`.
     """
-    name, own = (
-        options.get("driver"),
-        options.get("named_drivers", config and config.named_drivers) or (),
-    )
+    name = options.get("driver")
+    own = options.get("named_drivers", config and config.named_drivers) or ()
     if name is None or isinstance(name, PythonTraffic) or name in ("external", *KINDS, *own):
         return None, config, dict(options)
     driver, seat = ego_driver(name)

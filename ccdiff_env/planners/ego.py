@@ -113,10 +113,8 @@ def save_ego(
 def load_ego(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
     """Load a policy that :func:`save_ego` wrote.
 
-    Args:
-        path: The file.
-        style: Factors of weights of the reward, where it was trained for a range of them; 1 by
-            default.
+    ``style`` are factors of weights of the reward, where it was trained for a range of them; 1 by
+    default.
 
     Raises:
         DatasetNotFoundError, DatasetError: If there is no such file, or it is damaged.

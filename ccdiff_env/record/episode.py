@@ -37,17 +37,11 @@ class Step(NamedTuple):
 def world_of_seat(
     world: WorldConfig, seat: Seat | None, who: str, *, fixed_by: str, dt_s: float
 ) -> WorldConfig:
-    """Return the configuration of an episode: what is fixed, and what a planner chooses.
+    """Return the configuration of an episode: what ``world`` fixes, and what a planner chooses.
 
-    Args:
-        world: What is fixed.
-        seat: The planner; ``None`` for a driver of the world.
-        who, fixed_by: What errors call the planner, and what fixes the rest.
-        dt_s: Seconds of a step of the scenes.
-
-    Raises:
-        ConfigError: If the planner asks for anything else, or for wider limits of its model of
-            motion than the default ones; names it.
+    ``who`` and ``fixed_by`` are what errors call the planner, and what fixes the rest. A
+    :class:`ConfigError` refuses a planner that asks for anything else, or for wider limits of its
+    model of motion than the default ones.
     """
     world = world.with_options(dt_s=dt_s)
     if seat is None:
