@@ -135,7 +135,7 @@ def all_on_torch(monkeypatch):
 
     Own kernels beside torch are those of ``test_networks.py``; guidance makes more of rounding.
     """
-    for module in ("models.trajectory_model", "worlds.networks"):
+    for module in ("models.trajectory_model", "worlds.worlds"):
         monkeypatch.setattr(f"ccdiff_env.{module}.needs_torch", lambda *_: True)
 
 

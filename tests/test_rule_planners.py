@@ -10,7 +10,7 @@ from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
 from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.planners.built_in import Seat, ego_driver
-from ccdiff_env.planners.planning import Tracker, curve_speed, overlap
+from ccdiff_env.planners.planning import Tracker, overlap
 from ccdiff_env.scenes import with_tracks
 
 REPLAY = Traffic("log", "replay")
@@ -165,16 +165,6 @@ def test_overlap_agrees_with_shapely():
     assert overlap(*rows).tolist() == expected
     with pytest.raises(ShapeError, match="boxes"):
         overlap(np.zeros((3, 4)), np.zeros(5))
-
-
-def test_curve_speed_of_a_circle_is_that_of_its_radius():
-    angle = np.arange(0, 3.0, 1 / 20.0)
-    speeds = curve_speed(20.0 * np.column_stack([np.cos(angle), np.sin(angle)]))
-    assert speeds[5:-5] == pytest.approx(np.sqrt(3.0 * 20.0), rel=0.01)
-    straight = curve_speed(np.column_stack([np.arange(50.0), np.zeros(50)]))
-    assert straight.min() > 100.0
-    with pytest.raises(ShapeError, match="route"):
-        curve_speed(np.zeros((1, 2)))
 
 
 def test_a_tracker_follows_the_log(val):

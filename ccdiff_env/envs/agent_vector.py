@@ -17,8 +17,7 @@ from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, re
 from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality
-from ccdiff_env.worlds.spaces import Form
-from ccdiff_env.worlds.step_arrays import F32, U8, Bool
+from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -16,8 +16,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import Image
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import StepArrays, Worlds, normalize_seed
-from ccdiff_env.worlds.spaces import Form
-from ccdiff_env.worlds.step_arrays import F32, U8, Bool
+from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
 
 Info = dict[str, Any]
 

@@ -11,9 +11,8 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import StepArrays, Worlds
-from ccdiff_env.worlds.spaces import Form
-from ccdiff_env.worlds.step_arrays import F32
-from ccdiff_env.worlds.step_arrays import U8 as Image
+from ccdiff_env.worlds.spaces import F32, Form
+from ccdiff_env.worlds.spaces import U8 as Image
 
 FPS = 10  #: Images per second of simulated time.
 

@@ -18,8 +18,7 @@ from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
-from ccdiff_env.worlds.spaces import Form
-from ccdiff_env.worlds.step_arrays import F32, Bool
+from ccdiff_env.worlds.spaces import F32, Bool, Form
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

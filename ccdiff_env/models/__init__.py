@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from ccdiff_env.models.scene_plan import ScenePlan
 from ccdiff_env.models.training import train
-from ccdiff_env.models.trajectory_model import TrajectoryModel, guidance_preset
+from ccdiff_env.models.trajectory_model import ScenePlan, TrajectoryModel, guidance_preset
 from ccdiff_env.models.weights import (
     TORCH,
     needs_torch,

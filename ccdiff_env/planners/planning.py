@@ -86,37 +86,6 @@ def overlap(boxes: npt.ArrayLike, others: npt.ArrayLike) -> npt.NDArray[np.bool_
     return meets
 
 
-def curve_speed(
-    route: npt.ArrayLike, *, lateral_mps2: float = 3.0, braking_mps2: float = 2.0
-) -> F64:
-    """Return the greatest speeds [P] that curves at and ahead of a route's points allow, m/s.
-
-    Args:
-        route: Points [P, 2] about a metre apart, P of at least 2, such as ``worlds.native.route``
-            gives.
-        lateral_mps2: Acceleration sideways at which curves are taken.
-        braking_mps2: Braking ahead of them.
-
-    Raises:
-        ShapeError: For another shape.
-    """
-    points = np.asarray(route, np.float64)
-    expect_shape("route", points, (max(len(points), 2) if points.ndim else 2, 2))
-    steps = np.diff(points, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
-    middle = np.cumsum(lengths) - 0.5 * lengths
-    # over three metres, so that kinks of the sampling are no curves
-    reach = np.arange(len(headings))
-    low, high = np.maximum(reach - 1, 0), np.minimum(reach + 2, len(headings) - 1)
-    turn = np.abs(headings[high] - headings[low]) / np.maximum(middle[high] - middle[low], 0.5)
-    speeds = np.sqrt(lateral_mps2 / np.maximum(turn, 1e-4))
-    speeds = np.append(speeds, speeds[-1])
-    for i in range(len(lengths) - 1, -1, -1):
-        speeds[i] = min(speeds[i], np.sqrt(speeds[i + 1] ** 2 + 2 * braking_mps2 * lengths[i]))
-    return speeds
-
-
 class Tracker:
     """Turns trajectories into actions of the unicycle: constant acceleration, pure pursuit.
 

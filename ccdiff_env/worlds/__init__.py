@@ -9,9 +9,8 @@ from ccdiff_env.worlds.configured import (
     scene_set,
     world_config,
 )
-from ccdiff_env.worlds.networks import network_policies
-from ccdiff_env.worlds.step_arrays import StepArrays
-from ccdiff_env.worlds.worlds import Worlds
+from ccdiff_env.worlds.spaces import StepArrays
+from ccdiff_env.worlds.worlds import Worlds, network_policies
 
 __all__ = [
     "SceneChoice", "Scenes", "StepArrays", "Worlds", "network_policies", "normalize_seed",

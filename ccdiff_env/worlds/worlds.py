@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import operator
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -12,19 +13,25 @@ import numpy as np
 from gymnasium import spaces
 
 from ccdiff_env import _native
-from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ActionError, ConfigError, ShapeError, UnknownNameError
-from ccdiff_env.scenes import SceneSet
-from ccdiff_env.traffic import PythonTraffic, TrafficPlan
+from ccdiff_env.config import EgosConfig, WorldConfig
+from ccdiff_env.errors import (
+    ActionError,
+    CheckpointError,
+    ConfigError,
+    ShapeError,
+    UnknownNameError,
+)
+from ccdiff_env.models import needs_torch, require_networks, weights_path
+from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.traffic import EGOS, PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.configured import SceneChoice
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
-from ccdiff_env.worlds.networks import network_policies
-from ccdiff_env.worlds.spaces import Form, Layout, read_columns
-from ccdiff_env.worlds.step_arrays import F32, U8, StepArrays
+from ccdiff_env.worlds.policy_file import adversary_policy_path, egos_policy
+from ccdiff_env.worlds.spaces import F32, U8, Form, Layout, StepArrays, read_columns
 
 PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
 TRAIL_STEPS = 31  #: Past steps in images.
@@ -35,6 +42,45 @@ def _num_processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def network_policies(
+    config: WorldConfig, scenes: Sequence[Scene], num_threads: int
+) -> dict[str, object]:
+    """Return the policies of a configuration that need a network, by name, for the native worlds.
+
+    They plan on ``num_threads`` threads; plans do not depend on their number. Raises
+    :class:`MissingFeatureError` where a network needs torch, :class:`UnknownNameError` where no
+    scene has an agent that contacts shall be aimed at, and errors that name settings, weights or
+    scenes that do not fit.
+    """
+
+    def made(name: str, kind: str, options: str) -> object:
+        settings = json.loads(options)
+        if kind == EGOS:
+            return egos_policy(EgosConfig(**settings), config.dt_s)
+        if targets := set(settings.get("targets", ())):
+            for nobody in sorted(targets.difference(*(scene.agent_ids for scene in scenes))):
+                raise UnknownNameError(f"{name}.targets: no scene has an agent {nobody!r}")
+        weights = weights_path(
+            settings["weights"], kind, settings["denoising_steps"], settings["follow_route"]
+        )
+        if settings.get("adversary_policy") is not None:
+            policy = adversary_policy_path(settings["adversary_policy"])
+            options = json.dumps({**settings, "adversary_policy": str(policy)})
+        make = _native.traffic_policy
+        if needs_torch(weights, settings["device"]):
+            require_networks()
+            from ccdiff_env import _models
+
+            make = _models.traffic_policy
+        try:
+            return make(name, kind, options, weights, config.dt_s, num_threads, list(scenes))
+        except OSError as error:
+            raise CheckpointError(str(error)) from None
+
+    wanted = _native.networks_wanted(config.to_json())
+    return {name: made(name, kind, options) for name, kind, options in wanted}
 
 
 def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
