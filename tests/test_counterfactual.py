@@ -66,7 +66,7 @@ def test_swerving_is_found_where_braking_does_not_do():
 
 
 def test_a_found_plan_is_free_of_collisions_when_driven():
-    from ccdiff_env.planners.steering import Steering
+    from ccdiff_env.planners.planning import Steering
 
     env = started(road(wall(12.0, width=20.0)))
     before = env.snapshot()
@@ -100,7 +100,7 @@ def test_steady_plans_end_and_the_ego_drives_on():
 
 
 def test_plans_that_react_are_chosen_in_some_futures_and_tested_in_others():
-    from ccdiff_env.planners.steering import Steering
+    from ccdiff_env.planners.planning import Steering
 
     env = EgoEnv(
         scenes=embedded_scenes("val"),

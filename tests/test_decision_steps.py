@@ -7,7 +7,7 @@ from array_scenes import GOES_ON
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.planners.steering import Steering
+from ccdiff_env.planners.planning import Steering
 from ccdiff_env.record.counterfactual import avoidability
 
 #: What stays in the figures of a decision once it has happened.

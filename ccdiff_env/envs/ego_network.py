@@ -39,6 +39,11 @@ class Greatest(torch.autograd.Function):
         return grad, None, None
 
 
+def _hidden(size: int, width: int) -> list[nn.Module]:
+    """Two layers."""
+    return [nn.Linear(size, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()]
+
+
 class Agent(nn.Module):
     """Policy and value: all agents pass one network, the greatest of each feature stays."""
 
@@ -57,20 +62,9 @@ class Agent(nn.Module):
             self.rows, self.shape = slice(rows.offset, rows.offset + rows.size), rows.shape
             self.mask = slice(mask.offset, mask.offset + mask.size)
             rest, seen = rest - rows.size - mask.size, WIDTH_ROWS
-            self.encoder = nn.Sequential(
-                nn.Linear(rows.shape[1], WIDTH_ROWS),
-                nn.ReLU(),
-                nn.Linear(WIDTH_ROWS, WIDTH_ROWS),
-                nn.ReLU(),
-            )
+            self.encoder = nn.Sequential(*_hidden(rows.shape[1], WIDTH_ROWS))
         self.policy, self.value = (
-            nn.Sequential(
-                nn.Linear(rest + seen, width),
-                nn.ReLU(),
-                nn.Linear(width, width),
-                nn.ReLU(),
-                nn.Linear(width, out),
-            )
+            nn.Sequential(*_hidden(rest + seen, width), nn.Linear(width, out))
             for out in (len(noise), 1)
         )
         *_, weight, bias = self.policy.parameters()

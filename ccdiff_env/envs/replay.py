@@ -76,10 +76,8 @@ def replay(
     for i in range(certificate.episode_idx + 1):
         last = i == certificate.episode_idx
         env.reset(seed=None if i else certificate.seed, options=chosen if last else None)
-    frames = [env.render() if render_mode == "rgb_array" else None]
-    rewards = []
-    shape = env.action_space.shape or ()
-    width = env.worlds.native.action_width
+    frames, rewards = [env.render()] if render_mode else [], []
+    shape, width = env.action_space.shape or (), env.worlds.native.action_width
     if certificate.actions.shape[1] != width:
         raise SnapshotError(
             f"certificate: actions have shape {certificate.actions.shape}, expected [T, {width}]"
@@ -87,7 +85,7 @@ def replay(
     for row in certificate.actions:
         action = row.reshape(shape) if shape else np.int64(row[0])
         rewards.append(env.step(action)[1])
-        frames.append(env.render() if render_mode == "rgb_array" else None)
+        frames += [env.render()] if render_mode else []
     if env.certificate().digest != certificate.digest:
         raise SnapshotError("certificate: the episode came out differently")
     return Replay(env, np.array(rewards), [frame for frame in frames if frame is not None])

@@ -146,11 +146,9 @@ class EgoVectorEnv(OnWorlds, AsVector):
         Args:
             seed: Any integer n (world i gets n + i), one per world, or ``None`` (worlds go on with
                 their generators).
-            options: ``scene``: name or index; with ``ego="any"`` besides ``ego``: id, and
-                ``start``: step of the log; ``style``: factors of weights of the reward;
-                ``drivers``: drivers of single vehicles by id, for these episodes. Each is one for
-                all worlds (drivers then of those vehicles that a world's scene has), or a list of
-                one per world, ``None`` for no choice. ``reset_mask``: worlds [E] to reset.
+            options: Those of :meth:`EgoEnv.reset`, each one for all worlds (drivers then of those
+                vehicles that a world's scene has), or a list of one per world, ``None`` for no
+                choice. ``reset_mask``: worlds [E] to reset.
 
         Returns:
             obs, infos: Observations [E, ...]; ``scene``, ``scene_token``, ``seed``, ``episode_idx``

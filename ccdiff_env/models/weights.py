@@ -64,14 +64,10 @@ def needs_torch(weights: str | os.PathLike[str], device: str = "cpu") -> bool:
 def shipped_weights(model: str = "ccdiff", *, one_step: bool = False, routes: bool = False) -> Path:
     """Return the weight file of the shipped ``fast`` network of a kind.
 
-    With ``one_step`` that of the network which was taught to plan in one denoising step, with
-    ``routes`` that of the network which may know where its vehicles go, with both that of the
-    network which was taught both.
-
-    Those of CCDiff's rivals are in a package of their own (``ccdiff-env[rivals]``), and the path
-    is of no file where it is absent or holds none of this network.
-
-    Derived from nuScenes: CC BY-NC-SA 4.0, non-commercial (docs/model_card.md).
+    It was taught to plan in ``one_step`` of denoising, may know the ``routes`` of its vehicles, or
+    both. Those of CCDiff's rivals are in a package of their own (``ccdiff-env[rivals]``), and the
+    path is of no file where it is absent or holds none of this network. Derived from nuScenes: CC
+    BY-NC-SA 4.0, non-commercial (docs/model_card.md).
     """
     parts = [part for part, has in (("routes", routes), ("one_step", one_step)) if has]
     name = "_".join([model, *(parts or ["fast"])])

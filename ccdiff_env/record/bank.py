@@ -14,7 +14,6 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
@@ -83,15 +82,25 @@ def record_bank(
     chosen, root = scene_set(scenes), Path(folder)
     settings = {
         "format": FORMAT,
-        "ego": _ego_digest(ego),
+        "ego": f"{Path(ego).name} {_digest(read_bytes(ego))}" if Path(ego).is_file() else ego,
         "criticality": criticality,
         "seed": seed,
         "avoidable_only": avoidable_only,
-        "scenes": hashlib.sha256("".join(s.hash for s in chosen).encode()).hexdigest(),
-        "weights": hashlib.sha256(read_bytes(weights_path("fast"))).hexdigest(),
+        "scenes": _digest("".join(s.hash for s in chosen).encode()),
+        "weights": _digest(read_bytes(weights_path("fast"))),
     }
-    _settle(root, settings)
-    tag = hashlib.sha256(json.dumps(settings).encode()).hexdigest()[:6]
+    root.mkdir(parents=True, exist_ok=True)
+    path = root / SETTINGS
+    with reading("bank", path):
+        known = parsed_object(read_text(path)) if path.exists() else settings
+    for name, value in settings.items():
+        if known.get(name) != value:
+            raise ConfigError(
+                f"{path}: a bank with {name} {known.get(name)!r}, now {value!r}; "
+                "choose another folder"
+            )
+    write_aside(path, json.dumps(settings, indent=1))
+    tag = _digest(json.dumps(settings).encode())[:6]
     jobs = []
     for draw in range(draws):
         for first in range(0, len(chosen), PIECE):
@@ -105,25 +114,8 @@ def record_bank(
     return load_bank(root)
 
 
-def _ego_digest(ego: str) -> str:
-    """Return the name of an ego, with the hash of its file where it has one."""
-    if not Path(ego).is_file():
-        return ego
-    return f"{Path(ego).name} {hashlib.sha256(read_bytes(ego)).hexdigest()}"
-
-
-def _settle(root: Path, settings: dict[str, Any]) -> None:
-    root.mkdir(parents=True, exist_ok=True)
-    path = root / SETTINGS
-    with reading("bank", path):
-        known = parsed_object(read_text(path)) if path.exists() else settings
-    for name, value in settings.items():
-        if known.get(name) != value:
-            raise ConfigError(
-                f"{path}: a bank with {name} {known.get(name)!r}, now {value!r}; "
-                "choose another folder"
-            )
-    write_aside(path, json.dumps(settings, indent=1))
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def _record(job: tuple[Path, list[bytes], str, float, int, str, bool]) -> None:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.planners.built_in import Ego, ego_driver
-from ccdiff_env.planners.steering import Steering
+from ccdiff_env.planners.planning import Steering
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.record.recorder import HasWorlds, Recorder, worlds_of
 from ccdiff_env.record.rollout import Rollout

@@ -60,16 +60,21 @@ class Curriculum:
         found = self._criticality
         strength = found(self._progress) if callable(found) else found
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
-        ranges = [(_number(share), *_ends(part)) for part, share in parts]
-        shares = [share for share, _, _ in ranges]
+        wrong = ConfigError(
+            f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "
+            "or shares by these: {0: 0.5, (1, 2): 0.5}"
+        )
+        try:
+            pairs = [(p if isinstance(p, Sequence) else (p, p), float(s)) for p, s in parts]
+            ranges = [(share, float(low), float(high)) for (low, high), share in pairs]
+        except (TypeError, ValueError):
+            raise wrong from None
         for end in (end for _, *ends in ranges for end in ends):
             check("CcdiffConfig", "", {"criticality": end})
+        shares = [share for share, _, _ in ranges]
         fine = all(low <= high for _, low, high in ranges)
         if not (fine and min(shares, default=-1.0) >= 0.0 and 0.0 < sum(shares) < np.inf):
-            raise ConfigError(
-                f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "
-                "or shares by these: {0: 0.5, (1, 2): 0.5}"
-            )
+            raise wrong
         return ranges
 
     def draw(self, seed: int, episode: int) -> float:
@@ -82,21 +87,6 @@ class Curriculum:
             chosen = int(np.searchsorted(sums, rng.uniform(0.0, sums[-1]), side="right"))
         _, low, high = ranges[chosen]
         return low if low == high else float(rng.uniform(low, high))
-
-
-def _number(value: Any) -> float:
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        return np.nan
-
-
-def _ends(strength: Any) -> tuple[float, float]:
-    try:
-        low, high = strength if isinstance(strength, Sequence) else (strength, strength)
-    except ValueError:
-        return np.nan, np.nan
-    return _number(low), _number(high)
 
 
 class SceneWeights:
