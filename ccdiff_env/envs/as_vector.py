@@ -92,8 +92,7 @@ class AsVector(VectorEnv[Any, Any, Any]):
     def _per_world(self, name: str, value: Any) -> list[Any]:
         """Return what a reset is given, world by world: one for all, or one per world or row.
 
-        Raises:
-            ConfigError: If there are more or fewer, or rows of one world are given different ones.
+        More, fewer, and different ones for rows of one world are a :class:`ConfigError`.
         """
         found = []
         for rows in self._rows(name, value):

@@ -24,11 +24,7 @@ Bool = npt.NDArray[np.bool_]
 
 
 class RulePlanner:
-    """Drives the first slot of every world.
-
-    Args:
-        worlds: Worlds with one slot, driven from outside; any dynamics but the assisted ones.
-    """
+    """Drives the one slot of every world, by any dynamics but the assisted ones."""
 
     kind: str
     #: Network that it asks, and its options; ``None``: none.
@@ -45,11 +41,7 @@ class RulePlanner:
         self._planner = Planner(self.kind, found)
 
     def __call__(self, obs: object) -> npt.NDArray[np.float32]:
-        """Return the actions [E, W], or indices [E], of all worlds; zeros where nobody drives.
-
-        Raises:
-            ConfigError: For assisted dynamics.
-        """
+        """Return the actions [E, W], or indices [E], of all worlds; zeros where nobody drives."""
         native = self._native
         alive = [bool(native.slot_alive(i)[0]) for i in range(native.num_worlds)]
         actions: npt.NDArray[np.float32] = native.planner_actions(self._planner, alive)
@@ -98,10 +90,7 @@ class Arbiter:
     """Chooses every second between PDM-Closed and IDM on lanes.
 
     The forks hold the traffic as it is, so that their futures are those that will come: no vehicle
-    can know them.
-
-    Args:
-        worlds: Worlds with one slot, driven from outside.
+    can know them. Worlds have one slot.
     """
 
     privileged = True

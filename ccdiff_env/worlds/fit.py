@@ -61,11 +61,7 @@ class Fit:
 
     @classmethod
     def read(cls, text: object, who: str) -> Fit:
-        """Read what :meth:`mark` wrote.
-
-        Raises:
-            ConfigError: If there is nothing to read, or it is damaged.
-        """
+        """Read what :meth:`mark` wrote; nothing, or damage, is a :class:`ConfigError`."""
         if text is None:
             raise ConfigError(
                 f"{who} does not say what it was trained in: it is older than this version, or was "
@@ -82,11 +78,7 @@ class Fit:
         return made
 
     def check(self, config: WorldConfig, layout_json: str, who: str) -> None:
-        """Refuse worlds that give something else.
-
-        Raises:
-            ConfigError: In one line that says what differs.
-        """
+        """Refuse worlds that give something else with a :class:`ConfigError` that says what."""
         there = fitting_fields(config)
         for name, wanted in self.options.items():
             given = there[name]

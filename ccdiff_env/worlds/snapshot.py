@@ -57,11 +57,7 @@ class Snapshot:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Snapshot:
-        """Read what :meth:`to_bytes` wrote.
-
-        Raises:
-            SnapshotError: If the bytes are damaged or of another version.
-        """
+        """Read what :meth:`to_bytes` wrote; what is something else is a :class:`SnapshotError`."""
         if not isinstance(data, (bytes, bytearray, memoryview)):
             raise SnapshotError(f"snapshot: {type(data).__name__}, expected bytes")
         data = bytes(data)
