@@ -34,7 +34,7 @@ LEARNED = "learned"  #: Name of the shipped choice of adversaries.
 
 
 def adversary_policy_path(name: str) -> Path:
-    """Return the file, which must be there, of a choice of adversaries: by path, or :data:`LEARNED`."""
+    """Return the file of a choice of adversaries, :data:`LEARNED` or a path: it must be there."""
     path = _DATA / "adversary_policy.safetensors" if name == LEARNED else Path(name)
     if not path.is_file():
         raise DatasetNotFoundError(
