@@ -316,17 +316,6 @@ class AdversarySelectionVectorEnv(AsVector):
             self.candidates[e], self.obs[e] = self.worlds.native.candidates(e, self.max_candidates)
 
 
-class SingleOptions(SelectionOptions, total=False):
-    """Options of :class:`AdversarySelectionVectorEnv`."""
-
-    ego: Ego
-    max_candidates: int
-    strengths: Sequence[float]
-    num_adversaries: int
-    counts: Counts
-    shift_cost: float
-
-
 class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
 
@@ -336,7 +325,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     metadata = EgoEnv.metadata
 
-    def __init__(self, **options: Unpack[SingleOptions]) -> None:
+    def __init__(self, **options: Any) -> None:
         self.render_mode = options.get("render_mode")
         options.setdefault("num_threads", 1)
         #: The worlds, of which there is one.
