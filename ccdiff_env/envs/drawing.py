@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
+from gymnasium.wrappers import HumanRendering
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import unknown
@@ -38,6 +40,23 @@ def checked_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
     return {**RENDER_OPTIONS, **(given or {})}
 
 
+#: What single environments offer: a window only where pygame can open one.
+RENDER_MODES = [*(["human"] if find_spec("pygame") else []), "rgb_array"]
+
+
+class _Images(gymnasium.Env[Any, Any]):
+    """Images as an environment, for the window of Gymnasium's wrapper: a reset shows one."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    render_mode = "rgb_array"
+
+    def __init__(self, render: Callable[[], Image]) -> None:
+        self.render = render  # type: ignore[method-assign,assignment]
+
+    def reset(self, **_: Any) -> tuple[None, dict[str, Any]]:
+        return None, {}
+
+
 class DrawnWorld:
     """What every environment of one world has: its scene, what is seen, and images."""
 
@@ -46,6 +65,7 @@ class DrawnWorld:
     _render_options: dict[str, Any]
     _form: Form
     _info: str
+    _window: HumanRendering[Any, Any, Any] | None = None
 
     @property
     def config(self) -> WorldConfig:
@@ -74,12 +94,29 @@ class DrawnWorld:
         return info
 
     def render(self) -> Image | None:
-        """Return an image [H, W, 3]; ``None`` without a render mode."""
+        """Return an image [H, W, 3], show it, or do nothing, as the render mode says."""
+        if self.render_mode == "rgb_array":
+            return self._image()
         if self.render_mode is None:
             gymnasium.logger.warn(
                 "render() was called without a render mode: make the environment with "
-                'render_mode="rgb_array".'
+                'render_mode="rgb_array" or "human".'
             )
-            return None
+        self._show()
+        return None
+
+    def _image(self) -> Image:
         image: Image = self.worlds.native.render(0, **self._render_options)
         return image
+
+    def _show(self) -> None:
+        """Show the world in a window, where the render mode says so."""
+        if self.render_mode == "human":
+            self._window = self._window or HumanRendering(_Images(self._image))
+            self._window.reset()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None

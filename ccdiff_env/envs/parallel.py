@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
-from ccdiff_env.envs.drawing import FPS, DrawnWorld, Image
+from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld, Image
 from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
 from ccdiff_env.traffic.options import VehicleRanking
@@ -60,7 +60,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
     _copied = ("_observation_spaces", "_action_spaces")
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
         "name": "ccdiff_env_multi_v0",
-        "render_modes": ["rgb_array"],
+        "render_modes": RENDER_MODES,
         "render_fps": FPS,
         "is_parallelizable": True,
     }
@@ -156,6 +156,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         for name in self.agents:
             texts = {"agent_id": self._ids[self._slots[name]], "role": self.role(name)}
             infos[name] = common if self._info == "none" else {**common, **texts}
+        self._show()
         return self._observations(out.obs, out.bev, self.agents), infos
 
     def _begin(self) -> None:
@@ -200,6 +201,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         terminated, truncated = out.terminated[0], out.truncated[0]
         ended = terminated | truncated
         self.agents = [name for name, slot in slots.items() if not ended[slot]]
+        self._show()
         return (
             self._observations(out.obs, out.bev, slots),
             {name: float(out.reward[0, slot]) for name, slot in slots.items()},

@@ -52,6 +52,7 @@ class Shared(NamedTuple):
 class OnWorlds(FollowsTraining):
     """Environments, which can be copied and pickled in the middle of their episodes."""
 
+    metadata: dict[str, Any]
     worlds: Worlds
     _seat: Seat | None
     _selection: AgentSelection
@@ -64,10 +65,11 @@ class OnWorlds(FollowsTraining):
             raise unknown("observation form", str(shared.observation), FORMS)
         if shared.info not in ("full", "end", "none"):
             raise unknown("info level", str(shared.info), ("full", "end", "none"))
-        if shared.render_mode not in (None, "rgb_array"):
+        modes = self.metadata["render_modes"]
+        if shared.render_mode not in (None, *modes):
             raise ConfigError(
-                f"render_mode is {shared.render_mode!r}, expected None or rgb_array; "
-                "gymnasium.wrappers.HumanRendering shows the images of the latter in a window"
+                f"render_mode is {shared.render_mode!r}, expected None or one of {', '.join(modes)}"
+                ' ("human" needs pygame)' * (shared.render_mode == "human")
             )
         self._render_options = checked_render_options(shared.render_options)
         self.render_mode = shared.render_mode

@@ -320,13 +320,15 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
 
     Args:
-        **options: As there.
+        **options: As there, and ``render_mode="human"`` (needs pygame).
     """
 
     metadata = EgoEnv.metadata
 
     def __init__(self, **options: Any) -> None:
         self.render_mode = options.get("render_mode")
+        if self.render_mode == "human":
+            options["render_mode"] = "rgb_array"
         options.setdefault("num_threads", 1)
         #: The worlds, of which there is one.
         self.vector = AdversarySelectionVectorEnv(1, **options)
@@ -343,6 +345,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         """Begin a new episode, as :meth:`EgoEnv.reset`; ``agent_ids`` says who is in which row."""
         super().reset(seed=None if seed is None else seed % 2**63)
         obs, _ = self.vector.reset(seed=seed, options=options)
+        self._show()
         return obs[0], {**self.worlds.reset_info(0, "full"), "agent_ids": self.agent_ids()}
 
     def step(self, action: Any) -> tuple[F32, float, bool, bool, Info]:
@@ -358,6 +361,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         if done:
             info["metrics"] = {name: float(of[0]) for name, of in self.vector.metrics().items()}
             info["is_success"] = info["metrics"]["is_success"]
+        self._show()
         return self.vector.obs[0].copy(), float(rewards[0]), done, False, info
 
     def agent_ids(self) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.drawing import FPS, DrawnWorld
+from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
 from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
@@ -67,8 +67,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         observation: ``"flat"``, ``"dict"`` or ``"bev"``, as above.
         info: ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
             ``"none"``: only numbers at resets: index of the scene, seed, episode.
-        render_mode: ``None`` or ``"rgb_array"``; ``gymnasium.make`` takes ``"human"`` as well (a
-            window of pygame).
+        render_mode: ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
         render_options: Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``,
             ``trails``, ``route``, ``labels``.
         criticality: How critical CCDiff traffic is in each episode: a number, a range to draw from,
@@ -88,7 +87,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
     _copied = (
         "_actions", "_np_random", "_np_random_seed", "spec", "observation_space", "action_space",
     )  # fmt: skip
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
         self,
@@ -145,6 +144,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
             self._seat.reset([0])
         self.worlds.assign(0, assigned)
         self._actions = []
+        self._show()
         return self._observation(out.obs, out.bev), self.worlds.reset_info(0, self._info)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -168,6 +168,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         self.worlds.native.step(checked, out)
         if self._actions is not None:
             self._actions.append(checked.tobytes())
+        self._show()
         return (
             self._observation(out.obs, out.bev),
             float(out.reward[0, 0]),
