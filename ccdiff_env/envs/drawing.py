@@ -13,9 +13,9 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import StepArrays, Worlds
-from ccdiff_env.worlds.spaces import F32, Form
-from ccdiff_env.worlds.spaces import U8 as Image
+from ccdiff_env.worlds.spaces import F32, U8, Form
 
+Image = U8
 FPS = 10  #: Images per second of simulated time.
 
 #: Options of an image: width and height in pixels, metres across, agent id or (x, y) in the middle

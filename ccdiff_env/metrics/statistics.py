@@ -100,7 +100,8 @@ def scores(
                     f"bounds of {name} are {(least, largest)}, expected (least, largest)"
                 )
         given = [bounds.get(name) for name in tables]
-    cs, rs = _native.metrics_scores(*(array.ravel() for array in arrays.values()), given)
+    flat = (array.ravel() for array in arrays.values())
+    cs, rs = _native.metrics_scores(*flat, given)  # type: ignore[call-arg,arg-type]
     return np.asarray(cs).reshape(shape), np.asarray(rs).reshape(shape)
 
 

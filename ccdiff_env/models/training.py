@@ -125,17 +125,14 @@ def train(
                 raise CheckpointError(f"step is {run.step}")
     notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
     curves = Curves(folder, run.step)
-    settled = {
-        "solver_steps": 5 if teacher is None else 1,
-        "num_samples": 5,
-        "guidance_weight": 1.0,
-    }
-    said = ""
+    solver_steps, said = 5 if teacher is None else 1, ""
 
     def checkpoint() -> None:
         run.save(os.fspath(state))
         run.export(os.fspath(weights), json.dumps(notes))
-        errors = run.validate(validation_samples, **settled)
+        errors = run.validate(
+            validation_samples, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0
+        )
         if errors is not None:
             curves.write("validation", run.step, errors)
             nonlocal said

@@ -39,7 +39,7 @@ from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
-from ccdiff_env.worlds.spaces import Form
+from ccdiff_env.worlds.spaces import U8, Form
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = [
@@ -286,13 +286,14 @@ class Seat:
         except CcdiffError as error:
             raise type(error)(f"{self.name} returned trajectories: {error}") from None
 
-    def _rasters(self) -> npt.NDArray[np.uint8] | None:
+    def _rasters(self) -> U8 | None:
         """Rasters [E, channels, S, S] of the first slots, where the planner sees them."""
         assert self._worlds is not None
         if self._form == "flat" or self._worlds.layout.raster is None:
             return None
         rasters = (self._worlds.observe(i)[1] for i in range(self._worlds.num_worlds))
-        return np.stack([found[0] for found in rasters if found is not None])
+        stacked: U8 = np.stack([found[0] for found in rasters if found is not None])
+        return stacked
 
     def _answer(
         self, ask: Callable[[], Any], worlds: Worlds, indices: Sequence[int] | npt.NDArray[np.int64]
