@@ -100,8 +100,8 @@ def scores(
                     f"bounds of {name} are {(least, largest)}, expected (least, largest)"
                 )
         given = [bounds.get(name) for name in tables]
-    flat = (array.ravel() for array in arrays.values())
-    cs, rs = _native.metrics_scores(*flat, given)  # type: ignore[call-arg,arg-type]
+    flat = [array.ravel() for array in arrays.values()]
+    cs, rs = _native.metrics_scores(flat[0], flat[1], flat[2], flat[3], given)
     return np.asarray(cs).reshape(shape), np.asarray(rs).reshape(shape)
 
 
