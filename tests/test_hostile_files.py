@@ -357,7 +357,7 @@ DAMAGES = {
         )
         for step in (-5, 10**6, 2**70, "x", None)
     },
-    "policy of other observations": (policy(schema="00"), "observations 00"),
+    "policy of other observations": (policy(schema="00"), "observations that this version"),
     "policy of another format": (policy(format="x"), "format 'x'"),
     "policy of a dynamics that is none": (policy(options='{"dynamics": "hover"}'), "hover"),
     "policy not finite": (policy(arrays={"mean": np.full(9, np.nan, F4)}), "finite"),
