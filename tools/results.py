@@ -266,7 +266,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     if chosen is not None:
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
-    kept = json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
+    kept = charts.kept(name)
     if "K" in table.keys:
         return _grid(kept, *table.columns.values())
     rows: TableRows = []
