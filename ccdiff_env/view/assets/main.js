@@ -227,12 +227,9 @@ function showControls(player) {
   $("length").textContent = ` / ${(player.end - player.start).toFixed(1)} s`;
   $("rate").value = player.rate;
   $("follow").value = player.follow === null ? "" : player.follow;
-  $("heading").setAttribute("aria-pressed", player.headingUp);
-  $("loop").setAttribute("aria-pressed", player.loop);
-  for (const layer of LAYERS) {
-    const chip = $(`layer-${layer}`);
-    if (chip) chip.setAttribute("aria-pressed", player.layers[layer]);
-  }
+  const layers = LAYERS.map((layer) => [`layer-${layer}`, player.layers[layer]]);
+  for (const [id, on] of [["heading", player.headingUp], ["loop", player.loop], ...layers])
+    $(id)?.setAttribute("aria-pressed", on);
 }
 
 /** Captions of the chosen agent; where two runs say different things, both stand there. */

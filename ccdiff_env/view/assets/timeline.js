@@ -34,9 +34,7 @@ class Timeline {
       if (this.dragging) this.seek(timeOf(event));
       this.canvas.title = this.describe(timeOf(event));
     });
-    const release = () => { this.dragging = false; };
-    this.canvas.addEventListener("pointerup", release);
-    this.canvas.addEventListener("pointercancel", release);
+    this.canvas.addEventListener("lostpointercapture", () => { this.dragging = false; });
   }
 
   /** What happens near a time, for the tooltip. */
@@ -58,8 +56,7 @@ class Timeline {
 
   draw(time, colours) {
     const { canvas } = this;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    const context = clearedContext(canvas, width, height);
+    const { clientWidth: width, clientHeight: height } = canvas, context = clearedContext(canvas, width, height);
     const x = (t) => 10 + (width - 20) * (t - this.start) / this.span;
     const middle = height - 14;
     this.ticks(context, x, height, colours);
