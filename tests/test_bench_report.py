@@ -12,7 +12,6 @@ from ccdiff_env.bench import plots
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
-from ccdiff_env.bench.plots import styles_of
 
 VAL = "embedded/val"
 
@@ -182,14 +181,6 @@ def test_the_verdict_names_the_best_and_what_breaks():
     )
     few = {key: rows[:9] for key, rows in found.items()}
     assert verdict(few, ["idm", "pdm"], ["replay", "idm"]) == FEW
-
-
-def test_styles_of_methods_are_the_same_whatever_else_is_drawn():
-    some = styles_of(["idm", "ccdiff_unguided", "other"])
-    more = styles_of(["replay", "ccdiff_unguided", "pdm", "idm"])
-    assert some["idm"] == more["idm"]
-    assert some["ccdiff_unguided"] == more["ccdiff_unguided"]
-    assert len({(s["color"], s["marker"]) for s in some.values()}) == 3
 
 
 def test_the_worst_come_first_once_each_and_close_calls_break_ties():

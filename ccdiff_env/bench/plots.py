@@ -1,8 +1,9 @@
-"""Plots of the benchmarks: one colour per method in all of them, in light and dark pages."""
+"""Plots of the benchmarks, in light and dark pages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,25 +20,6 @@ if TYPE_CHECKING:
 #: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
 OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 MARKERS = "osD^vPX*"  #: No hue tells methods apart alone.
-#: Methods and planners that look the same in every plot, by their place in this list.
-USUAL = (
-    "ccdiff_unguided", "ccdiff", "idm", "pdm", "lane_idm", "ego", "replay", "constant_velocity",
-)  # fmt: skip
-
-
-def styles_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return colour, marker and dash of each method or planner, for Matplotlib."""
-    listed = list(dict.fromkeys(names))
-    others = [name for name in listed if name not in USUAL]
-    place = {name: (*USUAL, *others).index(name) for name in listed}
-    return {
-        name: {
-            "color": OKABE_ITO[i % len(OKABE_ITO)],
-            "marker": MARKERS[i % len(MARKERS)],
-            "linestyle": ("-", "--", ":")[i // len(OKABE_ITO) % 3],
-        }
-        for name, i in place.items()
-    }
 
 
 def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]:
@@ -97,15 +79,17 @@ def plot_robustness(
         return None
     figure, axes = new_plot(5.6, 3.8)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
+    looks = zip(itertools.cycle(OKABE_ITO), itertools.cycle(MARKERS), aside, strict=False)
     ends = []
-    for (planner, style), by in zip(styles_of(planners).items(), aside, strict=True):
+    for planner, (color, marker, by) in zip(planners, looks, strict=False):
         means = np.array([mean_interval(found[planner, n], "score") for n in names])
         whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
         x = np.array([level[n] for n in names]) + by
         axes.errorbar(
-            x, means[:, 0], yerr=whiskers, markersize=5, elinewidth=1, capsize=2.5, **style
-        )
-        ends.append((means[-1, 0], x[-1], label(planner), style["color"]))
+            x, means[:, 0], yerr=whiskers, color=color, marker=marker, markersize=5, elinewidth=1,
+            capsize=2.5,
+        )  # fmt: skip
+        ends.append((means[-1, 0], x[-1], label(planner), color))
     name_ends(axes, ends)
     axes.set_xticks([level[n] for n in names])
     axes.set_xlabel("criticality of the CCDiff traffic")

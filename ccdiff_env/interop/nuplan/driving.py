@@ -149,7 +149,9 @@ class NuPlanPlanner:
             if native.slot_agents(i)[0] is None or not native.slot_alive(i)[0]:
                 continue
             try:
-                steps[i] = self.step(i)
+                drive, planner = self._drives.get(i) or self._begin(i)
+                given = drive.input()
+                steps[i] = drive.follow(given, planner.compute_trajectory(given))
             except CcdiffError:
                 raise
             except Exception as error:
@@ -162,18 +164,14 @@ class NuPlanPlanner:
         most = np.where(steps > 0, self._bounds[:, 1], -self._bounds[:, 0])
         return np.clip(steps / most, -1.0, 1.0)  # type: ignore[no-any-return]
 
-    def step(self, world_idx: int) -> npt.NDArray[np.float64]:
-        """Ask the planner of a world, and return what :meth:`Drive.follow` says."""
+    def _begin(self, world_idx: int) -> tuple[Drive, Any]:
         assert self._worlds is not None, "reset comes first"
-        if world_idx not in self._drives:
-            idx = self._worlds.native.status(world_idx).scene_idx
-            if idx not in self._maps:
-                scene = self._worlds.scenes[idx]
-                self._maps[idx] = SceneMap(scene.map_layers(), scene.location or "scene")
-            drive = Drive(self._worlds, world_idx, self._maps[idx])
-            planner = self._settings.make()
-            planner.initialize(drive.initialization)
-            self._drives[world_idx] = drive, planner
-        drive, planner = self._drives[world_idx]
-        given = drive.input()
-        return drive.follow(given, planner.compute_trajectory(given))
+        idx = self._worlds.native.status(world_idx).scene_idx
+        if idx not in self._maps:
+            scene = self._worlds.scenes[idx]
+            self._maps[idx] = SceneMap(scene.map_layers(), scene.location or "scene")
+        drive = Drive(self._worlds, world_idx, self._maps[idx])
+        planner = self._settings.make()
+        planner.initialize(drive.initialization)
+        self._drives[world_idx] = drive, planner
+        return drive, planner
