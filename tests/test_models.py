@@ -1,6 +1,7 @@
 """Training and planning from Python: files, resume, errors, torch's own state."""
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -105,6 +106,18 @@ def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
     steps = [row[0] for row in rows(tmp_path / "parts" / "loss.csv")]
     assert steps[-1] == "10"
     assert len(set(steps)) == len(steps)
+
+
+def test_a_run_that_cooled_down_goes_on_over_added_steps(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "_CHUNK", 3)
+    spans = []
+    for steps in (10, 14, 12):
+        path = train([road()], out=tmp_path, steps=steps, settings=QUICK, progress=False)
+        state = (tmp_path / "state.safetensors").read_bytes()
+        metadata = json.loads(state[8 : 8 + int.from_bytes(state[:8], "little")])["__metadata__"]
+        cooldown = json.loads(metadata["ccdiff_env"])["cooldown"]
+        spans.append((TrajectoryModel(path).header["step"], cooldown["start"], cooldown["steps"]))
+    assert spans == [(10, 9, 1), (14, 10, 4), (14, 10, 4)]
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="CCDiff may know where vehicles go; in training it knows it of half of them",
     )
     length = parser.add_mutually_exclusive_group(required=True)
-    length.add_argument("--steps", type=int, help="training steps in all")
+    length.add_argument(
+        "--steps",
+        type=int,
+        help="training steps in all; a run that ended with fewer goes on, its learning rate "
+        "falling from its peak to zero over the added steps",
+    )
     length.add_argument("--minutes", type=float, help="minutes of this call")
     parser.add_argument("--device", default="cpu", help="where torch computes: cpu, cuda, cuda:N")
     parser.add_argument("--batch-scenes", type=int, help="scenes per step (default: the preset's)")

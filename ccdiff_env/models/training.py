@@ -47,7 +47,8 @@ def train(
     """Train a planning network and write its weights.
 
     A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
-    is constant and falls to zero over the last fifth of the steps or minutes.
+    is constant and falls to zero over the last fifth of the steps or minutes. A run that has ended
+    goes on if ``steps`` is more: the rate falls from its peak to zero over the added steps.
 
     Args:
         scenes: Scenes to train on. Keep every validation scene out.
@@ -151,7 +152,9 @@ def train(
         while steps is None or run.step < steps:
             elapsed = time.monotonic() - begin
             if run.cooldown is not None and run.step >= run.cooldown[1]:
-                break
+                if steps is None:
+                    break
+                run.cool_down(steps - run.step)
             count = _CHUNK if steps is None else min(_CHUNK, steps - run.step)
             if run.cooldown is None:
                 _maybe_cool_down(run, first, steps, total, elapsed)
