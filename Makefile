@@ -83,9 +83,8 @@ playground: $(SO)  ## the page in which one drives the ego by keys: docs/site/pl
 	rustup target add wasm32-unknown-unknown
 	$(BIN)/python -m tools.playground docs/site/playground.html
 
-bench: $(SO)  ## speed of the world and of guidance (DATAROOT= VERSION=: of loading nuScenes, too)
+bench: $(SO)  ## speed of the world and of networks (DATAROOT= VERSION=: of loading nuScenes, too)
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/steps.py
-	cargo bench --locked -p ccdiff-models --bench guidance --bench networks
 	$(BIN)/python benchmarks/traffic.py $(if $(DATAROOT),--dataroot $(DATAROOT))
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
