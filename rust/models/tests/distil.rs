@@ -7,41 +7,25 @@ mod common;
 use ccdiff_models::ModelError;
 use ccdiff_models::checkpoint;
 use ccdiff_models::config::ModelConfig;
-use ccdiff_models::dataset::{Dataset, vehicles};
+use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
-use std::path::{Path, PathBuf};
-use tch::{Device, Kind};
-
-fn temporary(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("ccdiff-distil-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    folder.join(name)
-}
+use common::runs::{exported, loaded, quick, run_on, temporary};
+use std::path::Path;
+use tch::Kind;
 
 fn network() -> ModelConfig {
     ModelConfig { map: None, ..ModelConfig::fast() }
 }
 
 fn training(teacher_steps: usize) -> TrainConfig {
-    let preset = TrainConfig::of("ccdiff", "fast").unwrap();
-    TrainConfig {
-        batch_scenes: 4,
-        warmup_steps: 0,
-        ema_start: 1000,
-        learning_rate: 3e-4,
-        perturb: false,
-        teacher_steps,
-        ..preset
-    }
+    TrainConfig { ema_start: 1000, learning_rate: 3e-4, teacher_steps, ..quick("ccdiff", 4) }
 }
 
-fn run(model: ModelConfig, training: TrainConfig) -> Trainer {
-    let data = Dataset::new(vec![common::closing_pair()], &model, 5).unwrap();
-    common::seeded(|| Trainer::new(model, training, data, Device::Cpu).unwrap())
+fn run(model: &ModelConfig, training: TrainConfig) -> Trainer {
+    run_on(vec![common::closing_pair()], 5, model, training)
 }
 
 /// Mean distance, metres, of plans made in one step from those that the teacher makes in five of the same seeds.
@@ -50,7 +34,7 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
     let window = Window::from_scene(&scene, 43, &vehicles(&scene), 31);
     let plans = |path: &Path, steps: usize| -> Vec<f32> {
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
-        let mut model = torch_model::load(path, Device::Cpu).unwrap();
+        let mut model = loaded(path);
         let of_seed = |seed| {
             let view = PlanInput { window: &window, map: None, seed, guide: None };
             model.plan(&[view], &options.into()).unwrap().remove(0).states
@@ -64,30 +48,25 @@ fn distance_m(student: &Path, teacher: &Path) -> f32 {
 
 #[test]
 fn one_step_of_the_student_comes_near_to_five_of_its_teacher() {
-    let teacher = temporary("teacher.safetensors");
-    let mut first = run(network(), training(0));
+    let mut first = run(&network(), training(0));
     first.run(150).unwrap();
-    first.export(&teacher, &serde_json::json!({})).unwrap();
-
-    let mut student = run(network(), training(5)).taught_by(&teacher).unwrap();
-    let path = temporary("student.safetensors");
-    student.export(&path, &serde_json::json!({})).unwrap();
-    let before = distance_m(&path, &teacher);
+    let teacher = exported(&first, "teacher");
+    let mut student = run(&network(), training(5)).taught_by(&teacher).unwrap();
+    let before = distance_m(&exported(&student, "untaught"), &teacher);
     student.run(120).unwrap();
-    student.export(&path, &serde_json::json!({})).unwrap();
+    let path = exported(&student, "student");
     let after = distance_m(&path, &teacher);
     assert!(after < 0.6 * before, "{before} m before, {after} m after");
-    assert!(torch_model::load(&path, Device::Cpu).unwrap().plans_in_one_step());
-    assert!(!torch_model::load(&teacher, Device::Cpu).unwrap().plans_in_one_step());
-    let more = torch_model::load(&path, Device::Cpu).unwrap().plan(&[], &PlanOptions::default()).unwrap_err();
+    assert!(loaded(&path).plans_in_one_step());
+    assert!(!loaded(&teacher).plans_in_one_step());
+    let more = loaded(&path).plan(&[], &PlanOptions::default()).unwrap_err();
     assert!(more.to_string().contains("one step"), "{more}");
 }
 
 #[test]
 fn a_taught_run_resumes_bit_for_bit() {
-    let teacher = temporary("whole-teacher.safetensors");
-    run(network(), training(0)).export(&teacher, &serde_json::json!({})).unwrap();
-    let taught = || run(network(), training(3)).taught_by(&teacher).unwrap();
+    let teacher = exported(&run(&network(), training(0)), "whole-teacher");
+    let taught = || run(&network(), training(3)).taught_by(&teacher).unwrap();
     let mut whole = taught();
     whole.run(2).unwrap();
     let state = temporary("taught.safetensors");
@@ -103,16 +82,14 @@ fn teachers_that_do_not_fit_are_refused() {
         let text = found.unwrap_err().to_string();
         assert!(text.contains("teacher") && text.contains(words), "{text}");
     };
-    let teacher = temporary("other-teacher.safetensors");
-    run(network(), training(0)).export(&teacher, &serde_json::json!({})).unwrap();
+    let teacher = exported(&run(&network(), training(0)), "other-teacher");
     let wider = ModelConfig { width: 128, ..network() };
-    refused(run(wider, training(5)).taught_by(&teacher), "another network");
-    refused(run(network(), training(0)).taught_by(&teacher), "teacher_steps is 0");
+    refused(run(&wider, training(5)).taught_by(&teacher), "another network");
+    refused(run(&network(), training(0)).taught_by(&teacher), "teacher_steps is 0");
     let simnet = ModelConfig::of("simnet", "fast").unwrap();
-    let regressor = temporary("simnet.safetensors");
-    run(simnet.clone(), training(0)).export(&regressor, &serde_json::json!({})).unwrap();
-    refused(run(simnet, training(5)).taught_by(&regressor), "denoises");
-    let alone = run(network(), training(5)).run(1).unwrap_err().to_string();
+    let regressor = exported(&run(&simnet, training(0)), "simnet");
+    refused(run(&simnet, training(5)).taught_by(&regressor), "denoises");
+    let alone = run(&network(), training(5)).run(1).unwrap_err().to_string();
     assert!(alone.contains("without a teacher"), "{alone}");
 }
 
@@ -124,15 +101,14 @@ fn a_student_is_told_as_many_routes_as_its_settings_say() {
         let own = tensors.iter().filter(|(name, _)| name.starts_with("route."));
         own.map(|(_, numbers)| numbers.abs().sum(Kind::Double).double_value(&[])).collect()
     };
-    let (teacher, student) = (temporary("told-teacher.safetensors"), temporary("told.safetensors"));
-    let mut first = run(model.clone(), training(0));
+    let mut first = run(&model, training(0));
     first.run(3).unwrap();
-    first.export(&teacher, &serde_json::json!({})).unwrap();
+    let teacher = exported(&first, "told-teacher");
     for (drop_route, learned) in [(1.0, false), (0.5, true)] {
         let settings = TrainConfig { drop_route, ..training(5) };
-        let mut second = run(model.clone(), settings).taught_by(&teacher).unwrap();
+        let mut second = run(&model, settings).taught_by(&teacher).unwrap();
         second.run(2).unwrap();
-        second.export(&student, &serde_json::json!({})).unwrap();
+        let student = exported(&second, "told");
         assert_eq!(routes(&student) != routes(&teacher), learned, "{drop_route}");
     }
 }

@@ -6,33 +6,17 @@
 mod common;
 
 use ccdiff_models::config::{HistoryTokens, MapConfig, ModelConfig};
-use ccdiff_models::dataset::{Dataset, vehicles};
+use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::torch_model;
-use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::scene::{Map, Scene};
+use common::runs::{exported, loaded, quick, run_on};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tch::Device;
-
-fn exported(name: &str, model: &ModelConfig) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("ccdiff-parity-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join(format!("{name}.safetensors"));
-    let data = Dataset::new(vec![common::closing_pair()], model, 10).unwrap();
-    let preset = TrainConfig::of(model.kind.as_str(), "fast").unwrap();
-    let training = TrainConfig { batch_scenes: 2, warmup_steps: 0, perturb: false, ..preset };
-    let mut run = common::seeded(|| Trainer::new(model.clone(), training, data, Device::Cpu).unwrap());
-    // routes begin silent
-    run.run(2).unwrap();
-    run.export(&path, &serde_json::json!({})).unwrap();
-    path
-}
 
 /// Terms of the sums of a network times the unit of rounding.
 const MOVED: f32 = 64.0 * f32::EPSILON / 2.0;
@@ -104,11 +88,14 @@ fn every_form_has_the_same_plans_on_both() {
     let others = ["simnet", "trafficsim", "strive", "bits", "ctg", "tokens"].map(of);
     let scene = town();
     for (name, model) in forms.into_iter().chain(others) {
-        let path = exported(name, &model);
+        let mut run = run_on(vec![common::closing_pair()], 10, &model, quick(model.kind.as_str(), 2));
+        // routes begin silent
+        run.run(2).unwrap();
+        let path = exported(&run, name);
         let mut own = TrajectoryModel::load(&path).unwrap();
         let mut beside: Vec<_> =
             (0..3).map(|seed| TrajectoryModel::load(&moved(&path, seed)).unwrap()).collect();
-        let mut torch = torch_model::load(&path, Device::Cpu).unwrap();
+        let mut torch = loaded(&path);
         let network = model.network().unwrap();
         let guidance_weight = if network.causal { 1.4 } else { 1.0 };
         let first = if network.denoises { Some(1) } else { Some(5) };

@@ -5,34 +5,21 @@
 mod common;
 
 use ccdiff_models::config::ModelConfig;
-use ccdiff_models::dataset::Dataset;
 use ccdiff_models::features::{self, Window, route_ahead};
-use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::stage::Route;
-use std::path::{Path, PathBuf};
+use common::runs::{exported, loaded, quick, run_on};
+use std::path::Path;
 use std::sync::Arc;
-use tch::Device;
 
 const NOW: usize = 40;
 const POINTS_M: [f32; 3] = [5.0, 10.0, 20.0];
 
-fn temporary(name: &str) -> PathBuf {
-    let folder = std::env::temp_dir().join(format!("ccdiff-routes-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    folder.join(name)
-}
-
 fn network(points_m: &[f32]) -> ModelConfig {
     ModelConfig { map: None, route_points_m: points_m.to_vec(), ..ModelConfig::fast() }
-}
-
-fn training() -> TrainConfig {
-    let preset = TrainConfig::of("ccdiff", "fast").unwrap();
-    TrainConfig { batch_scenes: 4, warmup_steps: 0, perturb: false, drop_route: 0.3, ..preset }
 }
 
 /// 6 m/s along x; from now on with a yaw rate, rad/s.
@@ -53,8 +40,7 @@ fn bend(yaw_rate_radps: f32) -> Arc<Scene> {
 
 fn run(scenes: Vec<Arc<Scene>>, model: &ModelConfig) -> Trainer {
     // the moment before the fork, and some after it
-    let data = Dataset::new(scenes, model, 5).unwrap();
-    common::seeded(|| Trainer::new(model.clone(), training(), data, Device::Cpu).unwrap())
+    run_on(scenes, 5, model, TrainConfig { drop_route: 0.3, ..quick("ccdiff", 4) })
 }
 
 /// The window at the fork, with the route of the scene told or not.
@@ -70,7 +56,7 @@ fn window(scene: &Scene, points_m: Option<&[f32]>) -> Window {
 
 /// Planned states of 16 seeds.
 fn planned(weights: &Path, window: &Window) -> Vec<f32> {
-    let mut model = torch_model::load(weights, Device::Cpu).unwrap();
+    let mut model = loaded(weights);
     let plan = |seed| {
         let view = PlanInput { window, map: None, seed, guide: None };
         model.plan(&[view], &PlanOptions::default()).unwrap().remove(0).states
@@ -99,18 +85,17 @@ fn places_ahead_are_those_of_the_route_in_the_agents_frame() {
 #[test]
 fn a_network_that_begins_with_weights_plans_as_they_do_until_it_has_learned_routes() {
     let scene = bend(0.2);
-    let [base, grown] = ["base.safetensors", "grown.safetensors"].map(temporary);
     let mut first = run(vec![scene.clone()], &network(&[]));
     first.run(3).unwrap();
-    first.export(&base, &serde_json::json!({})).unwrap();
+    let base = exported(&first, "base");
     let mut second = run(vec![scene.clone()], &network(&POINTS_M)).begun_with(&base).unwrap();
-    second.export(&grown, &serde_json::json!({})).unwrap();
+    let grown = exported(&second, "grown");
     let plain = planned(&base, &window(&scene, None));
     for points_m in [None, Some(&POINTS_M[..])] {
         assert_eq!(planned(&grown, &window(&scene, points_m)), plain, "{points_m:?}");
     }
     second.run(3).unwrap();
-    second.export(&grown, &serde_json::json!({})).unwrap();
+    let grown = exported(&second, "grown");
     assert_ne!(
         planned(&grown, &window(&scene, Some(&POINTS_M))),
         planned(&grown, &window(&scene, None)),
@@ -127,8 +112,7 @@ fn a_fork_is_taken_as_the_route_says() {
     let model = network(&POINTS_M);
     let mut run = run(vec![left.clone(), right.clone()], &model);
     run.run(600).unwrap();
-    let weights = temporary("fork.safetensors");
-    run.export(&weights, &serde_json::json!({})).unwrap();
+    let weights = exported(&run, "fork");
     let sideways = |scene: &Scene, points_m| -> Vec<f32> {
         let states = planned(&weights, &window(scene, points_m));
         states.chunks_exact(52 * 6).map(|plan| plan[29 * 6 + 1]).collect()

@@ -1,5 +1,6 @@
 //! A scene made by hand: vehicles on a straight road, close enough to matter to each other.
 
+pub(crate) mod runs;
 pub(crate) mod toy;
 
 use ccdiff_sim::geom::{Point2, Polygon, Vector2};
