@@ -26,11 +26,9 @@ pub(crate) fn from_render(error: RenderError) -> PyErr {
     let message = error.to_string();
     match error {
         RenderError::Map { .. } => SceneError::new_err(message),
-        RenderError::Size { .. }
-        | RenderError::Camera { .. }
-        | RenderError::Item { .. }
-        | RenderError::Step { .. }
-        | RenderError::Centre { .. } => ConfigError::new_err(message),
+        RenderError::Config { .. } | RenderError::Item { .. } | RenderError::Step { .. } => {
+            ConfigError::new_err(message)
+        }
     }
 }
 

@@ -5,10 +5,10 @@ use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, EGO_AXLE_TO_CENTRE_M, EgoReference, Interpolation, KeyFrameTiming, LoadOptions, Loaded,
-    NuscenesError, Selection, decode_scene, encode_scene, load, scene_hash,
+    BuildOptions, EGO_AXLE_TO_CENTRE_M, LoadOptions, Loaded, NuscenesError, Selection, decode_scene,
+    encode_scene, load, scene_hash,
 };
-use ccdiff_render::{LogView, render_log};
+use ccdiff_render::{Frame, Shown};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::options;
 use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, LEVEL_M, Scene, Tracks};
@@ -44,9 +44,7 @@ fn from_nuscenes(error: NuscenesError) -> PyErr {
         NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
         NuscenesError::Io { .. }
         | NuscenesError::Json { .. }
-        | NuscenesError::Value { .. }
-        | NuscenesError::Dangling { .. }
-        | NuscenesError::Duplicate { .. }
+        | NuscenesError::Data { .. }
         | NuscenesError::Empty { .. }
         | NuscenesError::Bytes(_) => py::DatasetError::new_err(message),
     }
@@ -363,14 +361,13 @@ impl PyScene {
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let scene = &self.scene;
         let (theme, centre, (width, height)) = (theme_of(theme)?, centre_of(scene, centre)?, pixels(size)?);
+        let frame = Frame { centre: Some(centre), span_m, width, height, heading_up, route, labels, theme };
         let step_idx = usize::try_from(step).map_err(|_| {
             py::ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
         })?;
-        let log_view =
-            LogView { step_idx, centre, span_m, width, height, heading_up, trails, route, labels, theme };
         let layers = layers_of(&scene.map)?;
-        let image = py.detach(|| render_log(scene, &layers, &log_view)).map_err(from_render)?;
-        to_array(py, image)
+        let image = py.detach(|| Shown::of_log(scene, step_idx, trails, frame)?.render(&layers));
+        to_array(py, image.map_err(from_render)?)
     }
 
     /// The scene itself: it never changes.
@@ -402,8 +399,10 @@ impl PyScene {
     }
 }
 
-fn unknown(field: &str, value: &str, expected: &str) -> PyErr {
-    py::ConfigError::new_err(format!("{field} is {value:?}, expected {expected}"))
+/// A choice by its name.
+fn named<T: serde::de::DeserializeOwned>(field: &str, name: &str, expected: &str) -> PyResult<T> {
+    let message = |_| py::ConfigError::new_err(format!("{field} is {name:?}, expected {expected}"));
+    serde_json::from_value(name.into()).map_err(message)
 }
 
 /// Loads nuScenes scenes; returns them with the report as JSON.
@@ -427,21 +426,6 @@ fn load_nuscenes(
     require_map: bool,
     cache_directory: Option<PathBuf>,
 ) -> PyResult<(Vec<PyScene>, String)> {
-    let timing = match timing {
-        "recorded" => KeyFrameTiming::Recorded,
-        "nominal" => KeyFrameTiming::Nominal,
-        other => return Err(unknown("timing", other, "\"recorded\" or \"nominal\"")),
-    };
-    let interpolation = match interpolation {
-        "smooth" => Interpolation::Smooth,
-        "linear" => Interpolation::Linear,
-        other => return Err(unknown("interpolation", other, "\"smooth\" or \"linear\"")),
-    };
-    let ego_reference = match ego_reference {
-        "rear_axle" => EgoReference::RearAxle,
-        "centre" => EgoReference::Centre,
-        other => return Err(unknown("ego_reference", other, "\"rear_axle\" or \"centre\"")),
-    };
     let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
     let selection = match names {
         None => Selection::All,
@@ -450,9 +434,9 @@ fn load_nuscenes(
     };
     let build = BuildOptions {
         dt_s: dt,
-        timing,
-        interpolation,
-        ego_reference,
+        timing: named("timing", timing, "\"recorded\" or \"nominal\"")?,
+        interpolation: named("interpolation", interpolation, "\"smooth\" or \"linear\"")?,
+        ego_reference: named("ego_reference", ego_reference, "\"rear_axle\" or \"centre\"")?,
         kinds,
         categories,
         map_margin_m: map_margin,

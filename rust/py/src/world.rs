@@ -11,7 +11,7 @@ use crate::swift;
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_render::{Trails, WorldImage, WorldView};
+use ccdiff_render::{Frame, Shown, Trails};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
@@ -133,8 +133,7 @@ impl PyVecWorld {
 
     /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
     fn set_scene_weights(&self, weights: Option<Vec<f64>>) -> PyResult<()> {
-        let mut me = self.here()?;
-        me.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
+        self.here()?.world.set_scene_weights(weights.as_deref()).map_err(from_sim)
     }
 
     /// Takes the autoreset mode of a configuration (JSON), before the first reset.
@@ -277,15 +276,13 @@ impl PyVecWorld {
 
     /// Lets a world go on with the random numbers of another seed.
     fn reseed(&self, world_idx: usize, seed: u64) -> PyResult<()> {
-        let mut me = self.here()?;
-        me.world.reseed(world_idx, seed).map_err(from_sim)
+        self.here()?.world.reseed(world_idx, seed).map_err(from_sim)
     }
 
     /// Digest of everything that the future of a world depends on, its place in the batch
     /// included: digests are compared of one place.
     fn digest(&self, world_idx: usize) -> PyResult<u64> {
-        let me = self.here()?;
-        me.world.digest(world_idx).map_err(from_sim)
+        self.here()?.world.digest(world_idx).map_err(from_sim)
     }
 
     /// Whether a world was ever reset.
@@ -339,8 +336,7 @@ impl PyVecWorld {
 
     /// Puts a driver into vehicles of a world.
     fn assign(&self, world_idx: usize, agents: Vec<usize>, driver: &str) -> PyResult<()> {
-        let mut me = self.here()?;
-        me.world.assign(world_idx, &agents, driver).map_err(from_sim)
+        self.here()?.world.assign(world_idx, &agents, driver).map_err(from_sim)
     }
 
     /// What is asked of a world's next plans: agents to be guided, strength of the guidance.
@@ -351,8 +347,7 @@ impl PyVecWorld {
         guided: Option<Vec<usize>>,
         criticality: Option<f32>,
     ) -> PyResult<()> {
-        let mut me = self.here()?;
-        me.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
+        self.here()?.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
     }
 
     /// The plan of a policy (the first that plans, by default) that a world follows as a dictionary of new arrays;
@@ -413,8 +408,7 @@ impl PyVecWorld {
 
     /// Agent of each slot.
     fn slot_agents(&self, world_idx: usize) -> PyResult<Vec<Option<usize>>> {
-        let me = self.lock()?;
-        me.world.slot_agents(world_idx).map_err(from_sim)
+        self.lock()?.world.slot_agents(world_idx).map_err(from_sim)
     }
 
     /// What was drawn for each slot: factors by name, steps of delay, and factors of weights as `style`.
@@ -438,8 +432,7 @@ impl PyVecWorld {
 
     /// Whether each slot's agent goes on.
     fn slot_alive(&self, world_idx: usize) -> PyResult<Vec<bool>> {
-        let me = self.lock()?;
-        me.world.slot_alive(world_idx).map_err(from_sim)
+        self.lock()?.world.slot_alive(world_idx).map_err(from_sim)
     }
 
     /// Route [P, 2] of a slot's agent and its goal [2].
@@ -479,8 +472,7 @@ impl PyVecWorld {
 
     /// Metres by which the farthest corner of each slot's agent is off the road.
     fn off_road_m(&self, world_idx: usize) -> PyResult<Vec<f32>> {
-        let me = self.lock()?;
-        me.world.off_road_m(world_idx).map_err(from_sim)
+        self.lock()?.world.off_road_m(world_idx).map_err(from_sim)
     }
 
     /// How far a path of points [N, 2] and the log of the first slot go along the road blocks of the log; `None` where that
@@ -544,9 +536,9 @@ impl PyVecWorld {
         let scene = me.world.scene(scene_idx).map_err(from_sim)?;
         let centre = centre.map(|centre| centre_of(scene, centre)).transpose()?;
         let (width, height) = pixels(size)?;
-        let view = WorldView { centre, span_m, width, height, heading_up, route, labels, theme };
+        let frame = Frame { centre, span_m, width, height, heading_up, route, labels, theme };
         let trail = me.trails.as_ref().filter(|_| trails).and_then(|t| t.of(world_idx));
-        let image = WorldImage::new(&me.world, world_idx, trail, view, drivers::look).map_err(from_sim)?;
+        let image = Shown::of_world(&me.world, world_idx, trail, frame, drivers::look).map_err(from_sim)?;
         let layers = layers_of(&scene.map)?;
         to_array(py, py.detach(|| image.render(&layers)).map_err(from_render)?)
     }

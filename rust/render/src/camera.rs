@@ -41,21 +41,25 @@ impl Camera {
     /// Checks the camera and prepares its map from metres to pixels.
     ///
     /// # Errors
-    /// [`RenderError::Size`] and [`RenderError::Camera`].
+    /// [`RenderError::Config`].
     pub(crate) fn view(&self) -> Result<View> {
         let sides = 1..=MAX_SIDE_PX;
         if !(sides.contains(&self.width) && sides.contains(&self.height)) {
-            return Err(RenderError::Size { width: self.width, height: self.height, max: MAX_SIDE_PX });
+            return Err(RenderError::size(self.width, self.height));
         }
-        let fail = |field, got, expected| Err(RenderError::Camera { field, got, expected });
+        let fail = |field, got, expected: &str| Err(RenderError::config(field, got, expected));
         if !self.centre.coords.iter().all(|v| v.abs() < 1e6) {
-            return fail("centre", self.centre.to_string(), "finite numbers within 1000 km");
+            return fail("camera: centre", self.centre.to_string(), "finite numbers within 1000 km");
         }
         if !self.up_rad.is_finite() {
-            return fail("up_rad", self.up_rad.to_string(), "a finite angle");
+            return fail("camera: up_rad", self.up_rad.to_string(), "a finite angle");
         }
         if !(1e-4..=1e4).contains(&self.metres_per_pixel) {
-            return fail("metres_per_pixel", self.metres_per_pixel.to_string(), "0.0001 to 10000 metres");
+            return fail(
+                "camera: metres_per_pixel",
+                self.metres_per_pixel.to_string(),
+                "0.0001 to 10000 metres",
+            );
         }
         let (sin, cos) = math::sin_cos(self.up_rad);
         let (width_px, height_px) = (self.width as Real, self.height as Real);

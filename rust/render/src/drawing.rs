@@ -84,14 +84,14 @@ impl Drawing<'_> {
 /// collision marks, text.
 ///
 /// # Errors
-/// [`RenderError::Size`] and [`RenderError::Camera`] for a camera that cannot be used, [`RenderError::Item`] for
+/// [`RenderError::Config`] for a camera that cannot be used, [`RenderError::Item`] for
 /// the first thing with a number that is not finite or a size that is not positive.
 pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
     let view = camera.view()?;
     drawing.check()?;
     let (width, height) = (camera.width, camera.height);
     let canvas = Canvas::new(width, height, view, drawing.theme);
-    let mut canvas = canvas.ok_or(RenderError::Size { width, height, max: crate::MAX_SIDE_PX })?;
+    let mut canvas = canvas.ok_or_else(|| RenderError::size(width, height))?;
     paint(drawing, camera, &mut canvas);
     Ok(canvas.finish())
 }

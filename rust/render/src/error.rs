@@ -3,25 +3,15 @@
 /// Everything the renderer refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RenderError {
-    /// The image has no pixels or too many.
-    #[error("image size is {width} x {height} pixels, expected 1 to {max} on each side")]
-    Size {
-        /// Width asked for, pixels.
-        width: u32,
-        /// Height asked for, pixels.
-        height: u32,
-        /// Largest side allowed, pixels.
-        max: u32,
-    },
-    /// A number of the camera is not usable.
-    #[error("camera: {field} is {got}, expected {expected}")]
-    Camera {
+    /// A size, a number of the camera or the middle of the image is not usable.
+    #[error("{field} is {got}, expected {expected}")]
+    Config {
         /// The field.
         field: &'static str,
         /// The value found.
         got: String,
         /// The rule it breaks.
-        expected: &'static str,
+        expected: String,
     },
     /// Something to be drawn holds a number that is not finite, or a size that is not positive.
     #[error("{what} {index} is {got}, expected {expected}")]
@@ -49,14 +39,18 @@ pub enum RenderError {
         /// Steps of the log.
         num_steps: usize,
     },
-    /// The middle of the image cannot be found.
-    #[error("centre of the image is {got}, expected {expected}")]
-    Centre {
-        /// What was asked for.
-        got: String,
-        /// The rule it breaks.
-        expected: &'static str,
-    },
+}
+
+impl RenderError {
+    pub(crate) fn config(field: &'static str, got: String, expected: &str) -> Self {
+        Self::Config { field, got, expected: expected.into() }
+    }
+
+    /// The image has no pixels, or too many.
+    pub(crate) fn size(width: u32, height: u32) -> Self {
+        let got = format!("{width} x {height} pixels");
+        Self::config("image size", got, &format!("1 to {} on each side", crate::MAX_SIDE_PX))
+    }
 }
 
 /// Result with [`RenderError`].

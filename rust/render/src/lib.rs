@@ -22,6 +22,7 @@ mod lines;
 mod log;
 pub mod look;
 pub mod palette;
+mod shown;
 mod text;
 mod world;
 
@@ -32,9 +33,7 @@ pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
 pub use lines::{Arrow, Line};
-pub use log::{
-    Centre, LogView, driver_of, is_parked, legend_of, logged_boxes, logged_future, logged_trail, name_of,
-    nearest_logged_pose, render_log,
-};
+pub use log::logged_trail;
 pub use palette::{DrawStyle, Rgb, Theme};
-pub use world::{Trail, Trails, WorldImage, WorldView};
+pub use shown::{Centre, Frame, Shown};
+pub use world::{Trail, Trails};

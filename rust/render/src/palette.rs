@@ -48,34 +48,12 @@ impl DrawStyle {
 
     /// The name used in Python and in legends.
     pub fn name(self) -> &'static str {
-        let names = [
-            "ego",
-            "external",
-            "ccdiff",
-            "adversary",
-            "idm",
-            "replay",
-            "constant_velocity",
-            "other",
-            "network",
-        ];
-        names[self as usize]
+        STYLES[self as usize].0
     }
 
     /// What it is called in words.
     pub fn title(self) -> &'static str {
-        let titles = [
-            "ego",
-            "policy",
-            "CCDiff",
-            "guided",
-            "IDM",
-            "log",
-            "constant velocity",
-            "another model",
-            "network",
-        ];
-        titles[self as usize]
+        STYLES[self as usize].1
     }
 
     /// The driver of a number, as [`DrawStyle::ALL`] counts them.
@@ -85,20 +63,22 @@ impl DrawStyle {
 
     /// Fill colour of the agents it drives.
     pub fn colour(self, theme: Theme) -> Rgb {
-        let light = match self {
-            Self::Ego => Rgb(0x00, 0x57, 0xB8),
-            Self::External => Rgb(0x4F, 0xB3, 0xE8),
-            Self::Ccdiff => Rgb(0x00, 0x9E, 0x73),
-            Self::Adversary => Rgb(0xE6, 0x8A, 0x00),
-            Self::Idm => Rgb(0xEB, 0xD5, 0x3A),
-            Self::Replay => Rgb(0x8C, 0x96, 0xA3),
-            Self::ConstantVelocity => Rgb(0xC2, 0x6F, 0xA4),
-            Self::Other => Rgb(0x7D, 0x6F, 0xD0),
-            Self::Network => Rgb(0x0B, 0x5E, 0x4B),
-        };
-        theme.of(light)
+        theme.of(STYLES[self as usize].2)
     }
 }
+
+/// Name, title and colour on light ground of each, by number.
+const STYLES: [(&str, &str, Rgb); 9] = [
+    ("ego", "ego", Rgb(0x00, 0x57, 0xB8)),
+    ("external", "policy", Rgb(0x4F, 0xB3, 0xE8)),
+    ("ccdiff", "CCDiff", Rgb(0x00, 0x9E, 0x73)),
+    ("adversary", "guided", Rgb(0xE6, 0x8A, 0x00)),
+    ("idm", "IDM", Rgb(0xEB, 0xD5, 0x3A)),
+    ("replay", "log", Rgb(0x8C, 0x96, 0xA3)),
+    ("constant_velocity", "constant velocity", Rgb(0xC2, 0x6F, 0xA4)),
+    ("other", "another model", Rgb(0x7D, 0x6F, 0xD0)),
+    ("network", "network", Rgb(0x0B, 0x5E, 0x4B)),
+];
 
 /// Ground that images are drawn on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -143,114 +123,64 @@ impl Theme {
     }
 }
 
-/// Colours of the map and the marks on one ground.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Palette {
-    /// Ground that is no layer of the map.
-    pub ground: Rgb,
-    /// Drivable area.
-    pub drivable: Rgb,
-    /// Edge of the drivable area.
-    pub kerb: Rgb,
-    /// Walkways.
-    pub walkway: Rgb,
-    /// Car parks.
-    pub carpark: Rgb,
-    /// Stripes of pedestrian crossings.
-    pub stripe: Rgb,
-    /// Stop areas.
-    pub stop: Rgb,
-    /// Centre lines of lanes and connectors.
-    pub centre_line: Rgb,
-    /// Lines between lanes of one direction.
-    pub lane_divider: Rgb,
-    /// Lines between directions of traffic.
-    pub road_divider: Rgb,
-    /// Obstacles that never move.
-    pub obstacle: Rgb,
-    /// Collisions: outline of agents and marks.
-    pub collision: Rgb,
-    /// An ego that has reached its goal.
-    pub goal: Rgb,
-    /// The same moment of another run.
-    pub ghost: Rgb,
-    /// Arrows of the causal graph.
-    pub arrow: Rgb,
-    /// Outlines and windscreens of agents.
-    pub outline: Rgb,
-    /// Text.
-    pub ink: Rgb,
-    /// Panels behind text, and what keeps arrows and names apart from what is below.
-    pub paper: Rgb,
+macro_rules! palette {
+    ($($(#[$doc:meta])+ $field:ident $name:literal: $light:expr, $dark:expr;)+) => {
+        /// Colours of the map and the marks on one ground.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub struct Palette {
+            $($(#[$doc])+ pub $field: Rgb,)+
+        }
+
+        /// On light ground.
+        pub const LIGHT: Palette = Palette { $($field: $light),+ };
+
+        /// On dark ground.
+        pub const DARK: Palette = Palette { $($field: $dark),+ };
+
+        /// Names and colours of everything in an image, for documentation: drivers first, then the map and the marks.
+        pub fn legend(theme: Theme) -> Vec<(&'static str, Rgb)> {
+            let (palette, drivers) = (theme.palette(), DrawStyle::ALL.iter());
+            let rest = [$(($name, palette.$field)),+];
+            drivers.map(|d| (d.name(), d.colour(theme))).chain(rest).collect()
+        }
+    };
 }
 
-/// On light ground.
-pub const LIGHT: Palette = Palette {
-    ground: Rgb(0xEE, 0xF0, 0xEC),
-    drivable: Rgb(0xD3, 0xD7, 0xDD),
-    kerb: Rgb(0xA9, 0xB0, 0xBA),
-    walkway: Rgb(0xE3, 0xDD, 0xD0),
-    carpark: Rgb(0xC8, 0xCE, 0xD6),
-    stripe: Rgb(0xF7, 0xF8, 0xFA),
-    stop: Rgb(0xD5, 0x9C, 0x8F),
-    centre_line: Rgb(0x8F, 0x98, 0xA4),
-    lane_divider: Rgb(0x6D, 0x76, 0x82),
-    road_divider: Rgb(0x96, 0x65, 0x0A),
-    obstacle: Rgb(0x8A, 0x76, 0x63),
-    collision: Rgb(0xD6, 0x1F, 0x2C),
-    goal: Rgb(0x00, 0x78, 0x5A),
-    ghost: Rgb(0x30, 0x3A, 0x46),
-    arrow: Rgb(0x6A, 0x32, 0x9F),
-    outline: Rgb(0x1D, 0x24, 0x2C),
-    ink: Rgb(0x1D, 0x24, 0x2C),
-    paper: Rgb(0xFF, 0xFF, 0xFF),
-};
-
-/// On dark ground.
-pub const DARK: Palette = Palette {
-    ground: Rgb(0x11, 0x15, 0x1A),
-    drivable: Rgb(0x2F, 0x37, 0x43),
-    kerb: Rgb(0x56, 0x62, 0x71),
-    walkway: Rgb(0x21, 0x27, 0x2E),
-    carpark: Rgb(0x28, 0x30, 0x3A),
-    stripe: Rgb(0x5D, 0x69, 0x79),
-    stop: Rgb(0x7D, 0x4A, 0x42),
-    centre_line: Rgb(0x4B, 0x57, 0x66),
-    lane_divider: Rgb(0x8B, 0x97, 0xA6),
-    road_divider: Rgb(0xB9, 0x8A, 0x26),
-    obstacle: Rgb(0x98, 0x87, 0x76),
-    collision: Rgb(0xFF, 0x5A, 0x5F),
-    goal: Rgb(0x3E, 0xCF, 0xA8),
-    ghost: Rgb(0xDF, 0xE6, 0xEE),
-    arrow: Rgb(0xC7, 0x9B, 0xF2),
-    outline: Rgb(0x0D, 0x11, 0x16),
-    ink: Rgb(0xE8, 0xED, 0xF3),
-    paper: Rgb(0x0D, 0x11, 0x16),
-};
-
-/// Names and colours of everything in an image, for documentation: drivers first, then the map and the marks.
-pub fn legend(theme: Theme) -> Vec<(&'static str, Rgb)> {
-    let drivers = DrawStyle::ALL.iter().map(|d| (d.name(), d.colour(theme)));
-    let palette = theme.palette();
-    let rest = [
-        ("static obstacle", palette.obstacle),
-        ("collision", palette.collision),
-        ("goal", palette.goal),
-        ("causal arrow", palette.arrow),
-        ("ground", palette.ground),
-        ("drivable area", palette.drivable),
-        ("kerb", palette.kerb),
-        ("walkway", palette.walkway),
-        ("car park", palette.carpark),
-        ("crossing", palette.stripe),
-        ("stop area", palette.stop),
-        ("centre line", palette.centre_line),
-        ("lane divider", palette.lane_divider),
-        ("road divider", palette.road_divider),
-        ("ink", palette.ink),
-        ("paper", palette.paper),
-        ("ghost", palette.ghost),
-        ("outline", palette.outline),
-    ];
-    drivers.chain(rest).collect()
+palette! {
+    /// Obstacles that never move.
+    obstacle "static obstacle": Rgb(0x8A, 0x76, 0x63), Rgb(0x98, 0x87, 0x76);
+    /// Collisions: outline of agents and marks.
+    collision "collision": Rgb(0xD6, 0x1F, 0x2C), Rgb(0xFF, 0x5A, 0x5F);
+    /// An ego that has reached its goal.
+    goal "goal": Rgb(0x00, 0x78, 0x5A), Rgb(0x3E, 0xCF, 0xA8);
+    /// Arrows of the causal graph.
+    arrow "causal arrow": Rgb(0x6A, 0x32, 0x9F), Rgb(0xC7, 0x9B, 0xF2);
+    /// Ground that is no layer of the map.
+    ground "ground": Rgb(0xEE, 0xF0, 0xEC), Rgb(0x11, 0x15, 0x1A);
+    /// Drivable area.
+    drivable "drivable area": Rgb(0xD3, 0xD7, 0xDD), Rgb(0x2F, 0x37, 0x43);
+    /// Edge of the drivable area.
+    kerb "kerb": Rgb(0xA9, 0xB0, 0xBA), Rgb(0x56, 0x62, 0x71);
+    /// Walkways.
+    walkway "walkway": Rgb(0xE3, 0xDD, 0xD0), Rgb(0x21, 0x27, 0x2E);
+    /// Car parks.
+    carpark "car park": Rgb(0xC8, 0xCE, 0xD6), Rgb(0x28, 0x30, 0x3A);
+    /// Stripes of pedestrian crossings.
+    stripe "crossing": Rgb(0xF7, 0xF8, 0xFA), Rgb(0x5D, 0x69, 0x79);
+    /// Stop areas.
+    stop "stop area": Rgb(0xD5, 0x9C, 0x8F), Rgb(0x7D, 0x4A, 0x42);
+    /// Centre lines of lanes and connectors.
+    centre_line "centre line": Rgb(0x8F, 0x98, 0xA4), Rgb(0x4B, 0x57, 0x66);
+    /// Lines between lanes of one direction.
+    lane_divider "lane divider": Rgb(0x6D, 0x76, 0x82), Rgb(0x8B, 0x97, 0xA6);
+    /// Lines between directions of traffic.
+    road_divider "road divider": Rgb(0x96, 0x65, 0x0A), Rgb(0xB9, 0x8A, 0x26);
+    /// Text.
+    ink "ink": Rgb(0x1D, 0x24, 0x2C), Rgb(0xE8, 0xED, 0xF3);
+    /// Panels behind text, and what keeps arrows and names apart from what is below.
+    paper "paper": Rgb(0xFF, 0xFF, 0xFF), Rgb(0x0D, 0x11, 0x16);
+    /// The same moment of another run.
+    ghost "ghost": Rgb(0x30, 0x3A, 0x46), Rgb(0xDF, 0xE6, 0xEE);
+    /// Outlines and windscreens of agents.
+    outline "outline": Rgb(0x1D, 0x24, 0x2C), Rgb(0x0D, 0x11, 0x16);
 }

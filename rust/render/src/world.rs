@@ -1,14 +1,9 @@
 //! Images of a running world: who stands where, trails, the route ahead, collisions of agents with a slot.
 
 use crate::agents::AgentBox;
-use crate::camera::Camera;
-use crate::drawing::{Drawing, render};
-use crate::error::Result;
-use crate::image::Image;
-use crate::layers::MapLayers;
-use crate::lines::Line;
-use crate::log::{Centre, caption, is_parked, legend_of, name_of};
-use crate::palette::{DrawStyle, Rgb, Theme};
+use crate::log::{caption, is_parked, legend_of, name_of};
+use crate::palette::DrawStyle;
+use crate::shown::{Centre, Frame, Shown};
 use ccdiff_sim::geom::{Point2, Pose2, Real};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::VecWorld;
@@ -16,27 +11,6 @@ use std::collections::VecDeque;
 
 /// Who is parked in the log and no faster than this is parked, metres per second.
 const STANDS_MPS: Real = 0.1;
-
-/// An image of a world.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WorldView {
-    /// What is in the middle; `None`: the first slot's agent.
-    pub centre: Option<Centre>,
-    /// Metres across the image's width.
-    pub span_m: Real,
-    /// Width, pixels.
-    pub width: u32,
-    /// Height, pixels.
-    pub height: u32,
-    /// Whether the heading of the agent in the middle points to the top; else north does.
-    pub heading_up: bool,
-    /// Whether the rest of the first slot's route is drawn.
-    pub route: bool,
-    /// Whether the scene's name, time, speed, names of agents, a scale bar and a legend are written.
-    pub labels: bool,
-    /// Ground and colours.
-    pub theme: Theme,
-}
 
 /// Where the agents of each world were in the last steps.
 #[derive(Debug)]
@@ -130,30 +104,16 @@ fn route_ahead(points: &[Point2], from: Point2, goal: Point2) -> &[Point2] {
     &ahead[..(nearest(ahead, goal) + 1).min(ahead.len())]
 }
 
-/// What an image of a world shows, taken at one moment.
-#[derive(Debug)]
-pub struct WorldImage {
-    view: WorldView,
-    middle: Pose2,
-    boxes: Vec<AgentBox>,
-    collisions: Vec<Point2>,
-    trails: Vec<(Vec<Point2>, DrawStyle)>,
-    route: Vec<Point2>,
-    caption: String,
-    names: Vec<String>,
-    legend: Vec<(Rgb, String)>,
-}
-
-impl WorldImage {
-    /// Takes it. `look` tells how a kind of driver is drawn, and its title.
+impl Shown {
+    /// What a world shows. `look` tells how a kind of driver is drawn, and its title.
     ///
     /// # Errors
     /// As [`VecWorld::status`].
-    pub fn new(
+    pub fn of_world(
         world: &VecWorld,
         world_idx: usize,
         trail: Option<&Trail>,
-        view: WorldView,
+        frame: Frame,
         look: impl Fn(&str) -> (DrawStyle, &'static str),
     ) -> ccdiff_sim::Result<Self> {
         let status = world.status(world_idx)?;
@@ -161,7 +121,7 @@ impl WorldImage {
         let (ego, slots) = (world.ego(world_idx)?, world.slot_agents(world_idx)?);
         let states = status.states;
         let focus = slots.iter().enumerate().find_map(|(c, a)| Some((c, (*a)?)));
-        let middle = match (view.centre, focus) {
+        let middle = match (frame.centre, focus) {
             (Some(Centre::Point(p)), _) => Pose2::new(p.x, p.y, std::f32::consts::FRAC_PI_2),
             (Some(Centre::Agent(a)), _) | (None, Some((_, a))) => states.pose(a),
             (None, None) => Pose2::new(0.0, 0.0, 0.0),
@@ -201,54 +161,25 @@ impl WorldImage {
         };
         let movers = (0..states.len()).filter(|a| scene.agents[*a].kind != AgentKind::Static);
         let trails = trail.map(|trail| movers.map(|a| (trail_of(trail, a), looks[a].0)).collect());
-        let route = match focus.filter(|_| view.route) {
+        let route = match focus.filter(|_| frame.route) {
             Some((c, a)) => world
                 .slot_route(world_idx, c)?
                 .map(|(points, goal)| route_ahead(&points, states.position(a), goal).to_vec()),
             None => None,
         };
-        let mut image = Self {
-            view,
-            middle,
+        let mut shown = Self {
             boxes: boxes.collect(),
             collisions: in_contact.iter().map(between).collect(),
             trails: trails.unwrap_or_default(),
             route: route.unwrap_or_default(),
-            caption: String::new(),
-            names: Vec::new(),
-            legend: Vec::new(),
+            ..Self::new(frame, middle)
         };
-        if view.labels {
+        if frame.labels {
             let speed_mps = focus.map(|(_, a)| states.speed_mps[a]);
-            image.caption = caption(scene, status.elapsed_steps, speed_mps);
-            image.names = there.map(|a| name_of(ego, a)).collect();
-            image.legend = legend_of(scene, looks.iter().copied(), view.theme);
+            shown.caption = caption(scene, status.elapsed_steps, speed_mps);
+            shown.names = there.map(|a| name_of(ego, a)).collect();
+            shown.legend = legend_of(scene, looks.iter().copied(), frame.theme);
         }
-        Ok(image)
-    }
-
-    /// Draws it.
-    ///
-    /// # Errors
-    /// Those of [`render`].
-    pub fn render(&self, map: &MapLayers) -> Result<Image> {
-        let view = &self.view;
-        let camera = Camera::over(self.middle.position, view.span_m, view.width, view.height);
-        let camera = if view.heading_up { camera.heading_up(self.middle.heading_rad) } else { camera };
-        let trails = self.trails.iter().map(|(points, driver)| Line { points, driver: *driver });
-        let drawing = Drawing {
-            map: Some(map),
-            route: &self.route,
-            trails: &trails.collect::<Vec<_>>(),
-            boxes: &self.boxes,
-            names: &self.names,
-            collisions: &self.collisions,
-            caption: &self.caption,
-            scale_bar: view.labels,
-            legend: &self.legend,
-            theme: view.theme,
-            ..Drawing::default()
-        };
-        render(&drawing, &camera)
+        Ok(shown)
     }
 }
