@@ -5,7 +5,7 @@ use crate::crop::crop;
 use crate::error::Result;
 use crate::map_file::{Bounds, GlobalMap};
 use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, KeyFrameTiming};
-use crate::report::{Road, SceneReport};
+use crate::report::{Road, SceneReport, layer_counts};
 use crate::resample::{ANNOTATION_SMOOTHING_S3, Resampled, Steps, resample};
 use crate::tables::{Key, LoggedScene, LoggedTrack, SceneEntry};
 use ccdiff_sim::geom::{Point2, Real, Vector2};
@@ -169,18 +169,7 @@ fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Resu
 }
 
 pub(crate) fn count_layers(map: &Map, report: &mut SceneReport) {
-    report.map_layers = [
-        ("drivable_area", map.drivable_area.len()),
-        ("lanes", map.lanes.len()),
-        ("road_dividers", map.road_dividers.len()),
-        ("lane_dividers", map.lane_dividers.len()),
-        ("ped_crossings", map.ped_crossings.len()),
-        ("walkways", map.walkways.len()),
-        ("stop_lines", map.stop_lines.len()),
-        ("carpark_areas", map.carpark_areas.len()),
-    ]
-    .map(|(name, count)| (name.to_owned(), count))
-    .into();
+    report.map_layers = layer_counts!(map);
     report.map_bytes = postcard::experimental::serialized_size(map).unwrap_or(0);
 }
 

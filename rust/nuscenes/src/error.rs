@@ -1,6 +1,8 @@
 //! What can be wrong with a data set, its options or its cache, with the facts needed to mend it.
 
+use crate::token::Token;
 use ccdiff_sim::SimError;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Everything the loader refuses.
@@ -32,43 +34,13 @@ pub enum NuscenesError {
         /// What is wrong, with the beginning of the record.
         message: String,
     },
-    /// A field holds a value that breaks a rule.
-    #[error("record {token:?}: {field} is {got}, expected {expected}: {}", path.display())]
-    Value {
+    /// A record breaks a rule, names one that does not exist, or claims the place of another.
+    #[error("{what}: {}", path.display())]
+    Data {
         /// The file.
         path: PathBuf,
-        /// Token of the record.
-        token: String,
-        /// The field.
-        field: &'static str,
-        /// The value found.
-        got: String,
-        /// The rule it breaks.
-        expected: &'static str,
-    },
-    /// A field names a record that does not exist.
-    #[error("record {token:?}: {field} {got:?} is not in table {table}: {}", path.display())]
-    Dangling {
-        /// The file.
-        path: PathBuf,
-        /// Token of the record.
-        token: String,
-        /// The field.
-        field: &'static str,
-        /// The token it holds.
-        got: String,
-        /// The table it should be in.
-        table: &'static str,
-    },
-    /// Two records claim the same place.
-    #[error("{what} {got:?} is there twice: {}", path.display())]
-    Duplicate {
-        /// The file.
-        path: PathBuf,
-        /// What must be unique.
-        what: &'static str,
-        /// The value found twice.
-        got: String,
+        /// Record, field, the value found, the rule it breaks.
+        what: String,
     },
     /// An option is out of range.
     #[error("option {field} is {got}, expected {expected}")]
@@ -117,5 +89,33 @@ impl NuscenesError {
         } else {
             Self::Io { path: path.to_owned(), source }
         }
+    }
+
+    /// A field that holds a value which breaks a rule.
+    pub(crate) fn value(
+        path: &Path,
+        token: impl Display,
+        field: &str,
+        got: impl Display,
+        expected: &str,
+    ) -> Self {
+        let token = token.to_string();
+        Self::Data {
+            path: path.to_owned(),
+            what: format!("record {token:?}: {field} is {got}, expected {expected}"),
+        }
+    }
+
+    /// A field that names a record which does not exist.
+    pub(crate) fn dangling(path: &Path, token: impl Display, field: &str, got: Token, table: &str) -> Self {
+        let (token, got) = (token.to_string(), got.to_string());
+        let what = format!("record {token:?}: {field} {got:?} is not in table {table}");
+        Self::Data { path: path.to_owned(), what }
+    }
+
+    /// Two records that claim the same place.
+    pub(crate) fn duplicate(path: &Path, what: &str, got: impl Display) -> Self {
+        let got = got.to_string();
+        Self::Data { path: path.to_owned(), what: format!("{what} {got:?} is there twice") }
     }
 }

@@ -145,7 +145,7 @@ fn check_file(path: &Path) -> Result<()> {
 }
 
 fn fault<T>(path: &Path, place: &str, field: &'static str, got: String, expected: &'static str) -> Result<T> {
-    Err(NuscenesError::Value { path: path.to_owned(), token: place.to_owned(), field, got, expected })
+    Err(NuscenesError::value(path, place, field, got, expected))
 }
 
 fn read_scene(path: &Path) -> Result<(Scene, SceneReport)> {
@@ -237,8 +237,7 @@ impl Reader<'_> {
         let (mut kept, objects) = (vec![ego], &self.file.objects);
         for (i, object) in objects.iter().enumerate() {
             if !ids.insert(object.id) {
-                let (path, got) = (self.path.to_owned(), object.id.to_string());
-                return Err(NuscenesError::Duplicate { path, what: "id of an object", got });
+                return Err(NuscenesError::duplicate(self.path, "id of an object", object.id));
             }
             self.check_states(i, object, num_steps)?;
             let steps = object.valid.iter().filter(|valid| **valid).count();

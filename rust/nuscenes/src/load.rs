@@ -281,11 +281,7 @@ fn check_location(log_table: &Path, entry: &SceneEntry) -> Result<()> {
     if entry.location.bytes().all(sound) && !entry.location.contains("..") {
         return Ok(());
     }
-    Err(NuscenesError::Value {
-        path: log_table.to_owned(),
-        token: format!("log of scene {}", entry.name),
-        field: "location",
-        got: format!("{:?}", entry.location),
-        expected: "a name of letters, digits and hyphens",
-    })
+    let (token, got) = (format!("log of scene {}", entry.name), format!("{:?}", entry.location));
+    let expected = "a name of letters, digits and hyphens";
+    Err(NuscenesError::value(log_table, token, "location", got, expected))
 }

@@ -5,13 +5,14 @@ use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::index::TokenIndex;
 use crate::record::{Record, Source, Text, elements, members, parse, token};
-use crate::report::MapReport;
+use crate::report::{MapReport, layer_counts};
 use crate::stream::BYTE_ORDER_MARK;
 use crate::token::Token;
 use ccdiff_sim::scene::LaneKind;
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
@@ -130,18 +131,7 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
         lane_bounds: lanes.iter().map(GlobalLane::bounds).collect(),
         lanes,
     };
-    report.layers = [
-        ("drivable_area", map.drivable_area.len()),
-        ("lanes", map.lanes.len()),
-        ("road_dividers", map.road_dividers.len()),
-        ("lane_dividers", map.lane_dividers.len()),
-        ("ped_crossings", map.ped_crossings.len()),
-        ("walkways", map.walkways.len()),
-        ("stop_lines", map.stop_lines.len()),
-        ("carpark_areas", map.carpark_areas.len()),
-    ]
-    .map(|(name, count)| (name.to_owned(), count))
-    .into();
+    report.layers = layer_counts!(map);
     Ok((map, report))
 }
 
@@ -217,26 +207,15 @@ impl<'a> Assembler<'a> {
             if x.abs() < 1e6 && y.abs() < 1e6 {
                 return Ok((token, [x, y]));
             }
-            Err(NuscenesError::Value {
-                path: path.to_owned(),
-                token: token.to_string(),
-                field: "node x, y",
-                got: format!("{x:?}, {y:?}"),
-                expected: "metres within 1000 km",
-            })
+            let got = format!("{x:?}, {y:?}");
+            Err(NuscenesError::value(path, token, "node x, y", got, "metres within 1000 km"))
         })?;
         let polygons = file.rows("polygon", &["token", "exterior_node_tokens", "holes"], |row| {
             let holes = if row.has(2) { Some(row.raw(2)?) } else { None };
             Ok((row.token(0)?, (row.raw(1)?, holes)))
         })?;
         let lines = file.rows("line", &["token", "node_tokens"], |row| Ok((row.token(0)?, row.raw(1)?)))?;
-        let twice = |what| {
-            move |token: Token| NuscenesError::Duplicate {
-                path: path.to_owned(),
-                what,
-                got: token.to_string(),
-            }
-        };
+        let twice = |what| move |token: Token| NuscenesError::duplicate(path, what, token);
         Ok(Self {
             file,
             path,
@@ -246,15 +225,8 @@ impl<'a> Assembler<'a> {
         })
     }
 
-    fn dangling(
-        &self,
-        token: impl ToString,
-        field: &'static str,
-        got: Token,
-        table: &'static str,
-    ) -> NuscenesError {
-        let (path, token, got) = (self.path.to_owned(), token.to_string(), got.to_string());
-        NuscenesError::Dangling { path, token, field, got, table }
+    fn dangling(&self, token: impl Display, field: &str, got: Token, table: &str) -> NuscenesError {
+        NuscenesError::dangling(self.path, token, field, got, table)
     }
 
     /// The points of a list of node tokens, without repetitions.
@@ -349,11 +321,8 @@ impl<'a> Assembler<'a> {
     ) -> Result<GlobalLane> {
         let id = row.text(0)?;
         let paths = paths.get(&id).map_or(Ok(Vec::new()), |text| arcline_paths(*text))?;
-        let centreline = discretise(&paths, CENTRELINE_SPACING_M).map_err(|fault| {
-            let (path, token) = (self.path.to_owned(), id.clone());
-            let (field, got, expected) = (fault.field, fault.got, fault.expected);
-            NuscenesError::Value { path, token, field, got, expected }
-        })?;
+        let centreline = discretise(&paths, CENTRELINE_SPACING_M)
+            .map_err(|fault| NuscenesError::value(self.path, &id, fault.field, fault.got, fault.expected))?;
         let polygon = if row.has(1) { self.polygon(&id, row.token(1)?)? } else { None };
         let (successors, predecessors) = (Vec::new(), Vec::new());
         Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })
@@ -374,8 +343,7 @@ impl<'a> Assembler<'a> {
         let mut index: BTreeMap<String, u32> = BTreeMap::new();
         for (i, lane) in lanes.iter().enumerate() {
             if index.insert(lane.id.clone(), i as u32).is_some() {
-                let (path, got) = (self.path.to_owned(), lane.id.clone());
-                return Err(NuscenesError::Duplicate { path, what: "lane token", got });
+                return Err(NuscenesError::duplicate(self.path, "lane token", &lane.id));
             }
         }
         let lost = link(&mut lanes, &index, &self.links()?);

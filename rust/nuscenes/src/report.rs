@@ -4,6 +4,25 @@ use ccdiff_sim::scene::Scene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Elements per layer of a map, in whatever frame.
+macro_rules! layer_counts {
+    ($map:expr) => {{
+        let map = &$map;
+        let counts = [
+            ("drivable_area", map.drivable_area.len()),
+            ("lanes", map.lanes.len()),
+            ("road_dividers", map.road_dividers.len()),
+            ("lane_dividers", map.lane_dividers.len()),
+            ("ped_crossings", map.ped_crossings.len()),
+            ("walkways", map.walkways.len()),
+            ("stop_lines", map.stop_lines.len()),
+            ("carpark_areas", map.carpark_areas.len()),
+        ];
+        counts.map(|(name, count)| (name.to_owned(), count)).into()
+    }};
+}
+pub(crate) use layer_counts;
+
 /// Tracks left out of one scene for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dropped {

@@ -7,6 +7,7 @@ use crate::stream::read_table;
 use crate::token::Token;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::fmt::Display;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -101,22 +102,21 @@ impl Tables {
     }
 
     fn index<T>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
-        TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token.to_string()))
+        TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token))
     }
 
-    fn duplicate(&self, table: &str, what: &'static str, got: String) -> NuscenesError {
-        NuscenesError::Duplicate { path: self.path(table), what, got }
+    fn duplicate(&self, table: &str, what: &str, got: impl Display) -> NuscenesError {
+        NuscenesError::duplicate(&self.path(table), what, got)
     }
 
     fn dangling(
         &self,
-        (from, field): (&str, &'static str),
-        token: impl ToString,
+        (from, field): (&str, &str),
+        token: impl Display,
         got: Token,
-        table: &'static str,
+        table: &str,
     ) -> NuscenesError {
-        let (token, got) = (token.to_string(), got.to_string());
-        NuscenesError::Dangling { path: self.path(from), token, field, got, table }
+        NuscenesError::dangling(&self.path(from), token, field, got, table)
     }
 
     /// The scene table, in its order, with the location of each scene.
@@ -190,12 +190,12 @@ impl Tables {
             if sample.slot == before.slot && sample.slot.is_some() {
                 sample.frame = before.frame + 1;
                 if sample.timestamp_us <= before.timestamp_us {
-                    let got = sample.timestamp_us.to_string();
-                    return Err(self.duplicate("sample", "timestamp in one scene", got));
+                    return Err(self.duplicate("sample", "timestamp in one scene", sample.timestamp_us));
                 }
                 if sample.timestamp_us.abs_diff(before.timestamp_us) > MAX_INTERVAL_US {
                     let expected = "at most 10 s after the key frame before";
-                    return Err(late(self.path("sample"), sample.token, sample.timestamp_us, expected));
+                    let (path, got) = (self.path("sample"), sample.timestamp_us);
+                    return Err(NuscenesError::value(&path, sample.token, "timestamp", got, expected));
                 }
             }
         }
@@ -263,13 +263,8 @@ impl Tables {
         for row in group.iter().map(|i| &rows[*i as usize]) {
             let [width, length, height] = row.size_m;
             if !(width > 0.0 && length > 0.0 && height >= 0.0 && width.max(length).max(height) < 1e4) {
-                return Err(NuscenesError::Value {
-                    path: self.path(TABLE),
-                    token: row.token.to_string(),
-                    field: "size",
-                    got: format!("{:?}", row.size_m),
-                    expected: "a positive width and length in metres",
-                });
+                let (got, expected) = (format!("{:?}", row.size_m), "a positive width and length in metres");
+                return Err(NuscenesError::value(&self.path(TABLE), row.token, "size", got, expected));
             }
         }
         let keys: Vec<Key> = group.iter().map(|i| rows[*i as usize].key).collect();
@@ -316,7 +311,7 @@ impl Tables {
             let timestamp_us: i64 = row.parse(1)?;
             if timestamp_us.abs_diff(sample.timestamp_us) > MAX_POSE_OFFSET_US {
                 let expected = "within 0.25 s of its sample's";
-                return Err(late(path.clone(), token, timestamp_us, expected));
+                return Err(NuscenesError::value(&path, token, "timestamp", timestamp_us, expected));
             }
             let key = ground_pose(&path, token, sample, timestamp_us, translation, rotation, ahead_m)?;
             Ok(Some((place, sample.slot, key)))
@@ -325,7 +320,7 @@ impl Tables {
         let mut found = vec![false; wanted.entries().len()];
         for (place, slot, key) in poses {
             if std::mem::replace(&mut found[place], true) {
-                return Err(self.duplicate("ego_pose", "token", wanted.entries()[place].0.to_string()));
+                return Err(self.duplicate("ego_pose", "token", wanted.entries()[place].0));
             }
             if let Some(slot) = slot {
                 egos[slot].push(key);
@@ -339,8 +334,8 @@ impl Tables {
         for keys in &mut egos {
             keys.sort_by_key(|k| k.frame);
             if let Some(pair) = keys.windows(2).find(|w| w[0].timestamp_us >= w[1].timestamp_us) {
-                let got = pair[1].timestamp_us.to_string();
-                return Err(self.duplicate("ego_pose", "key frame or its time, in one scene,", got));
+                let (what, got) = ("key frame or its time, in one scene,", pair[1].timestamp_us);
+                return Err(self.duplicate("ego_pose", what, got));
             }
         }
         let channels = chosen.iter().map(|channel| channel.map(|c| channels[c as usize].clone()));
@@ -478,11 +473,6 @@ fn choose_channels(
     (0..num_scenes).map(|s| best(&counts[s * num_channels..(s + 1) * num_channels])).collect()
 }
 
-fn late(path: PathBuf, token: Token, timestamp_us: i64, expected: &'static str) -> NuscenesError {
-    let (token, got) = (token.to_string(), timestamp_us.to_string());
-    NuscenesError::Value { path, token, field: "timestamp", got, expected }
-}
-
 /// Position and yaw of the point `ahead_m` along the x axis of a pose in three dimensions, checked. Yaw is the direction of
 /// the rotated x axis, as the devkit's `quaternion_yaw`.
 fn ground_pose(
@@ -495,8 +485,7 @@ fn ground_pose(
     ahead_m: f64,
 ) -> Result<Key> {
     let fail = |field, got: &[f64], expected| {
-        let (path, token, got) = (path.to_owned(), token.to_string(), format!("{got:?}"));
-        Err(NuscenesError::Value { path, token, field, got, expected })
+        Err(NuscenesError::value(path, token, field, format!("{got:?}"), expected))
     };
     let [x_m, y_m, _] = translation;
     if !(x_m.abs() < MAX_COORDINATE_M && y_m.abs() < MAX_COORDINATE_M) {
