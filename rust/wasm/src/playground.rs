@@ -1,5 +1,6 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
+use ccdiff_nets::compute::weights::{Entry, tensors};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
@@ -10,6 +11,7 @@ use ccdiff_sim::policy::{Driver, TrafficPolicy};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Numbers of a state.
@@ -59,7 +61,7 @@ pub(crate) struct Playground {
     scene: Option<Arc<Scene>>,
     world: Option<VecWorld>,
     /// Weights of the trained ego by name: shape and numbers.
-    tensors: BTreeMap<String, (Vec<usize>, Vec<f32>)>,
+    tensors: BTreeMap<String, Entry>,
     /// The trained ego for what the world observes, once it was asked.
     trained: Option<NetworkOfEgo>,
     /// Its last action.
@@ -97,21 +99,7 @@ impl Playground {
     /// Keeps the weights of the trained ego.
     pub(crate) fn ego(&mut self) -> Result<(), String> {
         let bytes = std::mem::take(&mut self.given);
-        let wrong = || "not a safetensors file".to_string();
-        let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(wrong)?;
-        let (head, data) = rest.split_at_checked(u64::from_le_bytes(*length) as usize).ok_or_else(wrong)?;
-        let head: BTreeMap<String, serde_json::Value> =
-            serde_json::from_slice(head).map_err(|e| e.to_string())?;
-        for (name, entry) in head.iter().filter(|(name, _)| *name != "__metadata__") {
-            let numbers = |key: &str| -> Option<Vec<usize>> {
-                entry[key].as_array()?.iter().map(|v| Some(v.as_u64()? as usize)).collect()
-            };
-            let (shape, ends) = numbers("shape").zip(numbers("data_offsets")).ok_or_else(wrong)?;
-            let [from, to] = ends[..] else { return Err(wrong()) };
-            let values = data.get(from..to).ok_or_else(wrong)?.chunks_exact(4);
-            let values = values.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-            self.tensors.insert(name.clone(), (shape, values));
-        }
+        self.tensors.extend(tensors(Path::new("ego"), &bytes).map_err(|e| e.to_string())?);
         Ok(())
     }
 

@@ -1,7 +1,8 @@
 //! Weight files: safetensors with one JSON header string. Nothing is unpickled, every name and shape is checked.
 
 use crate::error::{ModelError, Result};
-use safetensors::tensor::{Dtype, SafeTensors};
+use crate::kernels::Packed;
+use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
@@ -71,10 +72,7 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)>
 /// # Errors
 /// [`ModelError::Checkpoint`] where these are not the bytes of such a file.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
-    let foreign = |e: safetensors::SafeTensorError| {
-        broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
-    };
-    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(foreign)?;
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(foreign(path))?;
     let text = metadata
         .metadata()
         .as_ref()
@@ -85,7 +83,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<S
     if header["format"] != FORMAT {
         return Err(broken(path, "format", header["format"].to_string(), FORMAT.to_string()));
     }
-    let file = SafeTensors::deserialize(bytes).map_err(foreign)?;
+    let file = SafeTensors::deserialize(bytes).map_err(foreign(path))?;
     let views: BTreeMap<_, _> = file.tensors().into_iter().collect();
     let found = checksum(views.iter().map(|(name, view)| (name.as_str(), view.data())));
     match header.get(CHECKSUM) {
@@ -94,8 +92,21 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<S
         }
         _ => {}
     }
+    Ok((header, tensors(path, bytes)?))
+}
+
+fn foreign(path: &Path) -> impl Fn(SafeTensorError) -> ModelError {
+    move |e| broken(path, "file", format!("not a safetensors file ({e})"), "one that training wrote")
+}
+
+/// The tensors of a file's bytes, whatever its header; errors name the path.
+///
+/// # Errors
+/// [`ModelError::Checkpoint`] for another kind of file, and for numbers that are none.
+pub fn tensors(path: &Path, bytes: &[u8]) -> Result<BTreeMap<String, Entry>> {
+    let file = SafeTensors::deserialize(bytes).map_err(foreign(path))?;
     let mut tensors = BTreeMap::new();
-    for (name, view) in views {
+    for (name, view) in file.tensors().into_iter().collect::<BTreeMap<_, _>>() {
         if view.dtype() != Dtype::F32 {
             return Err(broken(path, &name, format!("{:?}", view.dtype()), "F32"));
         }
@@ -109,7 +120,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<S
         }
         tensors.insert(name, (view.shape().to_vec(), values));
     }
-    Ok((header, tensors))
+    Ok(tensors)
 }
 
 /// A field of the header.
@@ -156,6 +167,13 @@ impl Weights {
         };
         self.wrong.borrow_mut().get_or_insert(wrong);
         None
+    }
+
+    /// The linear layer of a name.
+    pub(crate) fn layer(&self, name: &str, inputs: usize, outputs: usize) -> Packed {
+        let rows = self.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
+        let bias = self.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
+        Packed::new(rows, bias, outputs, inputs)
     }
 
     /// Checks that all that was taken was there, and that nothing is left.

@@ -3,7 +3,9 @@
 use crate::compute::weights::{Weights, broken, field, read};
 use crate::error::Result;
 use crate::kernels::{Checked, Packed, linear};
+use crate::traffic::CcdiffConfig;
 use ccdiff_sim::geom::Real;
+use ccdiff_sim::policy::PlanRequest;
 use ccdiff_sim::world::{CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 use std::path::Path;
 
@@ -30,7 +32,7 @@ impl AdversaryPolicy {
     ///
     /// # Errors
     /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] name the file and what does not fit.
-    pub(crate) fn load(path: &Path) -> Result<Self> {
+    fn load(path: &Path) -> Result<Self> {
         let (header, tensors) = read(path)?;
         let kind: String = field(path, &header, "kind")?;
         if kind != KIND {
@@ -48,24 +50,31 @@ impl AdversaryPolicy {
             return Err(broken(path, "strengths", got, "candidates, and strengths above 0"));
         }
         let weights = Weights::new(path, tensors);
-        let layer = |name: &str, inputs: usize, outputs: usize| {
-            let rows = weights.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
-            let bias = weights.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
-            Packed::new(rows, bias, outputs, inputs)
-        };
+        let layer = |name, inputs, outputs| weights.layer(name, inputs, outputs);
         let row = [layer("row.0", names.len(), WIDTH), layer("row.2", WIDTH, WIDTH)];
         let head = [layer("head.0", 2 * WIDTH, WIDTH), layer("head.2", WIDTH, strengths.len() + 2)];
         weights.finish()?;
         Ok(Self { max_candidates, strengths, row, head })
     }
 
-    /// Candidates that it looks at, at most.
-    pub(crate) fn max_candidates(&self) -> usize {
-        self.max_candidates
+    /// That of the options.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub(crate) fn of(config: &CcdiffConfig) -> Result<Option<Self>> {
+        config.adversary_policy.as_ref().map(|file| Self::load(Path::new(file))).transpose()
+    }
+
+    /// Whom of a ranking it has guided from the coming plan on, and its criticality.
+    pub(crate) fn guided(&self, request: &PlanRequest<'_>, ranking: &[usize]) -> (Vec<usize>, Real) {
+        let plan = request.plan.map(|plan| &plan.record);
+        let seen = Candidates::new(&request.world, plan, |a| request.drives(a), self.max_candidates);
+        let (agent, strength) = self.choose(&seen).unzip();
+        (agent.into_iter().filter(|a| ranking.contains(a)).collect(), strength.unwrap_or_default())
     }
 
     /// The vehicle that it chooses and its criticality; `None`: nobody.
-    pub(crate) fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
+    fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
         let (level, [mut x, mut hidden]) = (Checked::now(), [Vec::new(), Vec::new()]);
         // nobody is a row of what the ego does, behind the candidates
         let (of, count) = (CANDIDATE_FEATURES.len(), seen.agents.len());

@@ -97,8 +97,7 @@ impl PlannedTraffic {
         copies[0].check_solver_steps(config.denoising_steps)?;
         let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);
-        let file = config.adversary_policy.as_ref();
-        let adversary_policy = file.map(|file| AdversaryPolicy::load(Path::new(file))).transpose()?;
+        let adversary_policy = AdversaryPolicy::of(&config)?;
         Ok(Self { adversary_policy, copies, pool, model, config, guided, unguided, maps: Vec::new() })
     }
 

@@ -12,7 +12,6 @@ use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Region, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, WorldView};
-use ccdiff_sim::world::Candidates;
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -174,12 +173,9 @@ impl PlannedTraffic {
             d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
             let mut criticality = wanted.criticality.unwrap_or(config.criticality);
             if let Some(policy) = traffic.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let world = &d.request.world;
-                let plan = d.request.plan.map(|plan| &plan.record);
-                let seen = Candidates::new(world, plan, |a| d.request.drives(a), policy.max_candidates());
-                let (agent, strength) = policy.choose(&seen).unzip();
-                d.chosen = agent.into_iter().filter(|a| d.ranking.contains(a)).collect();
-                criticality *= strength.unwrap_or_default();
+                let strength;
+                (d.chosen, strength) = policy.guided(d.request, &d.ranking);
+                criticality *= strength;
             }
             d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
             d.guided = d.planned.agents.iter().map(|a| d.chosen.contains(a)).collect();

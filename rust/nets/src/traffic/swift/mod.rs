@@ -25,7 +25,6 @@ use ccdiff_sim::policy::{
 };
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
-use ccdiff_sim::world::Candidates;
 use network::{Hidden, Network};
 use rayon::ThreadPool;
 use rayon::prelude::*;
@@ -131,9 +130,7 @@ impl Swift {
             let field = format!("ccdiff.{name}").into();
             return Err(SimError::Config { field, got: value.to_string(), expected }.into());
         }
-        let file = config.adversary_policy.as_ref();
-        let adversary_policy = file.map(|file| AdversaryPolicy::load(Path::new(file))).transpose()?;
-        Ok(Self { network, config, adversary_policy, pool })
+        Ok(Self { network, adversary_policy: AdversaryPolicy::of(&config)?, config, pool })
     }
 
     /// Who decides now.
@@ -169,11 +166,9 @@ impl Swift {
             ranking.sort_by(|a, b| to_ego(*a).total_cmp(&to_ego(*b)));
             guided = select_guided(&ranking, wanted, self.config.num_guided, |_| true);
             if let Some(policy) = self.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let plan = request.plan.map(|plan| &plan.record);
-                let seen = Candidates::new(world, plan, |a| request.drives(a), policy.max_candidates());
-                let (agent, strength) = policy.choose(&seen).unzip();
-                guided = agent.into_iter().filter(|a| ranking.contains(a)).collect();
-                criticality *= strength.unwrap_or_default();
+                let strength;
+                (guided, strength) = policy.guided(request, &ranking);
+                criticality *= strength;
             }
         }
         Ok(Decides { request, history, agents, egos, ranking, guided, criticality })

@@ -72,11 +72,7 @@ impl Network {
         let [near, far, first, second, turning] =
             ["others.0", "others.1", "trunk.0", "trunk.1", "turning"].map(width);
         let weights = Weights::new(path, tensors);
-        let layer = |name: &str, inputs: usize, outputs: usize| {
-            let rows = weights.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
-            let bias = weights.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
-            Packed::new(rows, bias, outputs, inputs)
-        };
+        let layer = |name, inputs, outputs| weights.layer(name, inputs, outputs);
         let network = Self {
             others: [layer("others.0", OTHER, near), layer("others.1", near, far)],
             trunk: [layer("trunk.0", OWN + 2 * EGO + 1 + far, first), layer("trunk.1", first, second)],
