@@ -115,12 +115,9 @@ impl<'a> GuidanceContext<'a> {
             partner: rows.iter().map(|a| guide.collision_targets.is_none_or(|p| p[*a])).collect(),
             road: guide.road,
             roads: guide.roads.map_or_else(Vec::new, |roads| rows.iter().map(|a| roads[*a]).collect()),
-            apart: match window.apart.is_empty() {
-                true => Vec::new(),
-                false => rows.iter().flat_map(|i| rows.iter().map(|j| window.is_apart(*i, *j))).collect(),
-            },
+            apart: window.apart_of(rows),
             speed_limit_mps: guide.speed_limit_mps,
-            step_weights: seen_weights(discount, seen_steps, model.horizon_steps),
+            step_weights: step_weights(discount, model.horizon_steps, seen_steps),
         })
     }
 
@@ -135,18 +132,11 @@ impl<'a> GuidanceContext<'a> {
     }
 }
 
-/// The weights of the steps that losses look at, 0 for later ones.
-fn seen_weights(discount: f32, seen_steps: Option<usize>, num_steps: usize) -> Vec<f32> {
-    let mut weights = step_weights(discount, num_steps);
-    weights.iter_mut().skip(seen_steps.unwrap_or(num_steps)).for_each(|w| *w = 0.0);
-    weights
-}
-
-/// γ^t / Σ γ^t for t in 0..T.
-pub(super) fn step_weights(discount: f32, num_steps: usize) -> Vec<f32> {
+/// γ^t / Σ γ^t for t in 0..T, 0 for steps that losses do not look at.
+fn step_weights(discount: f32, num_steps: usize, seen_steps: Option<usize>) -> Vec<f32> {
     let powers: Vec<f64> = (0..num_steps).map(|t| f64::from(discount).powi(t as i32)).collect();
-    let sum: f64 = powers.iter().sum();
-    powers.iter().map(|p| (p / sum) as f32).collect()
+    let (sum, seen) = (powers.iter().sum::<f64>(), seen_steps.unwrap_or(num_steps));
+    powers.iter().enumerate().map(|(t, p)| if t < seen { (p / sum) as f32 } else { 0.0 }).collect()
 }
 
 #[cfg(test)]
@@ -161,7 +151,7 @@ mod tests {
             (0.98, [0.030_757, 0.027_802, 0.010_977]),
             (0.99, [0.024_568, 0.024_568 * 0.99f32.powi(5), 0.014_715]),
         ] {
-            let weights = step_weights(discount, 52);
+            let weights = step_weights(discount, 52, None);
             for (step, want) in [0, 5, 51].into_iter().zip(want) {
                 assert!((weights[step] - want).abs() < 2e-6, "{discount} at {step}: {}", weights[step]);
             }

@@ -4,7 +4,7 @@ use super::config::{Clip, GuidanceConfig};
 use super::context::GuidanceContext;
 use super::descent::Descent;
 use super::knots::KnotMap;
-use super::objective::Evaluation;
+use super::objective::{Evaluation, Objective};
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
 use crate::config::ModelConfig;
@@ -84,6 +84,12 @@ impl Scratch {
         self.plan.roll(context, agent, &self.actions);
     }
 
+    /// Adds an objective's losses, and its gradient times a scale.
+    fn evaluate(&mut self, context: &GuidanceContext<'_>, of: &Objective, wanted: &[bool], scale: f32) {
+        let (losses, gradient) = (&mut self.losses, &mut self.of_states);
+        of.evaluate(context, &self.plan, &mut Evaluation { losses, gradient, wanted, scale });
+    }
+
     fn vjp(&mut self, context: &GuidanceContext<'_>, map: &KnotMap, agent: usize) {
         self.plan.vjp(context, agent, &self.of_states, &mut self.of_actions);
         map.vjp(&self.of_actions, &mut self.of_knots);
@@ -159,12 +165,8 @@ impl<'a> Guidance<'a> {
     pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) -> Result<()> {
         let width = self.knots.width();
         let expected = self.shift_sq.len() * width;
-        for (what, got) in [("knots", knots.len()), ("score", step.score.map_or(expected, <[f32]>::len))] {
-            if got != expected {
-                let (got, expected) = (got.to_string(), expected.to_string());
-                return Err(ModelError::Shape { what, got, expected });
-            }
-        }
+        expect("knots", knots.len(), expected)?;
+        expect("score", step.score.map_or(expected, <[f32]>::len), expected)?;
         if !(step.sigma > 0.0 && step.gain > 0.0) {
             return Ok(());
         }
@@ -218,10 +220,7 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn choose_against(&mut self, predicted: Vec<f32>, draws: Option<usize>) -> Result<()> {
         let expected = self.sizes.iter().sum::<usize>() * self.knots.width();
-        if predicted.len() != expected {
-            let (got, expected) = (predicted.len().to_string(), expected.to_string());
-            return Err(ModelError::Shape { what: "predicted knots", got, expected });
-        }
+        expect("predicted knots", predicted.len(), expected)?;
         (self.predicted, self.draws) = (Some(predicted), draws);
         Ok(())
     }
@@ -262,10 +261,7 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn gradient(&self, knots: &[f32]) -> Result<Vec<f32>> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        if knots.len() != self.num_samples * rows * width {
-            let (got, expected) = (knots.len().to_string(), (self.num_samples * rows * width).to_string());
-            return Err(ModelError::Shape { what: "knots", got, expected });
-        }
+        expect("knots", knots.len(), self.num_samples * rows * width)?;
         let offsets = crate::inputs::features::row_offsets(&self.sizes);
         let jobs: Vec<(usize, usize)> = (0..self.num_samples)
             .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
@@ -295,12 +291,8 @@ impl<'a> Guidance<'a> {
     /// # Errors
     /// [`ModelError::Shape`] for a world that is not there or knots of another length.
     pub fn gradients(&self, world: usize, knots: &[f32]) -> Result<Vec<Vec<f32>>> {
-        let expected = self.sizes.get(world).map(|s| s * self.knots.width());
-        if expected != Some(knots.len()) {
-            let (got, expected) = (knots.len().to_string(), format!("{expected:?} of world {world}"));
-            return Err(ModelError::Shape { what: "knots", got, expected });
-        }
-        Ok(self.worlds[world].as_ref().map_or_else(Vec::new, |context| {
+        expect("knots", knots.len(), self.sizes.get(world).map_or(0, |s| s * self.knots.width()))?;
+        Ok(self.worlds.get(world).and_then(Option::as_ref).map_or_else(Vec::new, |context| {
             let mut scratch = Scratch::new(context, &self.knots);
             gradients_of(self.config, &self.knots, context, knots, &mut scratch)
         }))
@@ -312,10 +304,7 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn report(&self, knots: &[f32]) -> Result<Vec<Option<GuidanceReport>>> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        if knots.len() != self.shift_sq.len() * width {
-            let (got, expected) = (knots.len().to_string(), (self.shift_sq.len() * width).to_string());
-            return Err(ModelError::Shape { what: "knots", got, expected });
-        }
+        expect("knots", knots.len(), self.shift_sq.len() * width)?;
         let offsets: Vec<usize> = crate::inputs::features::row_offsets(&self.sizes);
         let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
             let context = context.as_ref()?;
@@ -331,16 +320,7 @@ impl<'a> Guidance<'a> {
                     let wanted: Vec<bool> = (0..m).map(|a| agents.contains(&a)).collect();
                     for (j, objective) in self.config.objectives.iter().enumerate() {
                         scratch.losses.fill(0.0);
-                        objective.evaluate(
-                            context,
-                            &scratch.plan,
-                            &mut Evaluation {
-                                losses: &mut scratch.losses,
-                                gradient: &mut scratch.of_states,
-                                wanted: &wanted,
-                                scale: 0.0,
-                            },
-                        );
+                        scratch.evaluate(context, objective, &wanted, 0.0);
                         let at = (j * n + sample) * m;
                         losses[at..][agents.clone()].copy_from_slice(&scratch.losses[agents.clone()]);
                     }
@@ -377,6 +357,14 @@ impl<'a> Guidance<'a> {
     }
 }
 
+/// Checks that there are as many numbers as expected.
+fn expect(what: &'static str, got: usize, expected: usize) -> Result<()> {
+    if got == expected {
+        return Ok(());
+    }
+    Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() })
+}
+
 /// Moves the guided rows of one sample of one world.
 fn adjust_world(
     config: &GuidanceConfig,
@@ -408,16 +396,7 @@ fn adjust_world(
         }
         scratch.of_states.clear();
         for objective in &config.objectives {
-            objective.evaluate(
-                context,
-                &scratch.plan,
-                &mut Evaluation {
-                    losses: &mut scratch.losses,
-                    gradient: &mut scratch.of_states,
-                    wanted: &context.guided,
-                    scale: objective.weight() / m as f32,
-                },
-            );
+            scratch.evaluate(context, objective, &context.guided, objective.weight() / m as f32);
         }
         for (a, descent) in rows.iter().zip(&mut descents) {
             scratch.vjp(context, map, *a);
@@ -447,18 +426,9 @@ fn gradients_of(
     let (m, width) = (context.num_agents(), map.width());
     let wanted = vec![true; m];
     (0..m).for_each(|a| scratch.roll(context, map, a, knots));
-    let of = |objective: &super::Objective| {
+    let of = |objective: &Objective| {
         scratch.of_states.clear();
-        objective.evaluate(
-            context,
-            &scratch.plan,
-            &mut Evaluation {
-                losses: &mut scratch.losses,
-                gradient: &mut scratch.of_states,
-                wanted: &wanted,
-                scale: objective.weight() / m as f32,
-            },
-        );
+        scratch.evaluate(context, objective, &wanted, objective.weight() / m as f32);
         let mut out = vec![0.0; m * width];
         for (agent, out) in out.chunks_exact_mut(width).enumerate() {
             scratch.vjp(context, map, agent);

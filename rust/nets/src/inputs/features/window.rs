@@ -162,6 +162,12 @@ impl Window {
         self.apart.get(i * self.num_agents() + j).copied().unwrap_or(false)
     }
 
+    /// Which pairs of some agents are on different levels; empty: none.
+    pub(crate) fn apart_of(&self, agents: &[usize]) -> Vec<bool> {
+        let agents = if self.apart.is_empty() { &[] } else { agents };
+        agents.iter().flat_map(|i| agents.iter().map(|j| self.is_apart(*i, *j))).collect()
+    }
+
     pub(crate) fn velocity(&self, agent: usize, step: usize) -> Vector2 {
         let at = agent * self.num_steps + step;
         self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
@@ -214,10 +220,7 @@ impl Columns {
             length: agents.iter().map(|a| window.length_m[*a]).collect(),
             width: agents.iter().map(|a| window.width_m[*a]).collect(),
             valid: agents.iter().map(|a| window.is_valid(*a, step)).collect(),
-            apart: match window.apart.is_empty() {
-                true => Vec::new(),
-                false => agents.iter().flat_map(|i| agents.iter().map(|j| window.is_apart(*i, *j))).collect(),
-            },
+            apart: window.apart_of(agents),
         }
     }
 
