@@ -5,15 +5,15 @@ use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{PlanModel, Taught, TorchKind, TrainingStep};
+use crate::plan_model::{PlanModel, Samples, Taught, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
-use crate::sampler::{self, Denoiser, SampleOptions, Samples};
 use crate::schedule::Schedule;
-use crate::tape::{self, Parameters, Var};
+use crate::tape::{self, Parameters, Tape, Var};
 use crate::torch::{Torch, to_vec};
 use ccdiff_nets::networks::ccdiff::Network;
 use ccdiff_nets::networks::ctg::HalfUnet;
-use ccdiff_nets::networks::planner::{Denoises, Weighted};
+use ccdiff_nets::networks::denoised::denoised;
+use ccdiff_nets::networks::planner::{Asked, Denoises, Weighted};
 use tch::{Kind, Tensor, nn};
 
 /// CCDiff.
@@ -23,6 +23,20 @@ pub(crate) const CCDIFF: TorchKind =
 pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
 /// CTG.
 pub(crate) const CTG: TorchKind = TorchKind { name: "ctg", build: denoising::<HalfUnet<Torch>>, ..CCDIFF };
+
+/// A network from noisy plans to clean ones that is trained.
+pub trait Denoiser: Denoises<Torch> + Send {
+    /// The same network on the tape.
+    type Taped: Denoises<Tape>;
+}
+
+impl Denoiser for Network<Torch> {
+    type Taped = Network<Tape>;
+}
+
+impl Denoiser for HalfUnet<Torch> {
+    type Taped = HalfUnet<Tape>;
+}
 
 fn denoising<D: Denoiser + 'static>(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
     Ok(Box::new(Diffusion::new(D::new(p, config))?))
@@ -129,13 +143,9 @@ impl<D: Denoiser> PlanModel for Diffusion<D> {
         }))
     }
 
-    fn propose(
-        &self,
-        batch: &Batch,
-        seeds: &[u64],
-        options: SampleOptions,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Samples> {
-        sampler::sample(&self.denoiser, &self.schedule, batch, seeds, options, guide)
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples> {
+        let alone = (asked.options.guidance_weight > 1.0).then(|| batch.with_identity_graph());
+        let made = denoised(&self.denoiser, &self.schedule, batch, alone.as_ref(), asked, guide)?;
+        Ok((made.knots, made.attention))
     }
 }

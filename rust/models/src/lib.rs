@@ -22,7 +22,6 @@ mod longitudinal_perturbation;
 mod losses;
 pub mod plan_model;
 pub mod plan_space;
-pub mod sampler;
 pub mod tape;
 pub mod tokens;
 pub mod torch;
@@ -32,7 +31,7 @@ pub mod unicycle;
 
 pub use ccdiff_nets::inputs::{features, segments};
 pub use ccdiff_nets::networks::trajectory_model;
-pub use ccdiff_nets::sampling::{noise, schedule};
+pub use ccdiff_nets::sampling::{noise, sampler, schedule};
 pub use ccdiff_nets::{config, error, guidance, traffic};
 
 pub use config::ModelConfig;

@@ -6,7 +6,6 @@ use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
-use crate::sampler::{SampleOptions, Samples};
 use crate::tape::Parameters;
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
@@ -35,18 +34,16 @@ pub trait PlanModel: Debug + Send {
         None
     }
 
-    /// Draws normalised knots. `seeds` holds one seed per scene of the batch; `guide` moves the plans on the way.
+    /// Draws normalised knots for the rows of a batch; `guide` moves the plans on the way.
     ///
     /// # Errors
     /// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
-    fn propose(
-        &self,
-        batch: &Batch,
-        seeds: &[u64],
-        options: SampleOptions,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Samples>;
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples>;
 }
+
+/// Clean normalised knots [N · R, knots, 2], sample by sample, and attention [R, K, tokens, heads] of each sample in the
+/// first edge-aware layer, of a network that has it.
+pub type Samples = (Vec<f32>, Vec<Tensor>);
 
 /// What a network that plans at once is trained with.
 pub trait Imitates: Proposes<Torch> + Send {
@@ -87,28 +84,9 @@ impl<N: Imitates> PlanModel for Proposing<N> {
         self.network.learn(&self.space, step, parameters)
     }
 
-    fn propose(
-        &self,
-        batch: &Batch,
-        seeds: &[u64],
-        options: SampleOptions,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Samples> {
-        proposed(&self.network, batch, seeds, options, guide)
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples> {
+        Ok((self.network.propose(batch, asked, guide)?, Vec::new()))
     }
-}
-
-/// Plans of a network that plans at once.
-pub(crate) fn proposed<N: Proposes<Torch>>(
-    network: &N,
-    batch: &Batch,
-    seeds: &[u64],
-    options: SampleOptions,
-    guide: Option<&mut Guidance<'_>>,
-) -> Result<Samples> {
-    let knots = network.propose(batch, &Asked { rows: batch.rows(), seeds, options }, guide)?;
-    let knots = Tensor::from_slice(&knots).view([-1, network.config().num_knots() as i64, 2]);
-    Ok(Samples { knots: knots.to_device(batch.speed_mps.device()), attention: None })
 }
 
 /// A network on torch: its file declares one, `kinds.rs` lists it.

@@ -23,6 +23,11 @@ impl PlanSpace {
         &self.config
     }
 
+    /// Normalised knots [R, knots, 2] of these numbers.
+    pub fn knots(&self, numbers: &[f32]) -> Tensor {
+        self.knots.placed(numbers)
+    }
+
     /// Physical actions [R, T, 2] of normalised knots [R, knots, 2].
     pub fn actions(&self, knots: &Tensor) -> Tensor {
         let n = &self.config.normalisation;

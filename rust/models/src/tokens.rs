@@ -4,15 +4,14 @@ use crate::batch::{Batch, Targets};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::plan_model::{PlanModel, TorchKind, TrainingStep, proposed};
+use crate::plan_model::{PlanModel, Samples, TorchKind, TrainingStep};
 use crate::plan_space::PlanSpace;
-use crate::sampler::{SampleOptions, Samples};
 use crate::tape::{self, Parameters, Tape};
 use crate::torch::{Torch, to_vec};
 use crate::train::config::TrainConfig;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{near_columns, own_columns};
-use ccdiff_nets::networks::planner::Weighted;
+use ccdiff_nets::networks::planner::{Asked, Proposes, Weighted};
 use ccdiff_nets::networks::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, token_of};
 use tch::{Kind, Tensor, nn};
 
@@ -179,14 +178,8 @@ impl PlanModel for Tokens {
         Some((found.double_value(&[]), rows.bins.size()[0] as usize))
     }
 
-    fn propose(
-        &self,
-        batch: &Batch,
-        seeds: &[u64],
-        options: SampleOptions,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Samples> {
-        proposed(&self.network, batch, seeds, options, guide)
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples> {
+        Ok((self.network.propose(batch, asked, guide)?, Vec::new()))
     }
 }
 

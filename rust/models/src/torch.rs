@@ -145,11 +145,7 @@ impl Ops for Torch {
     }
 
     fn joined(x: &Tensor) -> Tensor {
-        x.flatten(1, 2)
-    }
-
-    fn token(x: Tensor) -> Tensor {
-        x.unsqueeze(1)
+        x.flatten(1, 2).unsqueeze(1)
     }
 
     fn scaled(x: &Tensor, factor: &Tensor) -> Tensor {
@@ -160,8 +156,12 @@ impl Ops for Torch {
         x.amax([1i64].as_slice(), true)
     }
 
+    fn at_step(beside: &Tensor, rows: usize, step: usize) -> Tensor {
+        Tensor::full([rows as i64], step as i64, (Kind::Int64, beside.device()))
+    }
+
     fn rows_of(table: &Tensor, steps: &Tensor) -> Tensor {
-        table.index_select(0, steps)
+        table.index_select(0, steps).unsqueeze(1)
     }
 
     fn mish(x: &Tensor) -> Tensor {
@@ -234,10 +234,10 @@ impl Inputs for Torch {
     }
 
     fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
-        let route = batch.route.as_ref()?;
-        let told = route.narrow(1, 0, 1);
-        let places = route.narrow(1, 1, route.size()[1] - 1) / ROUTE_SCALE_M;
-        Some((Tensor::cat(&[&told, &places], 1), told))
+        let route = batch.route.as_ref()?.unsqueeze(1);
+        let told = route.narrow(2, 0, 1);
+        let places = route.narrow(2, 1, route.size()[2] - 1) / ROUTE_SCALE_M;
+        Some((Tensor::cat(&[&told, &places], 2), told))
     }
 
     fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {

@@ -9,12 +9,14 @@ use crate::grad::guarded;
 use crate::guidance::Guidance;
 use crate::kinds::build;
 use crate::plan_model::PlanModel;
-use crate::sampler::Samples;
 use crate::torch::to_vec;
 use crate::traffic::{CcdiffConfig, PlannedTraffic};
 use crate::trajectory_model::{Drawn, PlanOptions, PlanSampler, TrajectoryModel};
 use ccdiff_nets::compute::weights::{self, Entry};
+use ccdiff_nets::networks::cpu_planner::drawn;
 use ccdiff_nets::networks::kinds::described;
+use ccdiff_nets::networks::planner::Asked;
+use ccdiff_nets::sampling::plan_space::PlanSpace;
 use ccdiff_nets::traffic::planning_pool;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -65,6 +67,10 @@ impl TorchModel {
 }
 
 impl PlanSampler for TorchModel {
+    fn most_worlds(&self) -> usize {
+        8
+    }
+
     fn draw(
         &self,
         scenes: &[&SceneFeatures],
@@ -73,24 +79,18 @@ impl PlanSampler for TorchModel {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         guarded(false, "planning", || {
-            let (space, n) = (self.network.space(), options.sampling.num_samples as i64);
-            let config = space.config();
+            let config = self.network.space().config();
             let batch = Batch::new(scenes, config, self.device)?;
-            let Samples { knots, attention } =
-                self.network.propose(&batch, seeds, options.sampling, guide)?;
-            let attention = attention.filter(|_| options.attention).map(|attention| {
-                let size = attention.size();
+            let asked = Asked { rows: batch.rows(), seeds, options: options.sampling };
+            let (knots, attention) = self.network.propose(&batch, &asked, guide)?;
+            let attention = (options.attention && !attention.is_empty()).then(|| {
+                // samples, rows, slots, tokens, heads
                 let history = config.history_token_steps().len() as i64;
-                let tokens = options.executed_tokens(config) as i64;
-                let plan = attention.narrow(2, history, tokens).view([n, size[0] / n, size[1], tokens]);
-                to_vec(&plan.mean_dim([0i64, 3].as_slice(), false, Kind::Float))
+                let executed = options.executed_tokens(config) as i64;
+                let plan = Tensor::stack(&attention, 0).narrow(3, history, executed);
+                to_vec(&plan.mean_dim([0i64, 3, 4].as_slice(), false, Kind::Float))
             });
-            Ok(Drawn {
-                actions: to_vec(&space.actions(&knots)),
-                states: to_vec(&space.states(&knots, &batch.speed_mps.repeat([n]))),
-                knots: to_vec(&knots),
-                attention,
-            })
+            Ok(drawn(&PlanSpace::new(config), scenes, knots, attention))
         })
     }
 }

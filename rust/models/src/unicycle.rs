@@ -53,6 +53,11 @@ impl Knots {
         Self { spread: spread.to_device(device), fit: fit.to_device(device) }
     }
 
+    /// Knots [R, knots, 2] of these numbers.
+    pub fn placed(&self, numbers: &[f32]) -> Tensor {
+        Tensor::from_slice(numbers).view([-1, self.spread.size()[1], 2]).to_device(self.spread.device())
+    }
+
     /// Actions [R, T, 2] of knots [R, knots, 2].
     pub fn spread(&self, knots: &Tensor) -> Tensor {
         self.spread.matmul(knots)

@@ -5,7 +5,7 @@ use ccdiff_bridge::{Handed, PyTrajectoryModel};
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::dataset::Dataset;
 use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
+use ccdiff_models::train::{ERRORS, TrainConfig, Trainer, settings_of};
 use ccdiff_models::{device_named, torch_model};
 use ccdiff_sim::options::read;
 use pyo3::prelude::*;
@@ -120,12 +120,9 @@ impl PyTrainer {
             SampleOptions { solver_steps, num_samples, guidance_weight, ..SampleOptions::default() };
         let v = py.detach(|| lock(&self.run).validate(held_out, count, options)).map_err(from_model)?;
         let dict = PyDict::new(py);
-        dict.set_item("min_ade_m", v.min_ade_m)?;
-        dict.set_item("min_fde_m", v.min_fde_m)?;
-        dict.set_item("ade_m", v.ade_m)?;
-        dict.set_item("fde_m", v.fde_m)?;
-        dict.set_item("constant_velocity_ade_m", v.constant_velocity_ade_m)?;
-        dict.set_item("constant_velocity_fde_m", v.constant_velocity_fde_m)?;
+        for (name, error_m) in ERRORS.into_iter().zip(v.errors_m) {
+            dict.set_item(name, error_m)?;
+        }
         dict.set_item("num_agents", v.num_agents)?;
         if let Some([told, untold]) = v.nats {
             dict.set_item("nats", told)?;

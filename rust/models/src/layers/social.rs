@@ -30,18 +30,6 @@ impl Slots {
         }
     }
 
-    /// The same slots for N samples of the R rows, sample by sample.
-    pub(crate) fn repeated(&self, samples: i64) -> Self {
-        let rows = self.with_self.size()[0];
-        let offsets = Tensor::arange(samples, (Kind::Int64, self.rows.device())) * rows;
-        Self {
-            rows: (self.rows.unsqueeze(0) + offsets.unsqueeze(1)).flatten(0, 1),
-            others_or_self: self.others_or_self.repeat([samples, 1, 1]),
-            with_self: self.with_self.repeat([samples, 1, 1]),
-            num_slots: self.num_slots,
-        }
-    }
-
     /// The slots' rows of [R, T, d]: [R, K, T, d].
     pub(crate) fn gather(&self, x: &Tensor) -> Tensor {
         let size = x.size();

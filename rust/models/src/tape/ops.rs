@@ -214,10 +214,6 @@ impl Ops for Tape {
         x.shaped(1, x.row())
     }
 
-    fn token(x: Var) -> Var {
-        x
-    }
-
     fn scaled(x: &Var, factor: &Var) -> Var {
         let (row, factor) = (x.row(), factor.clone());
         let scale = move |numbers: &[f32]| -> Vec<f32> {
@@ -242,6 +238,10 @@ impl Ops for Tape {
             places.extend(place.iter().zip(0..).map(|(token, c)| at + token * width as u32 + c));
         }
         gathered(x, 1, width, places)
+    }
+
+    fn at_step(_: &Var, rows: usize, step: usize) -> Vec<usize> {
+        vec![step; rows]
     }
 
     fn rows_of(table: &Var, steps: &Vec<usize>) -> Var {

@@ -19,6 +19,7 @@ use crate::sampler::SampleOptions;
 use crate::tape::{Parameters, Tape};
 use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
+use ccdiff_nets::networks::planner::Asked;
 use optimiser::{Adam, MovingAverage};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -34,21 +35,16 @@ pub struct Cooldown {
     pub steps: u64,
 }
 
-/// Errors of open-loop plans over held-out samples, metres, means over agents with a whole logged future.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+/// What [`Validation::errors_m`] are: least mean distance to the log among the samples of a plan, and least one at its end; those of
+/// one sample; those of constant velocity.
+pub const ERRORS: [&str; 6] =
+    ["min_ade_m", "min_fde_m", "ade_m", "fde_m", "constant_velocity_ade_m", "constant_velocity_fde_m"];
+
+/// Errors of open-loop plans over held-out samples.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Validation {
-    /// Least mean distance to the log among the samples of a plan.
-    pub min_ade_m: f64,
-    /// Least distance at the end among the samples.
-    pub min_fde_m: f64,
-    /// Mean distance of one sample.
-    pub ade_m: f64,
-    /// Distance at the end of one sample.
-    pub fde_m: f64,
-    /// Mean distance of constant velocity.
-    pub constant_velocity_ade_m: f64,
-    /// Distance at the end of constant velocity.
-    pub constant_velocity_fde_m: f64,
+    /// [`ERRORS`], metres, means over agents with a whole logged future.
+    pub errors_m: [f64; 6],
     /// Agents counted.
     pub num_agents: usize,
     /// Mean negative logarithm of the probabilities of the logged tokens, with routes and without; of a network of tokens.
@@ -149,8 +145,9 @@ impl Trainer {
         };
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());
-        let plans = tch::no_grad(|| teacher.network().propose(batch, &seeds, options, None))?;
-        Ok(Some(Taught { seeds, knots: plans.knots }))
+        let asked = Asked { rows: batch.rows(), seeds: &seeds, options };
+        let (knots, _) = tch::no_grad(|| teacher.network().propose(batch, &asked, None))?;
+        Ok(Some(Taught { knots: teacher.network().space().knots(&knots), seeds }))
     }
 
     /// Steps taken.
@@ -248,15 +245,16 @@ impl Trainer {
         let count = count.clamp(1, held_out.len());
         let indices: Vec<usize> = (0..count).map(|i| i * held_out.len() / count).collect();
         guarded(false, "validation", || {
-            let (mut errors, mut nats) = (Errors::default(), [(0.0, 0); 2]);
+            let (mut sums, mut nats) = (Validation::default(), [(0.0, 0); 2]);
             for chunk in indices.chunks(32) {
                 let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
                 let model = &self.average.model;
-                let knots = model.propose(&batch, &seeds, options, None)?.knots;
-                let n = options.num_samples as i64;
+                let asked = Asked { rows: batch.rows(), seeds: &seeds, options };
+                let (knots, n) = (model.propose(&batch, &asked, None)?.0, options.num_samples as i64);
+                let knots = model.space().knots(&knots);
                 let states = model.space().states(&knots, &batch.speed_mps.repeat([n]));
-                errors.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
+                sums.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
                 let mut add = |at: usize, batch: &Batch| {
                     let found = model.nats(batch, &targets).unwrap_or_default();
                     nats[at] = (nats[at].0 + found.0, nats[at].1 + found.1);
@@ -265,8 +263,9 @@ impl Trainer {
                 let all = Tensor::ones([batch.num_rows()], (Kind::Bool, self.store.device()));
                 add(1, &batch.with_routes_dropped(&all));
             }
-            let found = (nats[0].1 > 0).then(|| nats.map(|(sum, count)| sum / count as f64));
-            Ok(Validation { nats: found, ..errors.means() })
+            sums.errors_m = sums.errors_m.map(|sum| sum / sums.num_agents.max(1) as f64);
+            sums.nats = (nats[0].1 > 0).then(|| nats.map(|(sum, count)| sum / count as f64));
+            Ok(sums)
         })
     }
 
@@ -360,14 +359,8 @@ pub fn settings_of(path: &Path) -> Result<(ModelConfig, TrainConfig)> {
     Ok((checkpoint::field(path, &header, "model")?, checkpoint::field(path, &header, "training")?))
 }
 
-/// Sums of [`Validation`].
-#[derive(Debug, Default)]
-struct Errors {
-    sums: [f64; 6],
-    num_agents: usize,
-}
-
-impl Errors {
+impl Validation {
+    /// Adds the errors of plans to the sums of those before.
     fn add(&mut self, states: &Tensor, speed: &Tensor, targets: &Targets, samples: i64, dt_s: f64) {
         let size = targets.states.size();
         let (rows, steps) = (size[0], size[1]);
@@ -390,23 +383,9 @@ impl Errors {
             mean(&of_constant),
             end(&of_constant),
         ];
-        for (sum, value) in self.sums.iter_mut().zip(&found) {
+        for (sum, value) in self.errors_m.iter_mut().zip(&found) {
             *sum += (value * &whole).sum(Kind::Double).double_value(&[]);
         }
         self.num_agents += whole.sum(Kind::Double).double_value(&[]) as usize;
-    }
-
-    fn means(&self) -> Validation {
-        let mean = |i: usize| self.sums[i] / self.num_agents.max(1) as f64;
-        Validation {
-            min_ade_m: mean(0),
-            min_fde_m: mean(1),
-            ade_m: mean(2),
-            fde_m: mean(3),
-            constant_velocity_ade_m: mean(4),
-            constant_velocity_fde_m: mean(5),
-            num_agents: self.num_agents,
-            nats: None,
-        }
     }
 }

@@ -112,19 +112,19 @@ pub trait Ops: Debug + Sized {
     /// The numbers of each token of x, then those of y.
     fn beside(x: &Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
-    /// All tokens of a row as one row of numbers, [R, tokens · width].
+    /// All tokens of a row as one, [R, 1, tokens · width].
     fn joined(x: &Self::Tensor) -> Self::Tensor;
 
-    /// A row of numbers [R, width] as its only token.
-    fn token(x: Self::Tensor) -> Self::Tensor;
-
-    /// Each row times its factor [R, 1].
+    /// Each row times its factor [R, 1, 1].
     fn scaled(x: &Self::Tensor, factor: &Self::Tensor) -> Self::Tensor;
 
     /// The greatest numbers among all tokens of a row, [R, 1, width].
     fn greatest(x: &Self::Tensor) -> Self::Tensor;
 
-    /// The rows of a table [steps, width] that the steps name, [R, width].
+    /// One step for so many rows, where another tensor is.
+    fn at_step(beside: &Self::Tensor, rows: usize, step: usize) -> Self::Steps;
+
+    /// The rows of a table [steps, width] that the steps name, [R, 1, width].
     fn rows_of(table: &Self::Tensor, steps: &Self::Steps) -> Self::Tensor;
 
     /// x · tanh(ln(1 + exp x)).
@@ -175,7 +175,8 @@ pub trait Inputs: Ops {
     /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
     fn mask(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Self::Mask>;
 
-    /// Routes [R, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told [R, 1].
+    /// Routes [R, 1, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told
+    /// [R, 1, 1].
     fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)>;
 
     /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.

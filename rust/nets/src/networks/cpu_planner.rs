@@ -1,20 +1,18 @@
 //! Networks as plans are drawn from them on the kernels of this crate.
 
-use crate::compute::cpu::{Array, Batch, Cpu, Place};
+use crate::compute::cpu::{Batch, Cpu, Place};
 use crate::compute::weights::{Entry, Weights};
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::inputs::features::SceneFeatures;
+use crate::networks::denoised::denoised;
 use crate::networks::planner::{Asked, Denoises, Drawn, PlanOptions, PlanSampler, Proposes, Weighted};
 use crate::sampling::plan_space::PlanSpace;
-use crate::sampling::sampler::{self, Draws, Predict, Rows};
+use crate::sampling::sampler::Rows;
 use crate::sampling::schedule::Schedule;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// Worlds that share a batch: as many as leave a layer's numbers in the cache.
-const MOST_WORLDS: usize = 2;
 
 /// A network with the tensors of a file.
 fn filled<N: Weighted<Cpu>>(
@@ -60,7 +58,7 @@ fn sizes(scenes: &[&SceneFeatures]) -> (Vec<usize>, Vec<Option<u64>>) {
 }
 
 /// Plans of clean knots, sample by sample.
-fn drawn(
+pub fn drawn(
     space: &PlanSpace,
     scenes: &[&SceneFeatures],
     knots: Vec<f32>,
@@ -79,10 +77,6 @@ struct Proposing<N> {
 }
 
 impl<N: Proposes<Cpu> + Send> PlanSampler for Proposing<N> {
-    fn most_worlds(&self) -> usize {
-        MOST_WORLDS
-    }
-
     fn draw(
         &self,
         scenes: &[&SceneFeatures],
@@ -105,41 +99,7 @@ struct Denoising<N> {
     schedule: Schedule,
 }
 
-/// A network on scenes that it has encoded.
-struct Encoded<'a, N: Denoises<Cpu>> {
-    network: &'a N,
-    with_graph: N::Context,
-    alone: Option<N::Context>,
-    /// Numbers of the noisy plans of one sample.
-    per_sample: usize,
-    /// Weights of the last pass with the graph, of each sample.
-    attention: Vec<Vec<f32>>,
-}
-
-impl<N: Denoises<Cpu>> Predict for Encoded<'_, N> {
-    fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32> {
-        let context = self.alone.as_ref().filter(|_| alone).unwrap_or(&self.with_graph);
-        if !alone {
-            self.attention.clear();
-        }
-        let mut clean = Vec::with_capacity(noisy.len());
-        for sample in noisy.chunks_exact(self.per_sample) {
-            let noisy = Array::new(self.network.config().num_knots(), 2, sample.to_vec());
-            let (knots, attention) = self.network.predict(context, &noisy, &step);
-            clean.extend(knots.into_numbers());
-            if !alone {
-                self.attention.extend(attention);
-            }
-        }
-        clean
-    }
-}
-
 impl<N: Denoises<Cpu> + Send> PlanSampler for Denoising<N> {
-    fn most_worlds(&self) -> usize {
-        MOST_WORLDS
-    }
-
     fn draw(
         &self,
         scenes: &[&SceneFeatures],
@@ -150,34 +110,27 @@ impl<N: Denoises<Cpu> + Send> PlanSampler for Denoising<N> {
         let (network, config) = (&self.network, self.network.config());
         let (scene_sizes, noise_seeds) = sizes(scenes);
         let rows = Rows { scene_sizes: &scene_sizes, noise_seeds: &noise_seeds };
+        let batch = |alone| Batch { scenes, alone };
+        let alone = (options.sampling.guidance_weight > 1.0).then(|| batch(true));
+        let asked = Asked { rows, seeds, options: options.sampling };
+        let made = denoised(network, &self.schedule, &batch(false), alone.as_ref(), &asked, guide)?;
         let num_knots = config.num_knots();
-        let encode = |alone| network.encode(&Batch { scenes, alone });
-        let mut encoded = Encoded {
-            network,
-            with_graph: encode(false),
-            alone: (options.sampling.guidance_weight > 1.0).then(|| encode(true)),
-            per_sample: rows.count() * num_knots * 2,
-            attention: Vec::new(),
-        };
-        let sampling = options.sampling;
-        let draws = Draws { schedule: &self.schedule, rows, seeds, options: sampling, num_knots };
-        let knots = sampler::sample(&draws, &mut encoded, guide)?;
-        let slots = N::slots(&encoded.with_graph).filter(|_| options.attention);
+        let slots = N::slots(&made.context).filter(|_| options.attention);
         let attention = slots.map(|pairs| {
             let executed = options.executed_tokens(config);
             let slots = scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
             let per_row = rows.count() * slots;
             let tokens = config.history_token_steps().len() + num_knots;
             let mut mean = vec![0.0; per_row];
-            for weights in &encoded.attention {
+            for weights in &made.attention {
                 let spread = pairs.spread(weights, slots);
                 for (mean, of_tokens) in mean.iter_mut().zip(spread.chunks_exact(tokens)) {
                     let of_plan = &of_tokens[tokens - num_knots..][..executed];
-                    *mean += of_plan.iter().sum::<f32>() / (executed * encoded.attention.len()) as f32;
+                    *mean += of_plan.iter().sum::<f32>() / (executed * made.attention.len()) as f32;
                 }
             }
             mean
         });
-        Ok(drawn(network.space(), scenes, knots, attention))
+        Ok(drawn(network.space(), scenes, made.knots, attention))
     }
 }

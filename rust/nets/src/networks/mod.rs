@@ -4,6 +4,7 @@ pub mod bits;
 pub mod ccdiff;
 pub mod cpu_planner;
 pub mod ctg;
+pub mod denoised;
 pub mod kind;
 pub mod kinds;
 pub mod latents;

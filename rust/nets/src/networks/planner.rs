@@ -38,9 +38,7 @@ impl PlanOptions {
         let guidance = self.guidance.map(GuidanceConfig::validated).transpose()?;
         Ok(Self { sampling, guidance, ..self })
     }
-}
 
-impl PlanOptions {
     /// Knots of a plan that are executed before the next one is made.
     pub fn executed_tokens(&self, config: &ModelConfig) -> usize {
         let executed = self.guidance.as_ref().and_then(|g| g.executed_steps);
@@ -66,9 +64,9 @@ pub struct Drawn {
 /// A network as plans are drawn from it.
 pub trait PlanSampler: Debug + Send {
     /// Most worlds that share a batch: fixed, so that plans do not depend on the number of threads. More are hardly faster, fewer
-    /// leave no thread without work.
+    /// leave no thread without work. Two leave a layer's numbers in the cache of a processor.
     fn most_worlds(&self) -> usize {
-        8
+        2
     }
 
     /// Draws plans for all agents of all scenes; at least one has an agent. `seeds` holds one seed per scene; `guide` moves

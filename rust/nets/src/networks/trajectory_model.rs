@@ -83,9 +83,7 @@ impl TrajectoryModel {
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`]; [`ModelError::Config`] for a network that needs torch.
     pub fn load(path: &Path) -> Result<Self> {
-        let (header, tensors) = weights::read(path)?;
-        let config = described(path, &header)?;
-        Self::own(path, header, config, tensors)
+        Self::own(path, weights::read(path)?)
     }
 
     /// As [`Self::load`], from the bytes of a file where there are no files; errors call it by `name`.
@@ -93,22 +91,11 @@ impl TrajectoryModel {
     /// # Errors
     /// As [`Self::load`].
     pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
-        let path = Path::new(name);
-        let (header, tensors) = weights::parse(path, bytes)?;
-        let config = described(path, &header)?;
-        Self::own(path, header, config, tensors)
+        Self::own(Path::new(name), weights::parse(Path::new(name), bytes)?)
     }
 
-    /// What [`weights::read`] has read, on the kernels of this crate.
-    ///
-    /// # Errors
-    /// As [`Self::load`].
-    pub fn own(
-        path: &Path,
-        header: serde_json::Value,
-        config: ModelConfig,
-        tensors: BTreeMap<String, Entry>,
-    ) -> Result<Self> {
+    fn own(path: &Path, (header, tensors): (serde_json::Value, BTreeMap<String, Entry>)) -> Result<Self> {
+        let config = described(path, &header)?;
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
         check_cpu(&config)?;
         let planner = (config.network()?.on_cpu)(path, &config, tensors)?;

@@ -194,10 +194,6 @@ impl Ops for Cpu {
         Array::new(1, x.tokens * x.width, x.numbers.clone())
     }
 
-    fn token(x: Array) -> Array {
-        x
-    }
-
     fn scaled(x: &Array, factor: &Array) -> Array {
         let rows = x.numbers.chunks_exact(x.row()).zip(&factor.numbers);
         x.like(rows.flat_map(|(row, f)| row.iter().map(move |v| v * f)).collect())
@@ -209,6 +205,10 @@ impl Ops for Cpu {
             kernels::most(Checked::now(), row, out);
         }
         Array::new(1, x.width, numbers)
+    }
+
+    fn at_step(_: &Array, _: usize, step: usize) -> usize {
+        step
     }
 
     fn rows_of(table: &Array, step: &usize) -> Array {

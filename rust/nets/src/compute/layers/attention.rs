@@ -1,5 +1,6 @@
 //! Attention and transformer encoder layers over the tokens of each agent, post-norm as in PyTorch.
 
+use super::perceptron::Perceptron;
 use crate::compute::backend::{KeyValue, Ops};
 
 /// Multi-head attention with separate projections.
@@ -36,46 +37,41 @@ impl<B: Ops> Attention<B> {
     }
 }
 
-/// Two linear layers with a ReLU between them.
+/// An encoder layer: x ← LN(x + attention(x)), x ← LN(x + W2 ReLU(W1 x)).
 #[derive(Debug)]
-pub struct FeedForward<B: Ops>(pub(crate) B::Linear, pub(crate) B::Linear);
-
-impl<B: Ops> FeedForward<B> {
-    /// Layers `up` to the hidden width and `down` from it.
-    pub fn new(p: &B::Path<'_>, width: i64, hidden: i64) -> Self {
-        Self(B::linear(&B::sub(p, "up"), width, hidden), B::linear(&B::sub(p, "down"), hidden, width))
-    }
-
-    /// Tokens of the width to tokens of the width.
-    pub fn forward(&self, x: &B::Tensor) -> B::Tensor {
-        B::apply(&self.1, &B::apply_relu(&self.0, x))
-    }
-}
-
-/// One encoder layer: x ← LN(x + attention(x)), x ← LN(x + W2 ReLU(W1 x)).
-#[derive(Debug)]
-pub struct TemporalLayer<B: Ops> {
+pub struct EncoderLayer<B: Ops> {
     attention: Attention<B>,
     norm: B::Norm,
-    feed: FeedForward<B>,
+    feed: Perceptron<B>,
     feed_norm: B::Norm,
 }
 
-impl<B: Ops> TemporalLayer<B> {
-    /// A layer with so many heads and hidden numbers.
-    pub fn new(p: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
+impl<B: Ops> EncoderLayer<B> {
+    /// A layer with so many heads and hidden numbers, its attention at a place of its own.
+    pub fn new(p: &B::Path<'_>, attention: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
         Self {
-            attention: Attention::new(&B::sub(p, "attention"), width, width, heads),
+            attention: Attention::new(attention, width, width, heads),
             norm: B::norm(&B::sub(p, "norm"), width),
-            feed: FeedForward::new(&B::sub(p, "feed"), width, hidden),
+            feed: Perceptron::feed(&B::sub(p, "feed"), width, hidden),
             feed_norm: B::norm(&B::sub(p, "feed_norm"), width),
         }
     }
 
-    /// [R, T, d] → [R, T, d].
-    pub fn forward(&self, x: &B::Tensor, mask: Option<&B::Mask>) -> B::Tensor {
+    /// [R, T, d] → [R, T, d]: attention between the tokens of a row.
+    pub fn within(&self, x: &B::Tensor, mask: Option<&B::Mask>) -> B::Tensor {
         let kv = self.attention.memory(x);
-        let x = B::sum_normed(&self.norm, x, self.attention.forward(x, &kv, mask));
+        self.fed(x, self.attention.forward(x, &kv, mask))
+    }
+
+    /// [R, T, d] → [R, T, d]: attention between rows, masked by G with self.
+    pub fn across(&self, x: &B::Tensor, slots: &B::Slots) -> B::Tensor {
+        let Attention { query, out, heads, .. } = &self.attention;
+        let mixed = B::attend_all(&B::apply(query, x), &self.attention.memory(x), slots, *heads);
+        self.fed(x, B::apply(out, &mixed))
+    }
+
+    fn fed(&self, x: &B::Tensor, attended: B::Tensor) -> B::Tensor {
+        let x = B::sum_normed(&self.norm, x, attended);
         B::sum_normed(&self.feed_norm, &x, self.feed.forward(&x))
     }
 }

@@ -1,5 +1,6 @@
 //! Embeddings of positions, diffusion steps, histories and routes.
 
+use super::perceptron::Perceptron;
 use crate::compute::backend::Ops;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::inputs::features::HISTORY_FEATURES;
@@ -48,8 +49,7 @@ impl<B: Ops> StepEmbedding<B> {
 
     /// Steps of the rows to a token of each, [R, 1, d].
     pub fn forward(&self, steps: &B::Steps) -> B::Tensor {
-        let up = B::apply(&self.up, &B::rows_of(&self.table, steps));
-        B::token(B::apply(&self.down, &B::mish(&up)))
+        B::apply(&self.down, &B::mish(&B::apply(&self.up, &B::rows_of(&self.table, steps))))
     }
 }
 
@@ -59,7 +59,7 @@ pub enum HistoryEmbedding<B: Ops> {
     /// A token per step.
     PerStep(B::Linear),
     /// One token.
-    Summary(B::Linear, B::Linear),
+    Summary(Perceptron<B>),
 }
 
 impl<B: Ops> HistoryEmbedding<B> {
@@ -72,10 +72,7 @@ impl<B: Ops> HistoryEmbedding<B> {
             }
             HistoryTokens::Summary => {
                 let inputs = (config.history_steps * HISTORY_FEATURES) as i64;
-                Self::Summary(
-                    B::linear(&B::sub(p, "in"), inputs, 4 * d),
-                    B::linear(&B::sub(p, "out"), 4 * d, d),
-                )
+                Self::Summary(Perceptron::named(p, &["in", "out"], &[inputs, 4 * d, d]))
             }
         }
     }
@@ -84,34 +81,26 @@ impl<B: Ops> HistoryEmbedding<B> {
     pub fn forward(&self, history: &B::Tensor) -> B::Tensor {
         match self {
             Self::PerStep(step) => B::apply(step, &B::columns(history, 0, HISTORY_FEATURES as i64 - 1)),
-            Self::Summary(first, second) => {
-                B::token(B::apply(second, &B::apply_relu(first, &B::joined(history))))
-            }
+            Self::Summary(layers) => layers.forward(&B::joined(history)),
         }
     }
 }
 
 /// Routes ahead → a part of the history's tokens, at first none.
 #[derive(Debug)]
-pub struct RouteEmbedding<B: Ops> {
-    up: B::Linear,
-    down: B::Linear,
-}
+pub struct RouteEmbedding<B: Ops>(Perceptron<B>);
 
 impl<B: Ops> RouteEmbedding<B> {
     /// An embedding of the places that the configuration names.
     pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (inputs, d) = (1 + 2 * config.route_points_m.len() as i64, config.width);
-        Self {
-            up: B::linear(&B::sub(p, "up"), inputs, 4 * d),
-            down: B::zero_linear(&B::sub(p, "down"), 4 * d, d),
-        }
+        let up = B::linear(&B::sub(p, "up"), inputs, 4 * d);
+        Self(Perceptron(vec![up, B::zero_linear(&B::sub(p, "down"), 4 * d, d)]))
     }
 
-    /// Routes [R, 1 + 2 P] and whether they are told [R, 1] → [R, 1, d].
+    /// Routes [R, 1, 1 + 2 P] and whether they are told [R, 1, 1] → [R, 1, d].
     pub fn forward(&self, (route, told): &(B::Tensor, B::Tensor)) -> B::Tensor {
-        let token = B::apply(&self.down, &B::apply_relu(&self.up, route));
-        B::token(B::scaled(&token, told))
+        B::scaled(&self.0.forward(route), told)
     }
 }
 

@@ -7,10 +7,21 @@ use crate::compute::backend::Ops;
 pub struct Perceptron<B: Ops>(pub(crate) Vec<B::Linear>);
 
 impl<B: Ops> Perceptron<B> {
-    /// Layers between these widths.
+    /// Layers by number between these widths.
     pub fn new(p: &B::Path<'_>, widths: &[i64]) -> Self {
-        let layer = |(i, w): (usize, &[i64])| B::linear(&B::sub(p, &i.to_string()), w[0], w[1]);
-        Self(widths.windows(2).enumerate().map(layer).collect())
+        let names: Vec<String> = (1..widths.len()).map(|i| (i - 1).to_string()).collect();
+        Self::named(p, &names, widths)
+    }
+
+    /// Layers of these names between these widths.
+    pub fn named(p: &B::Path<'_>, names: &[impl AsRef<str>], widths: &[i64]) -> Self {
+        let layers = names.iter().zip(widths.windows(2));
+        Self(layers.map(|(name, w)| B::linear(&B::sub(p, name.as_ref()), w[0], w[1])).collect())
+    }
+
+    /// Layers `up` to a hidden width and `down` from it.
+    pub fn feed(p: &B::Path<'_>, width: i64, hidden: i64) -> Self {
+        Self::named(p, &["up", "down"], &[width, hidden, width])
     }
 
     /// Tokens of the first width to tokens of the last.

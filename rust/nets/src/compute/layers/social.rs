@@ -3,7 +3,7 @@
 //! Every row attends to its own slots: batched per row, identical to masking an M x M² attention. The mask is applied
 //! before the softmax (reference.md#causal-mask).
 
-use super::attention::FeedForward;
+use super::perceptron::Perceptron;
 use crate::compute::backend::Ops;
 
 /// Gated attention over neighbours' tokens joined with the edge to them; self excluded unless alone.
@@ -22,7 +22,7 @@ pub struct EdgeAwareLayer<B: Ops> {
     pub(crate) gate_own: B::Linear,
     /// Before the queries.
     pub norm: B::Norm,
-    pub(crate) feed: FeedForward<B>,
+    pub(crate) feed: Perceptron<B>,
     pub(crate) feed_norm: B::Norm,
     pub(crate) heads: i64,
 }
@@ -42,7 +42,7 @@ impl<B: Ops> EdgeAwareLayer<B> {
             gate_in: linear("gate_in"),
             gate_own: linear("gate_own"),
             norm: norm("norm"),
-            feed: FeedForward::new(&B::sub(p, "feed"), width, hidden),
+            feed: Perceptron::feed(&B::sub(p, "feed"), width, hidden),
             feed_norm: norm("feed_norm"),
             heads,
         }
@@ -78,44 +78,5 @@ impl<B: Ops> EdgeAwareLayer<B> {
         let x = B::gated(&a, &g, &h, B::apply(&self.own, x));
         let fed = self.feed.forward(&B::normed(&self.feed_norm, &x));
         (B::sum(&x, fed), attention)
-    }
-}
-
-/// A plain encoder layer across agents, masked by G with self.
-#[derive(Debug)]
-pub struct PlainLayer<B: Ops> {
-    query: B::Linear,
-    key: B::Linear,
-    value: B::Linear,
-    out: B::Linear,
-    norm: B::Norm,
-    feed: FeedForward<B>,
-    feed_norm: B::Norm,
-    heads: i64,
-}
-
-impl<B: Ops> PlainLayer<B> {
-    /// A layer with so many heads and hidden numbers.
-    pub fn new(p: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
-        let linear = |name| B::linear(&B::sub(p, name), width, width);
-        let norm = |name| B::norm(&B::sub(p, name), width);
-        Self {
-            query: linear("query"),
-            key: linear("key"),
-            value: linear("value"),
-            out: linear("out"),
-            norm: norm("norm"),
-            feed: FeedForward::new(&B::sub(p, "feed"), width, hidden),
-            feed_norm: norm("feed_norm"),
-            heads,
-        }
-    }
-
-    /// [R, T, d] → [R, T, d].
-    pub fn forward(&self, x: &B::Tensor, slots: &B::Slots) -> B::Tensor {
-        let kv = (B::apply(&self.key, x), B::apply(&self.value, x));
-        let mixed = B::attend_all(&B::apply(&self.query, x), &kv, slots, self.heads);
-        let x = B::sum_normed(&self.norm, x, B::apply(&self.out, &mixed));
-        B::sum_normed(&self.feed_norm, &x, self.feed.forward(&x))
     }
 }

@@ -7,11 +7,11 @@
 //! [`Denoises::encode`] computes what does not depend on the noisy plan once; [`Denoises::predict`] runs per step.
 
 use crate::compute::backend::{Backend, KeyValue};
-use crate::compute::layers::attention::{Attention, TemporalLayer};
+use crate::compute::layers::attention::{Attention, EncoderLayer};
 use crate::compute::layers::edge::EdgeEncoder;
 use crate::compute::layers::embed::{self, HistoryEmbedding, RouteEmbedding, StepEmbedding};
 use crate::compute::layers::map::LineEncoder;
-use crate::compute::layers::social::{EdgeAwareLayer, PlainLayer};
+use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::networks::planner::{Denoises, Weighted};
 
@@ -22,7 +22,7 @@ const ROUNDS: usize = 2;
 #[derive(Debug)]
 struct Round<B: Backend> {
     map: Option<Attention<B>>,
-    temporal: Vec<TemporalLayer<B>>,
+    temporal: Vec<EncoderLayer<B>>,
 }
 
 /// Weights of a CCDiff network and what is computed from its configuration.
@@ -39,7 +39,7 @@ pub struct Network<B: Backend> {
     rounds: Vec<Round<B>>,
     edge_aware: Vec<EdgeAwareLayer<B>>,
     edge_norm: B::Norm,
-    plain: PlainLayer<B>,
+    plain: EncoderLayer<B>,
     out: B::Linear,
     positions: B::Tensor,
 }
@@ -70,12 +70,13 @@ impl<B: Backend> Weighted<B> for Network<B> {
             .map(|r| {
                 let q = numbered("round", r);
                 let map = config.map.as_ref().filter(|m| m.rounds.contains(&r));
-                let temporal = |l: usize| B::sub(&B::sub(&q, "temporal"), &l.to_string());
+                let temporal = |l: usize| {
+                    let p = B::sub(&B::sub(&q, "temporal"), &l.to_string());
+                    EncoderLayer::new(&p, &B::sub(&p, "attention"), d, heads, config.feed_forward)
+                };
                 Round {
                     map: map.map(|m| Attention::new(&B::sub(&q, "map"), d, m.feature_width, heads)),
-                    temporal: (0..config.temporal_layers)
-                        .map(|l| TemporalLayer::new(&temporal(l), d, heads, config.feed_forward))
-                        .collect(),
+                    temporal: (0..config.temporal_layers).map(temporal).collect(),
                 }
             })
             .collect();
@@ -93,7 +94,7 @@ impl<B: Backend> Weighted<B> for Network<B> {
                 .map(|l| EdgeAwareLayer::new(&numbered("edge_aware", l), d, config.edge_width, heads, hidden))
                 .collect(),
             edge_norm: B::norm(&at("edge_norm"), d),
-            plain: PlainLayer::new(&at("plain"), d, heads, config.feed_forward),
+            plain: EncoderLayer::new(&at("plain"), &at("plain"), d, heads, config.feed_forward),
             out: B::linear(&at("out"), d, 2),
             positions: B::table(p, &embed::positions(tokens, d), d),
             // last, so that the others' first weights do not depend on it
@@ -154,7 +155,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
             }
             x = B::sum_table(x, &self.positions);
             for layer in &round.temporal {
-                x = layer.forward(&x, context.mask.as_ref());
+                x = layer.within(&x, context.mask.as_ref());
             }
             if r == 0 {
                 let memory = x;
@@ -167,7 +168,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
                 }
                 x = B::normed(&self.edge_norm, own.as_ref().unwrap_or(&memory));
             } else {
-                x = self.plain.forward(&x, &context.slots);
+                x = self.plain.across(&x, &context.slots);
             }
         }
         (B::apply(&self.out, &B::last(&x, self.config.num_knots() as i64)), attention)

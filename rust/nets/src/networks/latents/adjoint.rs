@@ -41,8 +41,8 @@ impl Pulls for Cpu {
             own: layer.own.turned(),
             gate_in: layer.gate_in.turned(),
             gate_own: layer.gate_own.turned(),
-            up: layer.feed.0.turned(),
-            down: layer.feed.1.turned(),
+            up: layer.feed.0[0].turned(),
+            down: layer.feed.0[1].turned(),
         });
         Back { layers: decoder.layers.0.iter().map(Packed::turned).collect(), joint }
     }
@@ -111,7 +111,7 @@ fn through_social(
     let own = Cpu::apply(&layer.own, m);
     let gate = each(&g, [&h, &h, &h], |g, [h, ..]| (1.0 / (1.0 + libm::exp(-f64::from(g + h)))) as f32);
     let y = each(&a, [&gate, &own, &own], |a, [gate, own, _]| a + gate * (own - a));
-    let hidden = Cpu::apply_relu(&layer.feed.0, &Cpu::normed(&layer.feed_norm, &y));
+    let hidden = Cpu::apply_relu(&layer.feed.0[0], &Cpu::normed(&layer.feed_norm, &y));
 
     let of_hidden = behind_relu(Cpu::apply(&back.down, gradient), &hidden);
     let of_y = through_norm(&layer.feed_norm, &y, &Cpu::apply(&back.up, &of_hidden));

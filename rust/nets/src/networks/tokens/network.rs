@@ -2,27 +2,13 @@
 
 use super::{NUM_TOKENS, Now, drawn};
 use crate::compute::backend::Backend;
-use crate::compute::layers::attention::FeedForward;
+use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::guidance::Guidance;
 use crate::inputs::segments::SEGMENT_FEATURES;
 use crate::inputs::tokens::{NEAR_NUMBERS, own_columns};
 use crate::networks::planner::{Asked, Proposes, Weighted};
-
-/// A two-layer perceptron over the elements of a row.
-#[derive(Debug)]
-struct Elements<B: Backend>(B::Linear, B::Linear);
-
-impl<B: Backend> Elements<B> {
-    fn new(p: &B::Path<'_>, inputs: i64, hidden: i64, outputs: i64) -> Self {
-        Self(B::linear(&B::sub(p, "in"), inputs, hidden), B::linear(&B::sub(p, "out"), hidden, outputs))
-    }
-
-    fn forward(&self, x: &B::Tensor) -> B::Tensor {
-        B::apply(&self.1, &B::apply_relu(&self.0, x))
-    }
-}
 
 /// Attention of the query to elements, which are their own keys and values.
 #[derive(Debug)]
@@ -54,18 +40,18 @@ struct Round<B: Backend> {
     near: Look<B>,
     lines: Look<B>,
     norm: B::Norm,
-    feed: FeedForward<B>,
+    feed: Perceptron<B>,
 }
 
 /// Weights of a network of tokens.
 #[derive(Debug)]
 pub struct Network<B: Backend> {
-    own: Elements<B>,
-    near: Elements<B>,
-    lines: Elements<B>,
+    own: Perceptron<B>,
+    near: Perceptron<B>,
+    lines: Perceptron<B>,
     rounds: Vec<Round<B>>,
     norm: B::Norm,
-    head: Elements<B>,
+    head: Perceptron<B>,
     config: ModelConfig,
 }
 
@@ -79,17 +65,18 @@ impl<B: Backend> Weighted<B> for Network<B> {
                 near: Look::new(&B::sub(&q, "near"), d, inner, config.heads),
                 lines: Look::new(&B::sub(&q, "lines"), d, inner, config.heads),
                 norm: B::norm(&B::sub(&q, "norm"), d),
-                feed: FeedForward::new(&B::sub(&q, "feed"), d, config.feed_forward),
+                feed: Perceptron::feed(&B::sub(&q, "feed"), d, config.feed_forward),
             }
         };
         let own = own_columns(config.route_points_m.len()).count() as i64;
+        let part = |name: &str, widths: [i64; 3]| Perceptron::named(&at(name), &["in", "out"], &widths);
         Self {
-            own: Elements::new(&at("own"), own, d, d),
-            near: Elements::new(&at("near"), NEAR_NUMBERS as i64, inner, inner),
-            lines: Elements::new(&at("lines"), SEGMENT_FEATURES as i64, inner, inner),
+            own: part("own", [own, d, d]),
+            near: part("near", [NEAR_NUMBERS as i64, inner, inner]),
+            lines: part("lines", [SEGMENT_FEATURES as i64, inner, inner]),
             rounds: (0..config.temporal_layers).map(round).collect(),
             norm: B::norm(&at("norm"), d),
-            head: Elements::new(&at("head"), d, d, NUM_TOKENS as i64),
+            head: part("head", [d, d, NUM_TOKENS as i64]),
             config: config.clone(),
         }
     }
