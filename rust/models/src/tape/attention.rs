@@ -19,7 +19,7 @@ pub(super) fn attended(q: &Var, k: &Var, v: &Var, heads: usize) -> Var {
     shape.forward([&q.numbers, &k.numbers, &v.numbers], &mut weights, &mut numbers);
     let (q, k, v) = (q.clone(), k.clone(), v.clone());
     let learns = q.learns || k.learns || v.learns;
-    Var::made(q.tokens, q.width, numbers, learns, move |_, gradient| {
+    Var::made(q.like(numbers), learns, move |_, gradient| {
         let mut of = [&q, &k, &v].map(|x| vec![0.0; x.numbers.len()]);
         shape.back([&q.numbers, &k.numbers, &v.numbers], &weights, &gradient, &mut of);
         let [of_q, of_k, of_v] = of;
@@ -132,7 +132,7 @@ pub(super) fn mixed(
     );
     let (rows, edges) = ([q, k, v].map(Var::clone), edges.map(|(k, v)| [k.clone(), v.clone()]));
     let seen = Rc::clone(seen);
-    let made = Var::made(tokens, q.width, out, true, move |_, gradient| {
+    let made = Var::made(q.like(out), true, move |_, gradient| {
         let mut of_rows = rows.each_ref().map(|x| vec![0.0; x.numbers.len()]);
         let mut of_edges = [Vec::new(), Vec::new()];
         if let Some(edges) = &edges {

@@ -1,6 +1,7 @@
 //! Weights, and the layers that hold them.
 
 use super::{Node, Var};
+use ccdiff_nets::compute::cpu::Array;
 use ccdiff_nets::kernels::{self, Checked, PANEL, Packed, Strided};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -114,7 +115,8 @@ impl Linear {
         let mut numbers = Vec::new();
         kernels::trained(&x.numbers, &self.0.packed, relu, &mut numbers);
         let (part, from) = (Rc::clone(&self.0), x.clone());
-        Var::made(x.tokens, self.0.outputs, numbers, true, move |made, mut gradient| {
+        let made = Array::new(x.tokens, self.0.outputs, numbers);
+        Var::made(made, true, move |made, mut gradient| {
             if relu {
                 kernels::relu_back(Checked::now(), &mut gradient, &made.numbers);
             }
@@ -227,7 +229,7 @@ impl Norm {
         let mut sum = x.numbers.clone();
         kernels::add(Checked::now(), &mut sum, &y.numbers);
         let (norm, x, y, numbers) = (Rc::clone(&self.0), x.clone(), y.clone(), self.made(sum.clone(), false));
-        Var::made(y.tokens, y.width, numbers, true, move |_, mut gradient| {
+        Var::made(y.like(numbers), true, move |_, mut gradient| {
             norm.back(&sum, &mut gradient);
             x.learn(gradient.clone());
             y.learn(gradient);
@@ -272,7 +274,7 @@ impl Var {
         pull: impl FnOnce(&Node, &[f32], Vec<f32>) -> Vec<f32> + 'static,
     ) -> Self {
         let from = self.clone();
-        Self::made(self.tokens, self.width, numbers, true, move |made, gradient| {
+        Self::made(self.like(numbers), true, move |made, gradient| {
             from.learn(pull(made, &from.numbers, gradient));
         })
     }

@@ -12,6 +12,7 @@ pub use layers::{Parameters, Place};
 
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::torch::to_vec;
+use ccdiff_nets::compute::cpu::Array;
 use ccdiff_nets::kernels::{self, Checked, PANEL};
 use std::cell::{Cell, RefCell};
 use std::fmt;
@@ -42,9 +43,7 @@ fn note(pull: impl FnOnce() + 'static) {
 
 /// Numbers [rows, tokens, width] and, once they are known, their gradient.
 pub struct Node {
-    tokens: usize,
-    width: usize,
-    numbers: Vec<f32>,
+    array: Array,
     /// Whether they depend on weights.
     learns: bool,
     gradient: Cell<Vec<f32>>,
@@ -68,21 +67,15 @@ impl std::ops::Deref for Var {
     }
 }
 
+impl std::ops::Deref for Node {
+    type Target = Array;
+
+    fn deref(&self) -> &Array {
+        &self.array
+    }
+}
+
 impl Node {
-    /// Numbers of a row.
-    fn row(&self) -> usize {
-        (self.tokens * self.width).max(1)
-    }
-
-    fn rows(&self) -> usize {
-        self.numbers.len() / self.row()
-    }
-
-    /// The numbers.
-    pub fn numbers(&self) -> &[f32] {
-        &self.numbers
-    }
-
     /// Adds to the gradient, where one is wanted.
     fn learn(&self, gradient: Vec<f32>) {
         if !self.learns {
@@ -101,18 +94,16 @@ impl Node {
 impl Var {
     /// Numbers that depend on no weight.
     pub fn data(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
-        Self(Rc::new(Node { tokens, width, numbers, learns: false, gradient: Cell::default() }))
+        Self::of(Array::new(tokens, width, numbers))
+    }
+
+    fn of(array: Array) -> Self {
+        Self(Rc::new(Node { array, learns: false, gradient: Cell::default() }))
     }
 
     /// What an operation made; `learns` says whether it read weights or what depends on them.
-    fn made(
-        tokens: usize,
-        width: usize,
-        numbers: Vec<f32>,
-        learns: bool,
-        pull: impl FnOnce(&Node, Vec<f32>) + 'static,
-    ) -> Self {
-        let made = Self(Rc::new(Node { tokens, width, numbers, learns, gradient: Cell::default() }));
+    fn made(array: Array, learns: bool, pull: impl FnOnce(&Node, Vec<f32>) + 'static) -> Self {
+        let made = Self(Rc::new(Node { array, learns, gradient: Cell::default() }));
         if learns {
             let made = made.clone();
             note(move || {
@@ -126,21 +117,13 @@ impl Var {
     }
 
     /// Another form of the same number of tokens: numbers and gradients go through functions.
-    fn through(
-        &self,
-        tokens: usize,
-        width: usize,
-        numbers: Vec<f32>,
-        pull: impl FnOnce(&Node, Vec<f32>) -> Vec<f32> + 'static,
-    ) -> Self {
+    fn through(&self, array: Array, pull: impl FnOnce(&Node, Vec<f32>) -> Vec<f32> + 'static) -> Self {
         let from = self.clone();
-        Self::made(tokens, width, numbers, self.learns, move |made, gradient| {
-            from.learn(pull(made, gradient))
-        })
+        Self::made(array, self.learns, move |made, gradient| from.learn(pull(made, gradient)))
     }
 
     fn shaped(&self, tokens: usize, width: usize) -> Self {
-        self.through(tokens, width, self.numbers.clone(), |_, gradient| gradient)
+        self.through(Array::new(tokens, width, self.numbers.clone()), |_, gradient| gradient)
     }
 }
 

@@ -8,6 +8,7 @@ use crate::config::ModelConfig;
 use crate::layers::inputs;
 use crate::torch::to_vec;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
+use ccdiff_nets::compute::cpu::{Array, Cpu};
 use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
 use ccdiff_nets::inputs::features::EDGE_FEATURES;
 use ccdiff_nets::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
@@ -34,7 +35,7 @@ fn over_tokens(gradient: &[f32], tokens: usize, width: usize) -> Vec<f32> {
 fn gathered(x: &Var, tokens: usize, width: usize, places: Vec<u32>) -> Var {
     let numbers = places.iter().map(|at| x.numbers.get(*at as usize).copied().unwrap_or(0.0)).collect();
     let count = x.numbers.len();
-    x.through(tokens, width, numbers, move |_, gradient| {
+    x.through(Array::new(tokens, width, numbers), move |_, gradient| {
         let mut of = vec![0.0; count];
         for (at, g) in places.iter().zip(gradient) {
             if let Some(of) = of.get_mut(*at as usize) {
@@ -146,20 +147,16 @@ impl Ops for Tape {
     }
 
     fn sum(x: &Var, y: Var) -> Var {
-        let mut numbers = x.numbers.clone();
-        kernels::add(Checked::now(), &mut numbers, &y.numbers);
-        let (tokens, width, of_x) = (y.tokens, y.width, x.clone());
-        Var::made(tokens, width, numbers, x.learns || y.learns, move |_, gradient| {
+        let (made, of_x) = (Cpu::sum(x, Array::clone(&y)), x.clone());
+        Var::made(made, x.learns || y.learns, move |_, gradient| {
             of_x.learn(gradient.clone());
             y.learn(gradient);
         })
     }
 
     fn sum_table(x: Var, table: &Var) -> Var {
-        let mut numbers = x.numbers.clone();
-        kernels::add_cycle(Checked::now(), &mut numbers, &table.numbers);
-        let (tokens, width, table) = (x.tokens, x.width, table.clone());
-        Var::made(tokens, width, numbers, x.learns || table.learns, move |_, gradient| {
+        let (made, table) = (Cpu::sum_table(Array::clone(&x), table), table.clone());
+        Var::made(made, x.learns || table.learns, move |_, gradient| {
             if table.learns {
                 let mut of = vec![0.0; table.numbers.len()];
                 kernels::add_rows(Checked::now(), &gradient, &mut of);
@@ -170,13 +167,9 @@ impl Ops for Tape {
     }
 
     fn sum_token(x: Var, y: &Var) -> Var {
-        let (mut numbers, row) = (x.numbers.clone(), x.row());
-        for (x, y) in numbers.chunks_exact_mut(row).zip(y.numbers.chunks_exact(y.width.max(1))) {
-            kernels::add_cycle(Checked::now(), x, y);
-        }
-        let (tokens, width, y) = (x.tokens, x.width, y.clone());
-        Var::made(tokens, width, numbers, x.learns || y.learns, move |_, gradient| {
-            y.learn(over_tokens(&gradient, tokens, width));
+        let (made, y) = (Cpu::sum_token(Array::clone(&x), y), y.clone());
+        Var::made(made, x.learns || y.learns, move |_, gradient| {
+            y.learn(over_tokens(&gradient, x.tokens, x.width));
             x.learn(gradient);
         })
     }
@@ -186,10 +179,9 @@ impl Ops for Tape {
     }
 
     fn columns(x: &Var, from: i64, count: i64) -> Var {
+        let made = Cpu::columns(x, from, count);
         let (from, count, width) = (from as usize, count as usize, x.width);
-        let rows = x.numbers.chunks_exact(width.max(1));
-        let numbers = rows.flat_map(|row| &row[from..from + count]).copied().collect();
-        x.through(x.tokens, count, numbers, move |_, gradient| {
+        x.through(made, move |_, gradient| {
             let mut of = vec![0.0; gradient.len() / count * width];
             for (of, g) in of.chunks_exact_mut(width).zip(gradient.chunks_exact(count)) {
                 of[from..from + count].copy_from_slice(g);
@@ -199,12 +191,9 @@ impl Ops for Tape {
     }
 
     fn beside(x: &Var, y: &Var) -> Var {
-        let (m, n) = (x.width, y.width);
-        let rows = x.numbers.chunks_exact(m).zip(y.numbers.chunks_exact(n));
-        let numbers = rows.flat_map(|(x, y)| [x, y]).flatten().copied().collect();
-        let (x, y) = (x.clone(), y.clone());
-        Var::made(x.tokens, m + n, numbers, x.learns || y.learns, move |_, gradient| {
-            let rows = || gradient.chunks_exact(m + n);
+        let (made, m, x, y) = (Cpu::beside(x, y), x.width, x.clone(), y.clone());
+        Var::made(made, x.learns || y.learns, move |made, gradient| {
+            let rows = || gradient.chunks_exact(made.width);
             x.learn(rows().flat_map(|row| &row[..m]).copied().collect());
             y.learn(rows().flat_map(|row| &row[m..]).copied().collect());
         })
@@ -220,7 +209,7 @@ impl Ops for Tape {
             let rows = numbers.chunks_exact(row).zip(&factor.numbers);
             rows.flat_map(|(row, f)| row.iter().map(move |v| v * f)).collect()
         };
-        x.through(x.tokens, x.width, scale(&x.numbers), move |_, gradient| scale(&gradient))
+        x.through(x.like(scale(&x.numbers)), move |_, gradient| scale(&gradient))
     }
 
     fn greatest(x: &Var) -> Var {
@@ -252,7 +241,7 @@ impl Ops for Tape {
     fn mish(x: &Var) -> Var {
         let (mut numbers, from) = (x.numbers.clone(), x.clone());
         kernels::mish(Checked::now(), &mut numbers);
-        x.through(x.tokens, x.width, numbers, move |_, mut gradient| {
+        x.through(x.like(numbers), move |_, mut gradient| {
             kernels::mish_back(Checked::now(), &mut gradient, &from.numbers);
             gradient
         })
@@ -283,10 +272,9 @@ impl Ops for Tape {
     }
 
     fn gated(a: &Var, g: &Var, h: &Var, own: Var) -> Var {
-        let mut numbers = own.numbers.clone();
-        kernels::gate(Checked::now(), &mut numbers, &a.numbers, &g.numbers, &h.numbers);
+        let made = Cpu::gated(a, g, h, Array::clone(&own));
         let (a, g, h) = (a.clone(), g.clone(), h.clone());
-        Var::made(a.tokens, a.width, numbers, true, move |_, gradient| {
+        Var::made(made, true, move |_, gradient| {
             let [mut of_a, mut of_g, mut of_own] = [&a, &g, &own].map(|x| x.numbers.clone());
             kernels::gate_back(Checked::now(), &gradient, &mut of_a, &mut of_g, &h.numbers, &mut of_own);
             a.learn(of_a);
@@ -298,10 +286,7 @@ impl Ops for Tape {
 
     /// Noisy knots depend on no weight.
     fn plan(space: &PlanSpace, noisy: &Var, speed: &Var) -> Var {
-        let mut states = space.states(&space.actions(&noisy.numbers), &speed.numbers);
-        space.standardised(&mut states);
-        let width = states.len() / (noisy.rows() * noisy.tokens).max(1);
-        Var::data(noisy.tokens, width, states)
+        Var::of(Cpu::plan(space, noisy, speed))
     }
 
     fn stream(history: &Var, plan: Var, carried: bool, steps: Var) -> Var {
@@ -320,7 +305,7 @@ impl Ops for Tape {
             kernels::add_cycle(level, numbers, steps);
         }
         let history = history.clone();
-        Var::made(1 + tokens, width, numbers, true, move |_, gradient| {
+        Var::made(Array::new(1 + tokens, width, numbers), true, move |_, gradient| {
             let all = over_tokens(&gradient, 1 + tokens, width);
             let rows = || gradient.chunks_exact(row);
             plan.learn(rows().flat_map(|row| &row[width..]).copied().collect());
@@ -331,10 +316,9 @@ impl Ops for Tape {
     }
 
     fn last(x: &Var, count: i64) -> Var {
-        let (count, width, row) = (count as usize, x.width, x.row());
-        let from = row - count * width;
-        let numbers = x.numbers.chunks_exact(row).flat_map(|row| &row[from..]).copied().collect();
-        x.through(count, width, numbers, move |_, gradient| {
+        let (made, row) = (Cpu::last(x, count), x.row());
+        let from = row - made.row();
+        x.through(made, move |_, gradient| {
             let mut of = vec![0.0; gradient.len() / (row - from) * row];
             for (of, g) in of.chunks_exact_mut(row).zip(gradient.chunks_exact(row - from)) {
                 of[from..].copy_from_slice(g);

@@ -7,43 +7,33 @@ use crate::kernels::{Packed, Seen};
 /// Numbers [rows, tokens, width].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
-    pub(super) tokens: usize,
-    pub(super) width: usize,
-    pub(super) numbers: Vec<f32>,
+    /// Tokens of a row.
+    pub tokens: usize,
+    /// Numbers of a token.
+    pub width: usize,
+    /// The numbers, row by row.
+    pub numbers: Vec<f32>,
 }
 
 impl Array {
     /// Numbers in this shape; the rows follow.
-    pub(crate) fn new(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
+    pub fn new(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
         Self { tokens, width, numbers }
     }
 
-    /// The numbers, row by row.
-    pub(crate) fn into_numbers(self) -> Vec<f32> {
-        self.numbers
-    }
-
     /// Number of rows.
-    pub(crate) fn rows(&self) -> usize {
+    pub fn rows(&self) -> usize {
         self.numbers.len() / self.row()
     }
 
-    /// Numbers of a token.
-    pub(crate) fn width(&self) -> usize {
-        self.width
-    }
-
-    /// The numbers.
-    pub(crate) fn as_numbers(&self) -> &[f32] {
-        &self.numbers
-    }
-
-    pub(super) fn like(&self, numbers: Vec<f32>) -> Self {
+    /// Other numbers in the same shape.
+    #[must_use]
+    pub fn like(&self, numbers: Vec<f32>) -> Self {
         Self { numbers, ..*self }
     }
 
     /// Numbers of a row.
-    pub(super) fn row(&self) -> usize {
+    pub fn row(&self) -> usize {
         (self.tokens * self.width).max(1)
     }
 }

@@ -72,13 +72,13 @@ impl Pulls for Cpu {
                 gradient = behind_relu(gradient, &made[at]);
             }
         }
-        let (latent, width) = (z.width() as i64, context.width() as i64);
+        let (latent, width) = (z.width as i64, context.width as i64);
         let of_z = Cpu::columns(&gradient, 0, latent);
-        let Some((m, _, layer, back)) = joint else { return of_z.into_numbers() };
+        let Some((m, _, layer, back)) = joint else { return of_z.numbers };
         let of_context = Cpu::columns(&gradient, latent, width);
         let of_m = through_social(layer, back, &m, seen, &of_context);
         let mixed = Cpu::apply(&back.mixed, &of_m);
-        Cpu::sum(&of_z, Cpu::columns(&mixed, width, latent)).into_numbers()
+        Cpu::sum(&of_z, Cpu::columns(&mixed, width, latent)).numbers
     }
 }
 
@@ -89,9 +89,9 @@ fn behind_relu(gradient: Array, made: &Array) -> Array {
 
 /// A function of numbers in the same place.
 fn each(a: &Array, others: [&Array; 3], of: impl Fn(f32, [f32; 3]) -> f32) -> Array {
-    let [x, y, z] = others.map(Array::as_numbers);
-    let numbers = a.as_numbers().iter().enumerate().map(|(i, a)| of(*a, [x[i], y[i], z[i]]));
-    Array::new(1, a.width(), numbers.collect())
+    let [x, y, z] = others.map(|x| x.numbers.as_slice());
+    let numbers = a.numbers.iter().enumerate().map(|(i, a)| of(*a, [x[i], y[i], z[i]]));
+    Array::new(1, a.width, numbers.collect())
 }
 
 /// Gradients by the tokens of a layer that are its memory, too.
@@ -121,10 +121,10 @@ fn through_social(
     let of_a = each(&of_y, [&gate, &gate, &gate], |d, [gate, ..]| d * (1.0 - gate));
     let of_a = Cpu::sum(&of_a, Cpu::apply(&back.gate_in, &of_gate));
     let [of_q, of_k, of_v] = through_attention(
-        [&q, &kv.0, &kv.1, &edges.0, &edges.1].map(Array::as_numbers),
-        Cpu::apply(&back.out, &of_a).as_numbers(),
+        [&q, &kv.0, &kv.1, &edges.0, &edges.1].map(|x| x.numbers.as_slice()),
+        &Cpu::apply(&back.out, &of_a).numbers,
         &seen.slots.others,
-        (q.width(), layer.heads as usize),
+        (q.width, layer.heads as usize),
     );
     let of_norm = through_norm(&layer.norm, m, &Cpu::apply(&back.query, &of_q));
     [
@@ -139,10 +139,10 @@ fn through_social(
 
 /// Gradients by the rows of a layer norm.
 fn through_norm(norm: &Norm, x: &Array, gradient: &Array) -> Array {
-    let width = x.width();
+    let width = x.width;
     let mean = |numbers: &mut dyn Iterator<Item = f32>| numbers.sum::<f32>() / width as f32;
-    let rows = x.as_numbers().chunks_exact(width).zip(gradient.as_numbers().chunks_exact(width));
-    let mut numbers = Vec::with_capacity(x.as_numbers().len());
+    let rows = x.numbers.chunks_exact(width).zip(gradient.numbers.chunks_exact(width));
+    let mut numbers = Vec::with_capacity(x.numbers.len());
     for (x, gradient) in rows {
         let middle = mean(&mut x.iter().copied());
         let variance = mean(&mut x.iter().map(|x| (x - middle) * (x - middle)));
