@@ -17,8 +17,6 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.models import require_networks
 
-__all__ = ["FILES", "classes", "keywords", "page", "plan_fields", "tables"]
-
 Table = Mapping[str, Any]
 
 ROOT = Path(__file__).resolve().parents[1]

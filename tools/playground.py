@@ -13,8 +13,6 @@ from pathlib import Path
 
 from ccdiff_env.view.play import MODULE, write_playground
 
-__all__ = ["TARGET", "compiled", "target_is_installed"]
-
 TARGET = "wasm32-unknown-unknown"
 ROOT = Path(__file__).parents[1]
 

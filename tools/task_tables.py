@@ -18,8 +18,6 @@ from ccdiff_env.envs.selection import INFO_COLUMNS
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
-__all__ = ["TABLES", "filled"]
-
 _BLOCK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

@@ -10,8 +10,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["problems", "sentences"]
-
 ROOT = Path(__file__).resolve().parents[1]
 MAX_WORDS = 25
 MAX_NUMBERS = 3  #: In a sentence; a bullet may not have more, either.

@@ -9,11 +9,6 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
 
-__all__ = [
-    "add_other_scenes", "add_scene_arguments", "other_place", "place_from", "scenes_from",
-    "sources_help",
-]  # fmt: skip
-
 #: The sources that the short forms stand for, without ``--dataroot`` and with it.
 PLAIN, ROOTED = SOURCES[DEFAULT], SOURCES["nuscenes"]
 SHORT = ("dataroot", "version", "split")  #: Short forms of parts of ``--scenes``.

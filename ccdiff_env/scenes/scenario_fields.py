@@ -13,8 +13,6 @@ import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError
 
-__all__ = ["ScenarioFields"]
-
 F64 = npt.NDArray[np.float64]
 
 #: Numbers that one scenario may hold. A list that many fields share counts each time, and so does

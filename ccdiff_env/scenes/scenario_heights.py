@@ -9,8 +9,6 @@ import numpy.typing as npt
 
 from ccdiff_env.scenes.scenario_fields import F64
 
-__all__ = ["Heights", "ground"]
-
 F32 = npt.NDArray[np.float32]
 
 _HIGHEST_M = 9e3  #: Nothing lies higher above sea level or deeper below, see ``Scene``.

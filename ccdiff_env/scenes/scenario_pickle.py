@@ -20,8 +20,6 @@ import numpy.typing as npt
 from ccdiff_env.errors import DatasetError
 from ccdiff_env.system.files import read_bytes, reading
 
-__all__ = ["load_scenario_dict"]
-
 #: Kinds and sizes, in bytes, of numbers in arrays; the size of text is in characters.
 _DTYPE = re.compile(r"b1|[iu][1248]|f[248]|[US]\d{1,4}")
 

@@ -20,8 +20,6 @@ from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, Polygon
 from ccdiff_env.system.files import write_aside
 
-__all__ = ["scenario_dict", "write_scenario"]
-
 F64 = npt.NDArray[np.float64]
 
 VERSION = "0.1"  #: Version of the description's layout that is written.

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 
 from ccdiff_env.scenes import SceneSet
 
-__all__ = ["Place", "Source"]
-
 
 @dataclass(frozen=True)
 class Place:

@@ -23,11 +23,6 @@ from ccdiff_env.errors import (
     ShapeError,
 )
 
-__all__ = [
-    "MOST_BYTES", "MOST_TEXT_BYTES", "file_name", "num_values", "parsed_object", "read_bytes",
-    "read_text", "reading", "write_aside", "writing",
-]  # fmt: skip
-
 MOST_BYTES = 1 << 30  #: Bytes that a file may have, and what is unpacked of files.
 MOST_TEXT_BYTES = 64 << 20  #: Bytes of a text: settings, tables, manifests.
 

@@ -13,8 +13,6 @@ from typing import Any
 
 from ccdiff_env.errors import ConfigError
 
-__all__ = ["named_instance", "named_object", "option_values"]
-
 
 def named_object(text: str, what: str) -> Any:
     """Import ``module:name``; modules of the working folder are found, too.

@@ -10,8 +10,6 @@ from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TypeVar
 
-__all__ = ["results_of_processes"]
-
 _Work = TypeVar("_Work")
 _Result = TypeVar("_Result")
 

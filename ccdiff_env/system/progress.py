@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator
 from importlib import import_module
 from typing import Any, TypeVar
 
-__all__ = ["bar", "shown"]
-
 T = TypeVar("T")
 
 

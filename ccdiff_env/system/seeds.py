@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["spread_seed"]
-
 
 def spread_seed(seed: int, part: int = 0) -> int:
     """Return the seed of a run's worlds, 32 bits, far from that of any other run and part of it.

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from ccdiff_env.system.files import writing
 
-__all__ = ["Block", "Cell", "Column", "Figure", "Table", "TableRows", "document"]
-
 #: A value, and the ends of its interval; NaN where there is none.
 Figure = tuple[float, float, float]
 #: Words and counts stand as they are; of a float or a figure NaN is ``n/a``, ``None`` nothing.

@@ -12,8 +12,6 @@ from pathlib import Path
 
 from ccdiff_env.errors import ConfigError
 
-__all__ = ["align", "counted", "say", "say_page"]
-
 BOLD, PLAIN = "\033[1m", "\033[0m"  #: What a terminal shows bold, and what ends it.
 ENDLESS = 1_000_000  #: Width where nothing says how wide the terminal is: a pipe.
 _GAP = "  "

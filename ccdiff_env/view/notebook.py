@@ -10,8 +10,6 @@ from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import counted
 
-__all__ = ["install"]
-
 HEIGHT = 560  #: Of the frame that a replay is shown in, pixels.
 HEADS = ("scene", "location", "seconds", "agents", "vehicles")  #: Of tables of scenes.
 ROWS = 30  #: Scenes of a set that are listed, at most.
