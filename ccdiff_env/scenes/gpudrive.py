@@ -14,10 +14,9 @@ from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError
 from ccdiff_env.scenes import SceneSet, cache_folder
 from ccdiff_env.scenes.load_report import LoadReport
-from ccdiff_env.scenes.source_record import Place, Source
 from ccdiff_env.system.progress import shown
 
-__all__ = ["SOURCE", "SceneFiles", "load_gpudrive", "scene_files"]
+__all__ = ["SceneFiles", "load_gpudrive", "scene_files"]
 
 _AT_ONCE, _KEPT = 16, 64  #: Scenes that are read at once, and scenes that are kept.
 
@@ -138,16 +137,3 @@ def load_gpudrive(
     """
     files = SceneFiles(scene_files(path), cache_folder(cache))
     return SceneSet(files, files.report, names=files.names)
-
-
-def _load(place: Place) -> SceneSet:
-    return load_gpudrive(place.path or "")
-
-
-SOURCE = Source(
-    "gpudrive",
-    "Waymo (GPUDrive)",
-    _load,
-    path="FILE_OR_FOLDER_OR_PATTERN",
-    lacks="surfaces of lanes; the road is made from its edges",
-)

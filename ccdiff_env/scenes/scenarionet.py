@@ -20,8 +20,7 @@ import numpy.typing as npt
 from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
-from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
-from ccdiff_env.scenes.scenario_heights import Heights, ground
+from ccdiff_env.scenes.scenario_fields import F64, Heights, ScenarioFields, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, MapLayers, Polygon
 from ccdiff_env.system.files import reading
