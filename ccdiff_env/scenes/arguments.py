@@ -56,10 +56,8 @@ def add_other_scenes(parser: argparse.ArgumentParser, use: str) -> None:
 
 
 def place_from(args: argparse.Namespace) -> Place:
-    """Return the place that the arguments name, with version and split.
-
-    Raises:
-        ConfigError: If ``--scenes`` and a short form are given, or it names no scenes.
+    """Return the place that the arguments name, with version and split; ``--scenes`` beside a short
+    form, and a text that names no scenes, are a :class:`ConfigError`.
     """
     given = [name for name in SHORT if getattr(args, name) is not None]
     if args.scenes is not None:
@@ -78,10 +76,8 @@ def place_from(args: argparse.Namespace) -> Place:
 
 
 def other_place(args: argparse.Namespace) -> Place:
-    """Return the place of the other use that the arguments name.
-
-    Raises:
-        ConfigError: If both forms are given, or nothing says which scenes of the source are meant.
+    """Return the place of the other use that the arguments name; both forms, and nothing that says
+    which scenes of the source are meant, are a :class:`ConfigError`.
     """
     use: str = args.other_use
     text, split = getattr(args, f"{use}_scenes"), _joined(getattr(args, f"{use}_split"))

@@ -44,10 +44,8 @@ def named_object(text: str, what: str) -> Any:
 
 
 def named_instance(text: str, what: str) -> Any:
-    """Import what a text names; of a class make an object, without other arguments.
-
-    Raises:
-        ConfigError: As :func:`named_object`, and if the class needs options that are not given.
+    """Import what a text names; of a class make an object, without other arguments: one that needs
+    options which are not given is a :class:`ConfigError`.
     """
     found = named_object(text, what)
     if not isinstance(found, type):

@@ -31,12 +31,10 @@ def counted(number: int, what: str) -> str:
 
 
 def align(markdown: str, *, width: int = ENDLESS, bold: bool = False) -> str:
-    """Return Markdown whose tables are aligned for reading in lines of ``width``; numbers to the
-    right.
+    """Return Markdown whose tables are aligned for reading in lines of ``width``.
 
-    Rules under heads become lines. Tables that are too wide lose their intervals, then their
-    columns stand in several tables. Emphasised cells
-    (``**0.90**``) and headings are ``bold``; else cells keep a star.
+    Tables that are too wide lose their intervals, then their columns stand in several tables.
+    Emphasised cells (``**0.90**``) and headings are ``bold``; else cells keep a star.
     """
     out: list[str] = []
     rows: list[list[str]] = []
@@ -119,10 +117,8 @@ def _is_number(cell: str) -> bool:
 
 
 def say_page(path: Path, *, open_it: bool = False) -> None:
-    """Print the path of a page, how to open it where this is a terminal, and open it if wanted.
-
-    Raises:
-        ConfigError: If it is to be opened and there is no browser.
+    """Print the path of a page, how to open it where this is a terminal, and open it if wanted:
+    without a browser a :class:`ConfigError`.
     """
     print(path)
     address = path.resolve().as_uri()
