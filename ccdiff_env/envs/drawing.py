@@ -50,8 +50,11 @@ class _Images(gymnasium.Env[Any, Any]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
     render_mode = "rgb_array"
 
-    def __init__(self, render: Callable[[], Image]) -> None:
-        self.render = render  # type: ignore[method-assign,assignment]
+    def __init__(self, draw: Callable[[], Image]) -> None:
+        self._draw = draw
+
+    def render(self) -> Any:
+        return self._draw()
 
     def reset(self, **_: Any) -> tuple[None, dict[str, Any]]:
         return None, {}
@@ -65,7 +68,7 @@ class DrawnWorld:
     _render_options: dict[str, Any]
     _form: Form
     _info: str
-    _window: HumanRendering[Any, Any, Any] | None = None
+    _window: HumanRendering[Any, Any] | None = None
 
     @property
     def config(self) -> WorldConfig:
