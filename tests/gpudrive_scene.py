@@ -35,34 +35,35 @@ def inside(points):
     return np.where(said | driveway, (ring & said) | driveway, np.nan)
 
 
-def vehicle(identity, radius, speed, start_deg, *, first=0, last=STEPS - 1, kind="vehicle"):
-    """A road user that drives along a circle, counter-clockwise where the speed is positive."""
-    track = {"position": [], "heading": [], "velocity": [], "valid": []}
-    for step in range(STEPS):
-        valid = first <= step <= last
-        turned = math.radians(start_deg) + speed * step * 0.1 / radius
-        x = CENTRE[0] + radius * math.cos(turned)
-        y = CENTRE[1] + radius * math.sin(turned)
-        heading = turned + math.copysign(math.pi / 2, speed)
-        v = (abs(speed) * math.cos(heading), abs(speed) * math.sin(heading))
-        track["valid"].append(valid)
-        none = NOT_VALID
-        track["position"].append(
-            {"x": x if valid else none, "y": y if valid else none, "z": 0.5 if valid else none}
-        )
-        wrapped = math.remainder(heading, 2 * math.pi)
-        track["heading"].append(wrapped if valid else none)
-        track["velocity"].append({"x": v[0] if valid else none, "y": v[1] if valid else none})
+def road_user(identity, place, heading, velocity, valid=True, kind="vehicle", size=(4.6, 2.0, 1.5)):
+    """An object by places [T, 3], headings [T] and velocities [T, 2], nowhere where not valid."""
+    valid = np.broadcast_to(valid, len(place))
+    place, velocity = (np.where(valid[:, None], of, NOT_VALID) for of in (place, velocity))
+    position = [dict(zip("xyz", row, strict=True)) for row in place.tolist()]
     return {
         "id": identity,
         "type": kind,
-        "length": 4.6 if kind == "vehicle" else 0.8,
-        "width": 2.0 if kind == "vehicle" else 0.6,
-        "height": 1.5,
-        "goalPosition": track["position"][-1],
+        **dict(zip(("length", "width", "height"), size, strict=True)),
+        "position": position,
+        "heading": np.where(valid, heading, NOT_VALID).tolist(),
+        "velocity": [dict(zip("xy", row, strict=True)) for row in velocity.tolist()],
+        "valid": valid.tolist(),
+        "goalPosition": position[-1],
         "mark_as_expert": False,
-        **track,
     }
+
+
+def vehicle(identity, radius, speed, start_deg, *, first=0, last=STEPS - 1, kind="vehicle"):
+    """A road user that drives along a circle, counter-clockwise where the speed is positive."""
+    steps = np.arange(STEPS)
+    turned = math.radians(start_deg) + speed * steps * 0.1 / radius
+    heading = turned + math.copysign(math.pi / 2, speed)
+    out, along = (np.stack([np.cos(a), np.sin(a)], 1) for a in (turned, heading))
+    place = np.column_stack([CENTRE + radius * out, np.full(STEPS, 0.5)])
+    valid = (first <= steps) & (steps <= last)
+    size = (4.6, 2.0, 1.5) if kind == "vehicle" else (0.8, 0.6, 1.5)
+    wrapped = np.angle(np.exp(1j * heading))
+    return road_user(identity, place, wrapped, abs(speed) * along, valid, kind, size)
 
 
 def scene():

@@ -1,7 +1,5 @@
 """Scenario descriptions that were made to harm, as steps of the pickle machine."""
 
-from __future__ import annotations
-
 import pickle
 import struct
 from dataclasses import dataclass

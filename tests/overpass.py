@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gpudrive_scene import road_user
 
 STEPS = 91
 DT_S = 0.1
@@ -14,26 +15,15 @@ BRIDGE_M = 8.0  #: Height of the bridge over the road below, metres.
 Place = Callable[[float], tuple[float, float, float]]
 
 
-def vehicle(
-    number: int, place: Place, *, kind: str = "vehicle", heading: float = 0.0
-) -> dict[str, Any]:
-    """An object at ``place`` (x, y and elevation of the ground by time), heading along its way."""
-    size = {"length": 4.6, "width": 2.0, "height": 1.6}
-    at = np.array([place(step * DT_S) for step in range(STEPS)])
+def vehicle(number: int, place: Place, *, heading: float = 0.0) -> dict[str, Any]:
+    """A car at ``place`` (x, y and elevation of the ground by time), heading along its way."""
+    size = (4.6, 2.0, 1.6)
+    ground = [place(step * DT_S) for step in range(STEPS)]
+    at = np.add(ground, [0.0, 0.0, 0.5 * size[2]])
     velocity = np.gradient(at[:, :2], DT_S, axis=0)
     moves = np.hypot(*velocity.T) > 0.1
     headings = np.where(moves, np.arctan2(velocity[:, 1], velocity[:, 0]), heading)
-    return {
-        "id": number,
-        "type": kind,
-        **size,
-        "position": [{"x": x, "y": y, "z": z + 0.5 * size["height"]} for x, y, z in at.tolist()],
-        "heading": headings.tolist(),
-        "velocity": [{"x": x, "y": y} for x, y in velocity.tolist()],
-        "valid": [True] * STEPS,
-        "goalPosition": {"x": 0.0, "y": 0.0, "z": 0.0},
-        "mark_as_expert": False,
-    }
+    return road_user(number, at, headings, velocity, size=size)
 
 
 def on_bridge(x: float, speed: float = 10.0, y: float = 0.0) -> Place:

@@ -1,7 +1,5 @@
 """Run folders of `bench planners` without the runs: raw results by hand."""
 
-from __future__ import annotations
-
 import json
 
 from ccdiff_env.bench.planner_score import score_of

@@ -1,7 +1,5 @@
 """Benchmarks: figures of episodes, tables, planners, scores."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

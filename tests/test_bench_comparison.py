@@ -1,7 +1,5 @@
 """Methods against one another: paired differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

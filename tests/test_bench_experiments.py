@@ -1,7 +1,5 @@
 """Experiments of the traffic benchmark: over-speed, conflict of gradients, own weights."""
 
-from __future__ import annotations
-
 import json
 import re
 

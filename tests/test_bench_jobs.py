@@ -1,7 +1,5 @@
 """Benchmarks: jobs that go on where they stopped, by any number of processes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Planners of several runs in one page, recomputed from their raw results alone."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

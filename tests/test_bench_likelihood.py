@@ -1,7 +1,5 @@
 """Likelihood of the log: features, histograms, scores of methods that are known."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

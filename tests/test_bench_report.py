@@ -1,7 +1,5 @@
 """Reports of the benchmarks: pages of tables, plots and links to replays of what was measured."""
 
-from __future__ import annotations
-
 import json
 from html.parser import HTMLParser
 

@@ -1,7 +1,5 @@
 """Scenario sets and cross-evaluation: what is saved, what is refused, who meets what in them."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Numbers that a stranger can check: nothing stale, no other rules, every bit played again."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -59,16 +59,6 @@ def test_every_environment_says_and_sets_it(scenes):
     assert (rows.reset(seed=0)[1]["criticality"] == 0.5).all()
 
 
-def test_guidance_acts_where_it_is_set_and_nowhere_else(scenes):
-    for strength in (0.0, 1.0):
-        env = EgoEnv(scenes=scenes, criticality=strength, **QUICK)
-        env.reset(seed=0)
-        env.step(np.zeros(2, np.float32))
-        plan = env.worlds.native.explain(0)
-        assert plan["guided"].any() == (strength > 0)
-        assert (plan["realism_cost"].max() > 0) == (strength > 0)
-
-
 def test_learners_and_copies_carry_the_progress(scenes):
     env = SB3VecEnv(
         make_vec(2, scenes=scenes, criticality=growing, autoreset_mode="same_step", **QUICK)

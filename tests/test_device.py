@@ -13,7 +13,6 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
-import ccdiff_env
 from ccdiff_env import make_vec
 from ccdiff_env.cli import main
 from ccdiff_env.errors import ConfigError
@@ -137,25 +136,6 @@ def all_on_torch(monkeypatch):
     """
     for module in ("models.trajectory_model", "worlds.worlds"):
         monkeypatch.setattr(f"ccdiff_env.{module}.needs_torch", lambda *_: True)
-
-
-@needs_no_gpu
-def test_plans_on_cuda_are_those_of_the_processor(monkeypatch):
-    all_on_torch(monkeypatch)
-    scenes = list(ccdiff_env.embedded_scenes("val"))[:2]
-    guided = {"guidance_weight": 1.5, "guidance": "paper", "guided": [[0, 1], [1]]}
-    options = {"solver_steps": 3, "num_samples": 2, "attention": True, **guided}
-
-    def plans(device):
-        return TrajectoryModel(shipped_weights(), device=device).plan(scenes, [30, 30], **options)
-
-    with PretendCuda() as cuda:
-        on_cuda = plans("cuda")
-    assert cuda.num_on_cuda > 1000
-    for ours, theirs in zip(on_cuda, plans("cpu"), strict=True):
-        np.testing.assert_allclose(ours.states, theirs.states, atol=2e-3)
-        np.testing.assert_allclose(ours.attention, theirs.attention, atol=1e-4)
-        np.testing.assert_array_equal(ours.selected_sample, theirs.selected_sample)
 
 
 @needs_no_gpu

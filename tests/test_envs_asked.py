@@ -5,9 +5,8 @@ import copy
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces, wrappers
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import vector
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
@@ -137,28 +136,6 @@ def test_statistics_and_stacks_change_the_wrappers_space_alone(scenes):
     assert stacked.reset().shape == (2, 3 * flat.single_observation_space.shape[0])
     assert (own(env), own(flat)) == before
     assert getattr(env.single_observation_space, ATTRIBUTE)
-
-
-@pytest.mark.parametrize("form", [{}, RASTER])
-def test_wrappers_of_gymnasium_leave_spaces_alone(scenes, form):
-    for wrap in (
-        lambda env: wrappers.RescaleAction(env, -2.0, 2.0),
-        lambda env: wrappers.FrameStackObservation(env, 2),
-        wrappers.FlattenObservation,
-        wrappers.TimeAwareObservation if not form else wrappers.ClipAction,
-    ):
-        env = EgoEnv(scenes=scenes, **form)
-        before = copy.deepcopy(own(env))
-        wrapped = wrap(gymnasium.wrappers.TimeLimit(env, 5))
-        wrapped.reset(seed=0)
-        wrapped.step(wrapped.action_space.sample())
-        assert own(env) == before
-    env = ccdiff_env.make_vec(2, scenes=scenes, **form)
-    before = copy.deepcopy(own(env))
-    wrapped = vector.RescaleAction(vector.FlattenObservation(env), -2.0, 2.0)
-    wrapped.reset(seed=0)
-    wrapped.step(wrapped.action_space.sample())
-    assert own(env) == before
 
 
 def test_worlds_go_on_whatever_is_done_to_a_space_that_was_handed_out(scenes):

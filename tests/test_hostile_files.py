@@ -1,7 +1,5 @@
 """Files made to harm are refused in words, or do nothing: doors of the package by damages."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import dataclasses

@@ -1,7 +1,5 @@
 """Runs and submissions of strangers: every door refuses every damage in words, and runs no code."""
 
-from __future__ import annotations
-
 import base64
 import copy
 import json

@@ -1,7 +1,5 @@
 """Values, names, folders and bytes made to harm are refused in words, or do nothing."""
 
-from __future__ import annotations
-
 import ast
 import base64
 import contextlib

@@ -205,18 +205,6 @@ def test_benchmarks_run(words, tmp_path):
     assert without_torch(code, tmp_path) == "done"
 
 
-def test_banks_are_recorded(tmp_path):
-    code = """
-import pathlib
-import ccdiff_env
-from ccdiff_env.record.bank import _record
-packed = [ccdiff_env.embedded_scenes("val")[0].to_bytes()]
-_record((pathlib.Path("a.scenes"), packed, "ccdiff", 1.0, 0, "", False))
-"""
-    assert without_torch(code, tmp_path) == "done"
-    assert (tmp_path / "a.scenes").stat().st_size > 1000
-
-
 CALLS = {
     "EgoEnv(traffic='idm', dynamics='bicycle', reward={'goal': 5.0}, bev={})": "",
     "EgoVectorEnv(8, traffic={'idm': 0.5, 'replay': 0.5}, ccdiff={'num_samples': 2})": "",

@@ -105,6 +105,9 @@ def test_shapes_and_several_scenes(scenes):
     for scene, own, expected in zip(scenes, points, together, strict=True):
         np.testing.assert_array_equal(map_queries.road_distance(scene, own), expected)
     assert map_queries.road_distance(scenes[0], points[0, 0, 0]).shape == ()
+    # seen by who stands at (1, 1) and looks north
+    seen = map_queries.in_frame([[[3.0, 1.0], [1.0, 5.0]]], [[1.0, 1.0]], [np.pi / 2])
+    np.testing.assert_allclose(seen, [[[0.0, -2.0], [4.0, 0.0]]], atol=1e-6)
     assert map_queries.road_distance(scenes[0], np.zeros((0, 2))).shape == (0,)
 
 

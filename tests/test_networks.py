@@ -21,7 +21,6 @@ from traffic_play import Play
 from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models import guidance_preset, require_networks, shipped_weights, weight_files
-from ccdiff_env.scenes import load_nuscenes
 from ccdiff_env.traffic import KINDS
 
 FILES = {file.stem: os.fspath(file) for file in weight_files()}
@@ -160,18 +159,6 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps,
     # somebody sees several others
     assert (name in SCENE_DIFFUSIONS) == all(one is not None for one in seen)
     assert name not in SCENE_DIFFUSIONS or max((one > 0.01).sum(1).max() for one in seen) > 1
-
-
-@pytest.mark.nuscenes
-@pytest.mark.parametrize("name", NAMES)
-def test_so_they_are_on_real_scenes(name, data_root, tmp_path):
-    require_networks()
-    from ccdiff_env import _models
-
-    scenes = load_nuscenes(data_root / "nuscenes", "v1.0-mini", "mini_val", kinds=["vehicle"])
-    torch = _models.load_network(FILES[name], "cpu")
-    ours, theirs = (plans(model, name, found=scenes) for model in (own(name), torch))
-    expect_rounding(tmp_path, name, ours, theirs, found=scenes)
 
 
 @pytest.mark.parametrize("name", sorted({"trafficsim_fast", "strive_fast"} & {*NAMES}))

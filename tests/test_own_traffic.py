@@ -230,26 +230,6 @@ def test_kinds_are_those_of_rust_and_weights_of_another_kind_are_refused():
         env_of("simnet", simnet={"weights": str(shipped_weights("ccdiff"))})
 
 
-def test_benchmarks_take_a_model_by_its_path():
-    from ccdiff_env.bench import likelihood, planners, traffic
-
-    path, source = f"{__name__}:Model", "embedded/val"
-    names = ["cut-in-03"]
-    rows = traffic.evaluate(
-        source=source, names=names, method=path, num_controlled=2, replan_steps=5, seed=0
-    )
-    assert [row["scene"] for row in rows] == names
-    assert rows[0]["num_controlled"] == 2
-    jobs = planners.planner_jobs(source, ["idm"], [path])
-    arguments = {**jobs[0].arguments, "names": names}
-    ((row,), _) = planners.evaluate(**arguments)
-    assert 0.0 <= row["score"] <= 1.0
-    (job, *_) = likelihood.likelihood_jobs(source, [path], num_samples=2)
-    assert likelihood.evaluate(**{**job.arguments, "names": names})
-    with pytest.raises(UnknownNameError, match="crazy"):
-        planners.planner_jobs(source, ["idm"], ["crazy"])
-
-
 def test_a_model_is_told_the_ego_who_is_parked_and_how_critical_it_shall_be():
     told = []
 

@@ -38,24 +38,13 @@ def tables(num_scenes: int = 2, num_frames: int = 5) -> dict[str, list[dict]]:
             yaw = 3.1 + 0.05 * k
             turned = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
             add("sample", sample, timestamp=time, scene_token=f"t{s}")
-            places = {"sample_token": sample, "ego_pose_token": pose}
-            add(
-                "sample_data",
-                f"data{s}-{k}",
-                **places,
-                calibrated_sensor_token="c",
-                is_key_frame=True,
-            )
+            of = {"sample_token": sample, "calibrated_sensor_token": "c", "is_key_frame": True}
+            add("sample_data", f"data{s}-{k}", ego_pose_token=pose, **of)
             at, here = [1000.0 + 5 * k, 500.0, 0.0], [1010.0, 500.0 + 2 * k, 1.0]
             add("ego_pose", pose, timestamp=time, translation=at, rotation=[1.0, 0.0, 0.0, 0.0])
             box = {"translation": here, "size": [1.9, 4.5, 1.6], "rotation": turned}
-            add(
-                "sample_annotation",
-                f"box{s}-{k}",
-                sample_token=sample,
-                instance_token=f"car{s}",
-                **box,
-            )
+            of = {"sample_token": sample, "instance_token": f"car{s}"}
+            add("sample_annotation", f"box{s}-{k}", **of, **box)
     return rows
 
 

@@ -167,32 +167,29 @@ def test_built_scenes_are_kept(tmp_path):
     assert ccdiff_env.load_gpudrive(file, cache=cache)[0] != first[0]
 
 
-def _object(data, i=0):
-    return data["objects"][i]
+def ego(number):
+    """Say that another object is the ego."""
+    return lambda d: d["metadata"].update(sdc_track_index=number)
+
+
+def first(change):
+    """Change the first object."""
+    return lambda d: change(d["objects"][0])
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda d: d.pop("objects"), "missing field `objects`"),
-        (
-            lambda d: d["metadata"].update(sdc_track_index=9),
-            "sdc_track_index is 9, expected the ind",
-        ),
-        (lambda d: d["metadata"].update(sdc_track_index=-1), "sdc_track_index is -1"),
-        (
-            lambda d: d["metadata"].update(sdc_track_index=4),
-            "sdc_track_index is fewer than 2 steps",
-        ),
-        (lambda d: _object(d)["heading"].pop(), r"objects\[0\].*heading is 90 entries long"),
-        (lambda d: _object(d)["position"].append({"x": 0, "y": 0}), "position is 92 entries long"),
-        (
-            lambda d: _object(d)["position"][9].update(x=-10000),
-            r"objects\[0\]\.position\[9\].*x is -1",
-        ),
-        (lambda d: _object(d)["velocity"][9].update(y=1e9), r"velocity\[9\].*y is 1000000000"),
-        (lambda d: _object(d).update(length=0), "size is 0 x 2"),
-        (lambda d: _object(d).update(id=7), "id of an object .7. is there twice"),
+        (ego(9), "sdc_track_index is 9, expected the ind"),
+        (ego(-1), "sdc_track_index is -1"),
+        (ego(4), "sdc_track_index is fewer than 2 steps"),
+        (first(lambda o: o["heading"].pop()), r"objects\[0\].*heading is 90 entries long"),
+        (first(lambda o: o["position"].append({"x": 0, "y": 0})), "position is 92 entries long"),
+        (first(lambda o: o["position"][9].update(x=-10000)), r"\[0\]\.position\[9\].*x is -1"),
+        (first(lambda o: o["velocity"][9].update(y=1e9)), r"velocity\[9\].*y is 1000000000"),
+        (first(lambda o: o.update(length=0)), "size is 0 x 2"),
+        (first(lambda o: o.update(id=7)), "id of an object .7. is there twice"),
         (lambda d: d["roads"][0]["geometry"][3].update(x=1e300), r"roads\[0\].*geometry is 1"),
         (lambda d: d["roads"][0].update(geometry=3), "invalid JSON"),
         (lambda d: d.update(scenario_id="a\nb"), "scenario_id is a"),

@@ -158,22 +158,6 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert coverage(parse("embedded"), 41) == "41 scenes"
 
 
-def test_a_limit_counts_the_scenes_that_are_played(tmp_path, capsys):
-    out = tmp_path / "run"
-    few = ["--scenes", "embedded/city", "--limit", "2", "--seeds", "0", "--out", str(out)]
-    assert main([*PLANNERS, *few]) == 0
-    said = "2 of 200 scenes of city"
-    assert json.loads((out / "run.json").read_text())["coverage"] == said
-    assert f"embedded scenes, {said}, the first 2" in (out / "report.html").read_text()
-    capsys.readouterr()
-    page = tmp_path / "board.html"
-    assert main(["bench", "leaderboard", str(out), "--out", str(page)]) == 0
-    assert f"embedded scenes, {said}, the first 2, no protocol" in capsys.readouterr().out
-    assert said in page.read_text()
-    for text in (out / "table.md", out / "report.html", page):
-        assert "200 of 200" not in text.read_text()
-
-
 def arguments(words, use="test", **options):
     parser = argparse.ArgumentParser()
     add_scene_arguments(parser, use, **options)

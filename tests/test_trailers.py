@@ -7,7 +7,6 @@ from array_scenes import TIMES_S, agent, array_scene, log_env, played
 import ccdiff_env
 from ccdiff_env import EgoEnv
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.record.episode import begin, play, recorders_of
 
 EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
 TRUCK = {"size": (6.0, 2.5, 3.2)}
@@ -35,13 +34,12 @@ def test_they_stay_hitched_whatever_drives(traffic, starts):
 
 
 def test_a_recording_says_that_the_trailer_is_towed(tmp_path):
-    scenes = ccdiff_env.SceneSet([array_scene(EGO, *hitched(20.0 + 8.0 * TIMES_S))])
-    config = ccdiff_env.WorldConfig(driver="replay", traffic="idm", autoreset="disabled")
-    worlds = begin(scenes, config, 0)
-    recorders = recorders_of(worlds, scenes.names)
-    for _ in play(worlds, recorders=recorders, most=5):
-        pass
-    rollout = recorders[0].rollout()
+    env = log_env(EGO, *hitched(20.0 + 8.0 * TIMES_S), traffic="idm")
+    env.reset(seed=0)
+    recorder = ccdiff_env.Recorder(env)
+    env.step(np.zeros(2, np.float32))
+    recorder.step()
+    rollout = recorder.rollout()
     assert list(rollout.driver_names) == ["replay", "idm", "towed"]
     rollout.save(tmp_path / "a.npz")
     assert ccdiff_env.Rollout.load(tmp_path / "a.npz").driver_names == rollout.driver_names

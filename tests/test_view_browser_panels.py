@@ -56,27 +56,6 @@ def test_one_run_alone_is_spoken_of_alone(visit):
     assert ("contact in" in page.inner_text("#captions")) == (least < 10.0)
 
 
-def test_the_matrix_holds_the_times_to_contact_of_the_core(visit):
-    from ccdiff_env.metrics import causal
-
-    page = visit("one.html")
-    run = planned_rollout()
-    step = 20
-    seconds = causal.ttc(
-        run.position[:, step],
-        run.heading[:, step],
-        (run.velocity[:, step] ** 2).sum(-1) ** 0.5,
-        run.scene.sizes[:, :2],
-        run.valid[:, step],
-        normalised=False,
-    )
-    pairs = page.evaluate("replay.runs[0].pairs(20)")
-    near = {(a, b) for a, b in zip(*(seconds <= 10.0).nonzero(), strict=True) if a < b}
-    assert {(a, b) for a, b, _ in pairs} == near
-    for a, b, ttc in pairs:
-        assert ttc == pytest.approx(seconds[a, b], abs=0.03)
-
-
 def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
     page = visit("one.html")
     assert "ego drove into 1" in page.inner_text("#outcome .verdict")
