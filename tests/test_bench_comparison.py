@@ -53,4 +53,7 @@ def test_the_page_holds_differences_to_ccdiff():
     ctg = next(line for line in text.splitlines() if line.startswith("| CTG | 5 |"))
     assert "+0.50 [" in ctg
     assert "+1.00 [+1.00, +1.00]" in ctg
+    # the front is CTG and CCDiff; CCDiff of equal training is a sixth of the scale from the latter
+    assert "| CCDiff, equal training | 0.00 | 0.83 | 0.17 |" in text
+    assert "| CTG | 1.00 | 0.67 | 0.00 |" in text
     assert comparison({}) == ["One method alone."]

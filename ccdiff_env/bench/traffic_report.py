@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import BRACKETS, FEW, LEAST_SCENES, RESAMPLES, column, interval
 from ccdiff_env.bench.methods import METHODS, label_of
-from ccdiff_env.metrics import comfort_distance, scores
+from ccdiff_env.metrics import comfort_distance, generational_distance, scores
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
 Row = Mapping[str, Any]
@@ -213,13 +213,14 @@ def difference(one: Figures, other: Figures, name: str) -> Figure:
 
 
 def comparison(table: Summary) -> list[Block]:
-    """Return paired differences to CCDiff.
+    """Return paired differences to CCDiff, and distances to the Pareto front.
 
     CCDiff is the one of equal training where it was played (``ccdiff_equal``), else the shipped.
     """
     equal = any(c.method == "ccdiff_equal" for c in table)
     base = "ccdiff_equal" if equal else "ccdiff"
-    return _against(table, base) or ["One method alone."]
+    blocks = _against(table, base) + ([] if _few(table) else _distances(table))
+    return blocks or ["One method alone."]
 
 
 def _against(table: Summary, base: str) -> list[Block]:
@@ -240,4 +241,34 @@ def _against(table: Summary, base: str) -> list[Block]:
         Table(["method", "K", "T s", *COMPARED.values()], rows, f"Less {METHODS[base].label}"),
         f"Means over scenes, same scenes and vehicles; {note} "
         "Methods without guidance: less the same without guidance.",
+    ]
+
+
+def _distances(table: Summary) -> list[Block]:
+    """GD and IGD to the Pareto front of control and realism, of methods that have every K."""
+    relative = with_scores(table)
+    if not relative:
+        return []
+    steps = min(c.replan_steps for c in relative)
+    of: dict[str, list[tuple[float, float]]] = {}
+    for c, pair in relative.items():
+        if c.replan_steps == steps:
+            of.setdefault(c.method, []).append(pair)
+    most = max(map(len, of.values()))
+    whole = {method: points for method, points in of.items() if len(points) == most}
+    points = np.array(list(whole.values()))
+    if len(whole) < 2 or not np.isfinite(points).all():  # no road, no realism
+        return []
+    gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
+    rows: TableRows = [
+        [label_of(method), *map(float, figures)]
+        for method, *figures in zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
+    ]
+    return [
+        Table(
+            ["method", *map(Column, ("CS", "RS", "GD", "IGD"))],
+            rows,
+            "Distance to the Pareto front of control and realism",
+        ),
+        f"Means over {most} values of K; less is better for GD and IGD.",
     ]
