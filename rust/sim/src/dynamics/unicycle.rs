@@ -1,7 +1,7 @@
 //! Unicycle: acceleration and yaw rate.
 
 use super::{Action, KinState, LateralSpeed};
-use crate::geom::Real;
+use crate::geom::{Real, math};
 use crate::options;
 use crate::options::{MOTION, POSITIVE_MOTION, within};
 use std::f32::consts::TAU;
@@ -30,7 +30,7 @@ impl UnicycleLimits {
     pub const LEAST_PACE_MPS: Real = 0.1;
 
     /// Highest yaw rate at a speed, radians per second.
-    #[inline]
+    #[inline(always)]
     pub fn yaw_rate_bound(&self, speed_mps: Real) -> Real {
         let speed = speed_mps.abs();
         let by_speed = (self.max_curvature_1pm * speed)
@@ -45,8 +45,8 @@ impl UnicycleLimits {
         ([self.acceleration_mps2[0], -yaw_rate, 0.0], [self.acceleration_mps2[1], yaw_rate, 0.0])
     }
 
-    #[inline]
-    pub(super) fn advance(
+    #[inline(always)]
+    pub(crate) fn advance(
         &self,
         state: &mut KinState,
         cos: Real,
@@ -54,13 +54,14 @@ impl UnicycleLimits {
         action: Action,
         dt_s: Real,
     ) -> LateralSpeed {
-        let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
-        let next_speed = (state.speed_mps + acceleration * dt_s).clamp(self.speed_mps[0], self.speed_mps[1]);
+        let acceleration = math::within(action[0], self.acceleration_mps2[0], self.acceleration_mps2[1]);
+        let next_speed =
+            math::within(state.speed_mps + acceleration * dt_s, self.speed_mps[0], self.speed_mps[1]);
         let bound = self.yaw_rate_bound(state.speed_mps);
         let distance = 0.5 * (state.speed_mps + next_speed) * dt_s;
         state.x += distance * cos;
         state.y += distance * sin;
-        state.heading_rad += action[1].clamp(-bound, bound) * dt_s;
+        state.heading_rad += math::within(action[1], -bound, bound) * dt_s;
         state.speed_mps = next_speed;
         LateralSpeed { lateral_mps: 0.0 }
     }

@@ -12,13 +12,33 @@ pub fn sin_cos(angle_rad: Real) -> (Real, Real) {
 /// A direction turned by an angle in radians; small angles by their series, to the last bits.
 #[inline]
 pub(crate) fn turned(direction: Vector2, angle_rad: Real) -> Vector2 {
-    let square = angle_rad * angle_rad;
-    let (sin, cos) = if square < 0.01 {
-        (angle_rad * (1.0 - square / 6.0 * (1.0 - square / 20.0)), 1.0 - 0.5 * square * (1.0 - square / 12.0))
-    } else {
-        sin_cos(angle_rad)
-    };
+    if is_small(angle_rad) {
+        return turned_a_little(direction, angle_rad);
+    }
+    let (sin, cos) = sin_cos(angle_rad);
     Vector2::new(direction.x * cos - direction.y * sin, direction.y * cos + direction.x * sin)
+}
+
+/// Whether [`turned`] turns by the series.
+#[inline(always)]
+pub(crate) fn is_small(angle_rad: Real) -> bool {
+    angle_rad * angle_rad < 0.01
+}
+
+/// As [`turned`], for angles that are small.
+#[inline(always)]
+pub(crate) fn turned_a_little(direction: Vector2, angle_rad: Real) -> Vector2 {
+    let square = angle_rad * angle_rad;
+    let sin = angle_rad * (1.0 - square / 6.0 * (1.0 - square / 20.0));
+    let cos = 1.0 - 0.5 * square * (1.0 - square / 12.0);
+    Vector2::new(direction.x * cos - direction.y * sin, direction.y * cos + direction.x * sin)
+}
+
+/// As `clamp`, without its assertion, which keeps loops from becoming vectors.
+#[inline(always)]
+pub(crate) fn within(x: Real, low: Real, high: Real) -> Real {
+    let x = if x < low { low } else { x };
+    if x > high { high } else { x }
 }
 
 /// Angle of the vector (x, y), radians in (−π, π].

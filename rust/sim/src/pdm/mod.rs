@@ -9,12 +9,12 @@ mod score;
 #[cfg(test)]
 mod tests;
 
-use crate::dynamics::KinState;
-use crate::geom::{Point2, Pose2, Projection, Real, Vector2};
+use crate::dynamics::{KinState, UnicycleLimits};
+use crate::geom::{Point2, Pose2, Projection, Real, Vector2, math};
 use crate::stage::{CentreLine, Ground, PreparedScene};
 use crate::state::{AgentStates, Footprint};
 use forecast::Forecast;
-use proposals::{BesideLine, Rollout, roll};
+use proposals::{BesideLine, Rollout, near, roll};
 
 pub(crate) use proposals::steering;
 
@@ -48,8 +48,9 @@ impl<'a> Scene<'a> {
     pub(crate) fn yaw_rate(&self, offset_m: Real) -> Real {
         let state = self.present();
         let before_radps = self.states.yaw_rate_radps[self.ego];
-        let beside = BesideLine::new(self.line, self.place.s_m, &state, self.heading());
-        beside.yaw_rate(state.speed_mps, offset_m, before_radps, self.dt_s)
+        let near = near(self.line, self.place.s_m);
+        let beside = BesideLine::new(near, &state, self.heading(), math::turned);
+        beside.yaw_rate(&UnicycleLimits::default(), state.speed_mps, offset_m, before_radps, self.dt_s)
     }
 
     /// The ground of the ego's road where it passes a place.

@@ -2,11 +2,11 @@
 
 use super::Scene;
 use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
-use crate::dynamics::{Dynamics, KinState, UnicycleLimits};
+use crate::dynamics::{KinState, UnicycleLimits};
 use crate::geom::{Real, Vector2, math};
 use crate::policy::{IdmConfig, idm_with, share_of};
-use crate::stage::{CentreLine, Place};
-use crate::state::Footprint;
+use crate::simd_dispatch::simd_dispatch;
+use crate::stage::CentreLine;
 
 /// Shares of the speed limit, and distances from the centre line, metres.
 const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
@@ -55,7 +55,7 @@ pub(super) struct Rollout {
 }
 
 /// Yaw rate that follows a curve, critically damped in the distance from it. `error_sin`: of the heading from the curve's.
-#[inline]
+#[inline(always)]
 pub(crate) fn steering(
     limits: &UnicycleLimits,
     speed_mps: Real,
@@ -68,7 +68,19 @@ pub(crate) fn steering(
         curvature_1pm - 2.0 / length_m * error_sin - lateral_m.clamp(-1.5, 1.5) / (length_m * length_m);
     let most = TURN_MPS2 / speed_mps.max(1.0).powi(2);
     let bound = limits.yaw_rate_bound(speed_mps).min(YAW_RATE_RADPS);
-    (speed_mps * wanted.clamp(-most, most)).clamp(-bound, bound)
+    math::within(speed_mps * math::within(wanted, -most, most), -bound, bound)
+}
+
+/// The line around an arc length: of the two places nearest to it x, y, heading and curvature; cosine and sine of the first
+/// heading; and the share of the second place there.
+pub(super) type Near = [Real; 11];
+
+#[inline(always)]
+pub(super) fn near(line: &CentreLine, s_m: Real) -> Near {
+    let (a, b, share) = line.around(s_m);
+    let (p, q) = (&a.position, &b.position);
+    let [h, c] = [[a.heading_rad, b.heading_rad], [a.curvature_1pm, b.curvature_1pm]];
+    [p.x, q.x, p.y, q.y, h[0], h[1], c[0], c[1], a.direction.x, a.direction.y, share]
 }
 
 /// Where a state is beside the line near an arc length.
@@ -82,23 +94,40 @@ pub(super) struct BesideLine {
 }
 
 impl BesideLine {
-    #[inline]
-    pub(super) fn new(line: &CentreLine, s_m: Real, state: &KinState, heading: Vector2) -> Self {
-        let Place { position, direction, curvature_1pm, .. } = line.at(s_m);
-        let (dx, dy) = (state.x - position.x, state.y - position.y);
+    #[inline(always)]
+    pub(super) fn new(
+        near: Near,
+        state: &KinState,
+        heading: Vector2,
+        mut turned: impl FnMut(Vector2, Real) -> Vector2,
+    ) -> Self {
+        let [x0, x1, y0, y1, heading0, heading1, curvature0, curvature1, cos, sin, share] = near;
+        let direction = turned(Vector2::new(cos, sin), share * (heading1 - heading0));
+        let curvature_1pm = curvature0 + share * (curvature1 - curvature0);
+        let (dx, dy) = (state.x - (x0 + (x1 - x0) * share), state.y - (y0 + (y1 - y0) * share));
         let ahead_m = dx * direction.x + dy * direction.y;
         let lateral_m = dy * direction.x - dx * direction.y;
-        let error = Vector2::new(direction.dot(&heading), direction.x * heading.y - direction.y * heading.x);
-        Self { curvature_1pm, ahead_m, lateral_m, error: math::turned(error, -curvature_1pm * ahead_m) }
+        let error = Vector2::new(
+            direction.x * heading.x + direction.y * heading.y,
+            direction.x * heading.y - direction.y * heading.x,
+        );
+        Self { curvature_1pm, ahead_m, lateral_m, error: turned(error, -curvature_1pm * ahead_m) }
     }
 
     /// Yaw rate that leads to a distance from the line, after a yaw rate in the step before.
-    #[inline]
-    pub(super) fn yaw_rate(&self, speed_mps: Real, offset_m: Real, before_radps: Real, dt_s: Real) -> Real {
-        let (limits, lateral_m) = (UnicycleLimits::default(), self.lateral_m - offset_m);
-        let wanted = steering(&limits, speed_mps, self.curvature_1pm, self.error.y, lateral_m);
+    #[inline(always)]
+    pub(super) fn yaw_rate(
+        &self,
+        limits: &UnicycleLimits,
+        speed_mps: Real,
+        offset_m: Real,
+        before_radps: Real,
+        dt_s: Real,
+    ) -> Real {
+        let lateral_m = self.lateral_m - offset_m;
+        let wanted = steering(limits, speed_mps, self.curvature_1pm, self.error.y, lateral_m);
         let change = YAW_ACCELERATION_RADPS2 * dt_s;
-        wanted.clamp(before_radps - change, before_radps + change)
+        math::within(wanted, before_radps - change, before_radps + change)
     }
 }
 
@@ -143,8 +172,10 @@ impl Way {
         speeds.iter_mut().zip(&now).for_each(|(speeds, (_, speed))| speeds.push(*speed));
         for t in 0..=last + more {
             for ((share, speeds), (s_m, speed)) in SHARES.iter().zip(&mut speeds).zip(&mut now) {
-                let limit = line.at(*s_m).limit_mps.min(scene.speed_limit_mps);
-                let wanted = (limit * share).min(line.at(*s_m + 0.5 * *speed).curve_speed_mps);
+                let limit = line.around(*s_m).0.limit_mps.min(scene.speed_limit_mps);
+                let (a, b, w) = line.around(*s_m + 0.5 * *speed);
+                let wanted =
+                    (limit * share).min(a.curve_speed_mps + w * (b.curve_speed_mps - a.curve_speed_mps));
                 let leader = self.leader(t.min(last), *s_m, half_length_m);
                 let acceleration = idm_with(&IDM, *speed, leader, tenth_power(share_of(*speed, wanted)));
                 *s_m += *speed * scene.dt_s;
@@ -157,58 +188,133 @@ impl Way {
 }
 
 /// A proposal on its way.
-struct Drive<'a> {
-    /// Speeds of [`Way::speeds`].
-    planned_mps: &'a [Real],
+#[derive(Clone, Copy)]
+struct Drive {
     state: KinState,
     heading: Vector2,
     s_m: Real,
     /// Acceleration and yaw rate of the last step.
     last: [Real; 2],
-    out: Rollout,
 }
 
-impl<'a> Drive<'a> {
-    fn new(scene: &Scene<'_>, offset_m: Real, planned_mps: &'a [Real], num_steps: usize) -> Self {
-        let (state, heading) = (scene.present(), scene.heading());
+/// How a step is taken.
+struct Pace {
+    dt_s: Real,
+    /// Time ahead of the planned speed, s.
+    look_s: Real,
+    limits: UnicycleLimits,
+}
+
+impl Drive {
+    fn new(scene: &Scene<'_>) -> Self {
         let acceleration = scene.states.acceleration_mps2[scene.ego].clamp(-8.0, 4.0);
         let last = [acceleration, scene.states.yaw_rate_radps[scene.ego]];
-        let mut out = Rollout {
-            states: Vec::with_capacity(num_steps + 1),
-            directions: Vec::with_capacity(num_steps + 1),
-            actions: Vec::with_capacity(num_steps),
-            progress_m: 0.0,
-            offset_m,
-        };
-        out.states.push(state);
-        out.directions.push(heading);
-        Self { planned_mps, state, heading, s_m: scene.place.s_m, last, out }
+        Self { state: scene.present(), heading: scene.heading(), s_m: scene.place.s_m, last }
     }
 
-    /// One step towards the speed planned `look` steps ahead.
-    #[inline]
-    fn go(&mut self, scene: &Scene<'_>, look: usize, own: &Footprint) {
-        let (dt_s, before, [last, last_yaw_rate]) = (scene.dt_s, self.state, self.last);
-        let (speed, beside) =
-            (before.speed_mps, BesideLine::new(scene.line, self.s_m, &before, self.heading));
-        let planned_mps = self.planned_mps[self.out.actions.len() + look];
-        let wanted = SHARE * (planned_mps - speed) / (look as Real * dt_s);
+    #[inline(always)]
+    fn from_numbers([x, y, heading_rad, speed_mps, cos, sin, s_m, a, w]: [Real; 9]) -> Self {
+        let state = KinState { x, y, heading_rad, speed_mps };
+        Self { state, heading: Vector2::new(cos, sin), s_m, last: [a, w] }
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> [Real; 9] {
+        let Self { state, heading, s_m, last: [a, w] } = self;
+        [state.x, state.y, state.heading_rad, state.speed_mps, heading.x, heading.y, *s_m, *a, *w]
+    }
+
+    /// Where it is after a step towards a planned speed and a distance from the line.
+    #[inline(always)]
+    fn after(
+        self,
+        pace: &Pace,
+        near: Near,
+        [planned_mps, offset_m]: [Real; 2],
+        mut turned: impl FnMut(Vector2, Real) -> Vector2,
+    ) -> Self {
+        let (dt_s, [last, last_yaw_rate], speed) = (pace.dt_s, self.last, self.state.speed_mps);
+        let beside = BesideLine::new(near, &self.state, self.heading, &mut turned);
+        let wanted = SHARE * (planned_mps - speed) / pace.look_s;
         let acceleration = last + dt_s / (dt_s + LAG_S) * (wanted - last);
-        self.last = [acceleration, beside.yaw_rate(speed, self.out.offset_m, last_yaw_rate, dt_s)];
-        let action = [acceleration, self.last[1], 0.0];
-        Dynamics::default().advance(&mut self.state, self.heading.x, self.heading.y, action, dt_s, own);
-        self.s_m += beside.ahead_m + 0.5 * (speed + self.state.speed_mps) * dt_s * beside.error.x;
-        self.heading = math::turned(self.heading, self.state.heading_rad - before.heading_rad);
-        self.out.states.push(self.state);
-        self.out.directions.push(self.heading);
-        self.out.actions.push(self.last);
+        let yaw_rate = beside.yaw_rate(&pace.limits, speed, offset_m, last_yaw_rate, dt_s);
+        let mut state = self.state;
+        pace.limits.advance(&mut state, self.heading.x, self.heading.y, [acceleration, yaw_rate, 0.0], dt_s);
+        let s_m = self.s_m + (beside.ahead_m + 0.5 * (speed + state.speed_mps) * dt_s * beside.error.x);
+        let heading = turned(self.heading, state.heading_rad - self.state.heading_rad);
+        Self { state, heading, s_m, last: [acceleration, yaw_rate] }
+    }
+}
+
+/// Proposals side by side; the last lane repeats the last proposal.
+const LANES: usize = 16;
+type Lanes<const N: usize> = [[Real; LANES]; N];
+/// Of [`Drive::numbers`].
+const ARC_LENGTH: usize = 6;
+
+#[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "iterators keep the loop of the caller from becoming vectors")]
+fn lane<const N: usize>(lanes: &Lanes<N>, k: usize) -> [Real; N] {
+    let mut numbers = [0.0; N];
+    for i in 0..N {
+        numbers[i] = lanes[i][k];
+    }
+    numbers
+}
+
+#[inline(always)]
+#[allow(clippy::needless_range_loop, reason = "iterators keep the loop of the caller from becoming vectors")]
+fn put<const N: usize>(lanes: &mut Lanes<N>, k: usize, numbers: [Real; N]) {
+    for i in 0..N {
+        lanes[i][k] = numbers[i];
+    }
+}
+
+simd_dispatch! {
+    /// One step of all proposals, and whether one of them turns so far that the series is not exact.
+    fn step(
+        pace: &Pace,
+        drives: &Lanes<9>,
+        places: &Lanes<11>,
+        aims: &Lanes<2>,
+        after: &mut Lanes<9>,
+        is_wide: &mut bool,
+    ) {
+        // copies, so that the compiler knows that nothing overlaps
+        let (drives, places, aims, mut wide) = (*drives, *places, *aims, false);
+        let mut out = [[0.0; LANES]; 9];
+        for k in 0..LANES {
+            let drive = Drive::from_numbers(lane(&drives, k));
+            let drive = drive.after(pace, lane(&places, k), lane(&aims, k), |direction, angle_rad| {
+                wide |= !math::is_small(angle_rad);
+                math::turned_a_little(direction, angle_rad)
+            });
+            put(&mut out, k, drive.numbers());
+        }
+        (*after, *is_wide) = (out, wide);
+    }
+}
+
+/// As [`step`], for turns of any size.
+#[cold]
+fn step_of_wide_turns(
+    pace: &Pace,
+    drives: &Lanes<9>,
+    places: &Lanes<11>,
+    aims: &Lanes<2>,
+    after: &mut Lanes<9>,
+) {
+    for k in 0..LANES {
+        let drive = Drive::from_numbers(lane(drives, k));
+        put(after, k, drive.after(pace, lane(places, k), lane(aims, k), math::turned).numbers());
     }
 }
 
 /// Drives [`Proposal::all`] against the forecast. The speeds planned for two distances from the line are the same where the
 /// same boxes are in the way.
 pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
-    let (own, look) = (scene.footprint(scene.ego), (LOOK_S / scene.dt_s).round().max(1.0) as usize);
+    let own = scene.footprint(scene.ego);
+    let look = (LOOK_S / scene.dt_s).round().max(1.0) as usize;
     let mut planned: Vec<(Way, [Vec<Real>; SHARES.len()])> = Vec::with_capacity(OFFSETS_M.len());
     let of_offset = OFFSETS_M.map(|offset_m| {
         let way = Way::new(forecast, offset_m, own.half_width_m);
@@ -219,18 +325,35 @@ pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
         })
     });
     let speeds = of_offset.iter().flat_map(|i| &planned[*i].1);
-    let mut drives: Vec<_> = Proposal::all()
-        .zip(speeds)
-        .map(|(p, speeds)| Drive::new(scene, p.offset_m, speeds, forecast.num_steps))
-        .collect();
-    for _ in 0..forecast.num_steps {
-        for drive in &mut drives {
-            drive.go(scene, look, own);
+    let proposals: Vec<(Real, &[Real])> =
+        Proposal::all().zip(speeds).map(|(p, speeds)| (p.offset_m, &speeds[look..])).collect();
+    let pace =
+        Pace { dt_s: scene.dt_s, look_s: look as Real * scene.dt_s, limits: UnicycleLimits::default() };
+    let mut track = vec![Drive::new(scene).numbers().map(|number| [number; LANES]); forecast.num_steps + 1];
+    let (mut places, mut aims, mut is_wide) = ([[0.0; LANES]; 11], [[0.0; LANES]; 2], false);
+    for t in 0..forecast.num_steps {
+        let [drives, after] = &mut track[t..t + 2] else { unreachable!("one more than steps") };
+        for k in 0..LANES {
+            let (offset_m, speeds) = proposals[k.min(proposals.len() - 1)];
+            put(&mut places, k, near(scene.line, drives[ARC_LENGTH][k]));
+            put(&mut aims, k, [speeds[t], offset_m]);
+        }
+        step(&pace, drives, &places, &aims, after, &mut is_wide);
+        if is_wide {
+            step_of_wide_turns(&pace, drives, &places, &aims, after);
         }
     }
-    let start_m = scene.place.s_m;
-    let done = |drive: Drive<'_>| Rollout { progress_m: (drive.s_m - start_m).max(0.0), ..drive.out };
-    drives.into_iter().map(done).collect()
+    let rollout = |(k, (offset_m, _)): (usize, &(Real, &[Real]))| {
+        let drives = || track.iter().map(|lanes| Drive::from_numbers(lane(lanes, k)));
+        Rollout {
+            states: drives().map(|drive| drive.state).collect(),
+            directions: drives().map(|drive| drive.heading).collect(),
+            actions: drives().skip(1).map(|drive| drive.last).collect(),
+            progress_m: (track[forecast.num_steps][ARC_LENGTH][k] - scene.place.s_m).max(0.0),
+            offset_m: *offset_m,
+        }
+    };
+    proposals.iter().enumerate().map(rollout).collect()
 }
 
 /// x¹⁰, for [`IDM`]'s exponent.

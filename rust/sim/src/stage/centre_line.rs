@@ -88,9 +88,7 @@ impl CentreLine {
     /// The line at an arc length, between the two places nearest to it; clamped to the ends.
     #[inline]
     pub fn at(&self, s_m: Real) -> Place {
-        let f = (s_m / STEP_M).max(0.0).min((self.places.len() - 1) as Real);
-        let i = (f as usize).min(self.places.len() - 2);
-        let (a, b, w) = (&self.places[i], &self.places[i + 1], f - i as Real);
+        let (a, b, w) = self.around(s_m);
         let mix = |a: Real, b: Real| a + w * (b - a);
         Place {
             position: a.position + (b.position - a.position) * w,
@@ -100,6 +98,14 @@ impl CentreLine {
             curve_speed_mps: mix(a.curve_speed_mps, b.curve_speed_mps),
             limit_mps: a.limit_mps,
         }
+    }
+
+    /// The two places nearest to an arc length, clamped to the ends, and the share of the second one there.
+    #[inline(always)]
+    pub(crate) fn around(&self, s_m: Real) -> (&Place, &Place, Real) {
+        let f = (s_m / STEP_M).max(0.0).min((self.places.len() - 1) as Real);
+        let i = (f as usize).min(self.places.len() - 2);
+        (&self.places[i], &self.places[i + 1], f - i as Real)
     }
 
     /// Nearest place of the line to a point; near an arc length where one is given. Past the ends the arc length goes on.
