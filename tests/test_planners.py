@@ -25,6 +25,7 @@ from ccdiff_env.planners.built_in import BUILT_IN, load_sb3
 from ccdiff_env.planners.planning import Tracker
 from ccdiff_env.view import page_html
 from ccdiff_env.view.sources import play_scene
+from ccdiff_env.worlds import Worlds
 from ccdiff_env_cli import main
 
 REPLAY = TRAFFIC["replay"]
@@ -37,6 +38,29 @@ def trained(scenes, algorithm=PPO, policy="MlpPolicy", wrap=lambda env: env, **o
     env = ccdiff_env.make_vec(2, scenes=scenes, autoreset_mode="same_step", **options)
     model = algorithm(policy, wrap(SB3VecEnv(env)), n_steps=8, batch_size=8, seed=0)
     return model.learn(16)
+
+
+def test_an_ego_decides_on_what_the_step_wrote_or_on_what_was_restored(scenes, monkeypatch):
+    seen, observed, observe = [], [], Worlds.observe
+    monkeypatch.setattr(Worlds, "observe", lambda self, i: observed.append(i) or observe(self, i))
+
+    def straight_on(obs):
+        seen.append(obs.copy())
+        return np.zeros((len(obs), 2))
+
+    env = ccdiff_env.make_vec(2, scenes=scenes, traffic="idm", driver=straight_on)
+    obs, _ = env.reset(seed=3)
+    for _ in range(5):
+        given = obs.copy()
+        obs[:] = 0.0  # callers may change their arrays
+        obs = env.step(np.zeros((2, 2)))[0]
+        assert np.array_equal(seen[-1], given)
+    assert not observed
+    kept, there = env.snapshot(0), obs[0].copy()
+    env.step(np.zeros((2, 2)))
+    env.restore(0, kept)
+    env.step(np.zeros((2, 2)))
+    assert np.array_equal(seen[-1][0], there)
 
 
 class Bicycle:

@@ -142,6 +142,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         self.worlds.native.reset([normalized], [scene_idx], None, out, [wanted])
         if self._seat is not None:
             self._seat.reset([0])
+            self._seat.see(out)
         self.worlds.assign(0, assigned)
         self._actions = []
         self._show()
@@ -166,6 +167,8 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         checked = self.worlds.actions(action, self.worlds.action_shape)
         out = self.worlds.arrays()
         self.worlds.native.step(checked, out)
+        if self._seat is not None:
+            self._seat.see(out)
         if self._actions is not None:
             self._actions.append(checked.tobytes())
         self._show()

@@ -170,6 +170,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         self._begun[done] = True
         if self._seat is not None:
             self._seat.reset(np.flatnonzero(done))
+            self._seat.see(arrays)
         for_all = isinstance(given.get("drivers"), Mapping)
         for i in np.flatnonzero(done):
             self.worlds.assign(int(i), drivers[i], passing_over=for_all)
@@ -206,8 +207,10 @@ class EgoVectorEnv(OnWorlds, AsVector):
         out = self._kept or self.worlds.arrays()
         self.worlds.native.step(checked, out, mask)
         self._keep_others(out, mask)
-        if self._seat is not None and out.was_reset.any():
-            self._seat.reset(np.flatnonzero(out.was_reset))
+        if self._seat is not None:
+            if out.was_reset.any():
+                self._seat.reset(np.flatnonzero(out.was_reset))
+            self._seat.see(out)
         reward = out.reward[:, 0]
         terminated, truncated = out.terminated[:, 0], out.truncated[:, 0]
         infos = self._step_infos(out, mask)

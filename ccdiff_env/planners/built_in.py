@@ -39,7 +39,7 @@ from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
-from ccdiff_env.worlds.spaces import U8, Form
+from ccdiff_env.worlds.spaces import F32, U8, Form, StepArrays
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "seated",
 ]  # fmt: skip
 
-F32 = npt.NDArray[np.float32]
 #: Planners of the package by name, without weights of their own.
 BUILT_IN: dict[str, type] = {**RULES, "noop": NoOp, "arbiter": Arbiter}
 #: From observations of N worlds to actions [N, W], or indices [N].
@@ -170,6 +169,7 @@ class Seat:
         self._planner = planner
         self._act: Any = None if isinstance(planner, type) else planner
         self._worlds: Worlds | None = None
+        self._seen: tuple[F32, U8 | None] | None = None
         self._clipped = False
         self._frame = getattr(planner, "frame", "scene")
         if self._frame not in FRAMES:
@@ -220,6 +220,7 @@ class Seat:
 
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
         """Tell the planner that episodes begin in some worlds."""
+        self._seen = None
         if self._worlds is not None:
             which = np.asarray(indices, np.int64)
             self._held.reset(which)
@@ -228,19 +229,32 @@ class Seat:
                     lambda: self._act.reset(self._given_worlds, which), self._worlds, which
                 )
 
+    def see(self, out: StepArrays) -> None:
+        """Keep a copy of what a reset or step of all worlds wrote, for :meth:`decide`."""
+        rasters = out.bev if self._form != "flat" else None
+        self._seen = out.obs[:, 0].copy(), None if rasters is None else rasters[:, 0].copy()
+
     def decide(self, worlds: Worlds) -> npt.NDArray[Any]:
-        """Return actions for the present of worlds, whose seats are taken at the first call."""
+        """Return actions for the present of worlds, whose seats are taken at the first call.
+
+        Worlds that were restored since the last :meth:`see` are observed.
+        """
+        seen = self._seen
         if self._worlds is None:
             self.begin(worlds)
-        rows = [worlds.observe(i)[0][0] for i in range(worlds.num_worlds)]
-        return self(np.stack(rows))
+        if seen is None:
+            seen = np.stack([worlds.observation(i)[0] for i in range(worlds.num_worlds)]), None
+        return self(seen[0], rasters=seen[1])
 
-    def __call__(self, obs: F32, active: npt.NDArray[np.bool_] | None = None) -> npt.NDArray[Any]:
+    def __call__(
+        self, obs: F32, active: npt.NDArray[np.bool_] | None = None, rasters: U8 | None = None
+    ) -> npt.NDArray[Any]:
         """Return actions for rows [E, D].
 
         Args:
             obs: Observations.
             active: Worlds [E] that go on; all by default. The actions of the others mean nothing.
+            rasters: Rasters [E, P, S, S] where the planner sees them; drawn by default.
 
         Raises:
             ShapeError: If the planner returns another shape, or numbers that are not finite.
@@ -249,12 +263,15 @@ class Seat:
         """
         if self._worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
-        return self._held(lambda due: self._decided(obs, due), active)
+        return self._held(lambda due: self._decided(obs, rasters, due), active)
 
-    def _decided(self, obs: F32, due: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
+    def _decided(
+        self, obs: F32, rasters: U8 | None, due: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[Any]:
         """Return what the planner decides, checked."""
         assert self._worlds is not None
-        given = self._worlds.layout.observation(self._form, obs, self._rasters())
+        rasters = self._rasters() if rasters is None else rasters
+        given = self._worlds.layout.observation(self._form, obs, rasters)
         answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
         found, shape = np.asarray(answered), self._held.shape
         if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
