@@ -80,5 +80,29 @@ pub enum SimError {
     },
 }
 
+impl SimError {
+    /// [`SimError::Config`] of a field.
+    pub fn config(
+        field: impl Into<Cow<'static, str>>,
+        got: impl ToString,
+        expected: impl Into<String>,
+    ) -> Self {
+        Self::Config { field: field.into(), got: got.to_string(), expected: expected.into() }
+    }
+
+    /// [`SimError::Unknown`] of a kind of thing.
+    pub fn unknown(what: &'static str, got: impl ToString, expected: impl Into<String>) -> Self {
+        Self::Unknown { what, got: got.to_string(), expected: expected.into() }
+    }
+}
+
+/// Refuses an array of another length than expected.
+///
+/// # Errors
+/// [`SimError::Length`].
+pub fn check_length(what: &'static str, got: usize, expected: usize) -> Result<()> {
+    if got == expected { Ok(()) } else { Err(SimError::Length { what, got, expected }) }
+}
+
 /// Result with [`SimError`].
 pub type Result<T> = std::result::Result<T, SimError>;

@@ -17,7 +17,7 @@ pub mod stage;
 pub mod state;
 pub mod world;
 
-pub use error::{Result, SimError};
+pub use error::{Result, SimError, check_length};
 pub use simd_dispatch::{hold_to_base, is_held_to_base};
 
 use std::hash::{Hash, Hasher};

@@ -339,8 +339,8 @@ pub fn check<T: Setting + Serialize>(path: &str, value: &T) -> Result<()> {
     T::FORM.check(path, None, &to_value(value))
 }
 
-fn wrong(field: &str, got: impl ToString, expected: impl ToString) -> SimError {
-    SimError::Config { field: field.to_owned().into(), got: got.to_string(), expected: expected.to_string() }
+fn wrong(field: &str, got: impl ToString, expected: impl Into<String>) -> SimError {
+    SimError::config(field.to_owned(), got, expected)
 }
 
 fn inside(path: &str, name: &str) -> String {
@@ -365,6 +365,9 @@ impl Form {
         let number = |v: &Value| v.as_f64().filter(|x| x.abs() <= f64::from(Real::MAX) && allowed(*x));
         match self {
             Self::Any => Ok(()),
+            Self::Optional(_) if value.is_null() => Ok(()),
+            Self::Named(_) if value.is_string() => Ok(()),
+            Self::Optional(form) | Self::Named(form) => form.check(path, range, value),
             Self::Flag => fits(value.is_boolean(), "true or false"),
             Self::Text => fits(value.is_string(), "a name"),
             Self::Count => fits(value.as_u64().is_some_and(|n| allowed(n as f64)), "a whole number"),
@@ -386,23 +389,9 @@ impl Form {
                 let mut values = values.iter().enumerate();
                 values.try_for_each(|(i, v)| form.check(&format!("{path}[{i}]"), range, v))
             }
-            Self::Optional(form) => {
-                if value.is_null() {
-                    Ok(())
-                } else {
-                    form.check(path, range, value)
-                }
-            }
             Self::ByName(form) => {
                 let Some(values) = value.as_object() else { return fail("values by name".into()) };
                 values.iter().try_for_each(|(name, v)| form.check(&inside(path, name), range, v))
-            }
-            Self::Named(form) => {
-                if value.is_string() {
-                    Ok(())
-                } else {
-                    form.check(path, range, value)
-                }
             }
             Self::OneOf(choice) => {
                 let (name, content) = match value {

@@ -87,22 +87,9 @@ pub struct AgentStates {
 impl AgentStates {
     /// States of `num_agents` agents, none of them active.
     pub fn new(num_agents: usize) -> Self {
-        let zeros = || vec![0.0; num_agents];
-        Self {
-            x: zeros(),
-            y: zeros(),
-            heading_rad: zeros(),
-            cos: vec![1.0; num_agents],
-            sin: zeros(),
-            speed_mps: zeros(),
-            velocity_x_mps: zeros(),
-            velocity_y_mps: zeros(),
-            acceleration_mps2: zeros(),
-            yaw_rate_radps: zeros(),
-            active: vec![false; num_agents],
-            heights: Vec::new(),
-            chain: Vec::new(),
-        }
+        let mut states = Self::default();
+        states.clear_for(num_agents);
+        states
     }
 
     /// Makes this the states of `num_agents` agents, none of them active; allocates only where there were never as
@@ -201,13 +188,7 @@ impl AgentStates {
     /// Box of an agent.
     #[inline]
     pub fn oriented_box(&self, agent_idx: usize, footprint: &Footprint) -> OrientedBox {
-        OrientedBox {
-            centre: self.position(agent_idx),
-            cos: self.cos[agent_idx],
-            sin: self.sin[agent_idx],
-            half_length_m: footprint.half_length_m,
-            half_width_m: footprint.half_width_m,
-        }
+        footprint.at(&self.pose(agent_idx))
     }
 
     /// Puts an agent at a pose with a velocity of the scene frame; acceleration and yaw rate become zero.

@@ -2,7 +2,6 @@
 
 mod common;
 
-use ccdiff_sim::SimError;
 use ccdiff_sim::world::{Autoreset, Controlled, WorldConfig};
 use common::{Batch, actions, city};
 
@@ -60,51 +59,6 @@ fn worlds_that_rest_stay_as_they_are_and_the_others_play_as_alone() {
     };
     let one = run(1);
     assert!(one == run(2) && one == run(4));
-}
-
-#[test]
-fn worlds_that_have_ended_or_never_began_may_rest_and_a_mask_must_fit() {
-    let disabled = WorldConfig {
-        autoreset: Autoreset::Disabled,
-        horizon_steps: 5,
-        terminate_at_goal: false,
-        ..config("idm")
-    };
-    let mut batch = Batch::new(vec![city(12)], disabled, 3, 1);
-    batch.step_some(&[0.0; 6], &[false; 3]).unwrap();
-    assert!(matches!(
-        batch.step_some(&[0.0; 6], &[false, true, false]),
-        Err(SimError::ResetNeeded { world: 1, .. })
-    ));
-    batch.reset_all(0);
-    (0..5).for_each(|_| batch.step_some(&[0.0; 6], &[true, true, false]).unwrap());
-    assert_eq!(batch.done, [true, true, false]);
-    // the ended ones rest, with actions that are no numbers
-    let nothing = [f32::NAN, 0.0, 0.0, f32::NAN, 0.0, 0.0];
-    (0..4).for_each(|_| batch.step_some(&nothing, &[false, false, true]).unwrap());
-    assert_eq!(batch.world.status(2).unwrap().elapsed_steps, 4);
-    let digest = batch.world.digest(2).unwrap();
-    for wrong in [vec![true; 2], vec![true; 4], vec![]] {
-        assert!(matches!(
-            batch.step_some(&[0.0; 6], &wrong),
-            Err(SimError::Length { what: "active", expected: 3, .. })
-        ));
-    }
-    assert_eq!(batch.world.digest(2).unwrap(), digest);
-    // a reset that NEXT_STEP leaves pending is still pending after a rest
-    let next = WorldConfig {
-        autoreset: Autoreset::NextStep,
-        horizon_steps: 5,
-        terminate_at_goal: false,
-        ..config("idm")
-    };
-    let mut batch = Batch::new(vec![city(12)], next, 1, 1);
-    batch.reset_all(0);
-    (0..5).for_each(|_| batch.step(&[0.0; 2]).unwrap());
-    batch.step_some(&[0.0; 2], &[false]).unwrap();
-    assert!(!batch.was_reset[0]);
-    batch.step(&[0.0; 2]).unwrap();
-    assert!(batch.was_reset[0]);
 }
 
 #[test]

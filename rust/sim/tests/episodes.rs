@@ -4,46 +4,12 @@ mod common;
 
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
-use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, RewardConfig, SceneOrder, WorldConfig};
-use common::{Batch, actions, city};
+use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, SceneOrder, WorldConfig};
+use common::{Batch, city};
 use std::sync::Arc;
 
 fn base() -> WorldConfig {
     WorldConfig { autoreset: Autoreset::Disabled, ..WorldConfig::default() }
-}
-
-#[test]
-fn the_replayed_ego_stays_on_its_log_and_reaches_its_goal() {
-    let mut batch = Batch::new(vec![city(1)], WorldConfig { driver: "replay".into(), ..base() }, 1, 1);
-    batch.reset_all(0);
-    let mut total = 0.0;
-    while !batch.done[0] {
-        batch.step(&[0.0, 0.0]).unwrap();
-        total += batch.reward[0];
-        assert!(batch.columns[Col::LogDistance as usize] < 1e-3);
-    }
-    assert!(batch.terminated[0] && !batch.truncated[0]);
-    assert_eq!(batch.columns[Col::GoalReached as usize], 1.0);
-    assert_eq!(batch.columns[Col::Success as usize], 1.0);
-    // 40 m of progress and the goal's bonus, no costs on a straight road at constant speed
-    let weights = RewardConfig::default();
-    assert!((total - (40.0 * weights.progress + weights.goal)).abs() < 0.04, "{total}");
-}
-
-#[test]
-fn a_standing_ego_is_cut_off_at_the_horizon() {
-    let mut batch = Batch::new(vec![city(1)], WorldConfig { horizon_steps: 25, ..base() }, 1, 1);
-    batch.reset_all(0);
-    for t in 1..=25 {
-        batch.step(&[-1.0, 0.0]).unwrap();
-        assert_eq!(batch.done[0], t == 25);
-    }
-    assert!(batch.truncated[0] && !batch.terminated[0] && !batch.alive[0]);
-    assert!(batch.columns[Col::RouteCompletion as usize] < 0.5);
-    assert_eq!(
-        batch.step(&[0.0, 0.0]).unwrap_err(),
-        SimError::ResetNeeded { world: 0, why: "its episode has ended" }
-    );
 }
 
 #[test]
@@ -77,34 +43,6 @@ fn swerving_off_the_road_ends_ignores_stops_or_removes_as_configured() {
 }
 
 #[test]
-fn every_agent_of_a_game_ends_for_itself() {
-    let config = WorldConfig { controlled: Controlled::Vehicles, num_slots: 6, horizon_steps: 60, ..base() };
-    let mut batch = Batch::new(vec![city(4)], config, 1, 1);
-    batch.reset_all(0);
-    assert_eq!(batch.alive, [true, true, true, true, false, false]);
-    let mut ended = [0usize; 6];
-    for t in 0..60 {
-        // agent 1 leaves the road, the others go straight on
-        let mut a = vec![0.0; 12];
-        a[3] = 0.5;
-        batch.step(&a).unwrap();
-        for c in 0..6 {
-            ended[c] += usize::from(batch.terminated[c] || batch.truncated[c]);
-            if !(batch.alive[c] || batch.terminated[c] || batch.truncated[c]) {
-                assert_eq!(batch.reward[c], 0.0);
-                let row = batch.world.layout().size;
-                assert!(batch.obs[c * row..(c + 1) * row].iter().all(|x| *x == 0.0), "slot {c} step {t}");
-            }
-        }
-        if batch.done[0] {
-            break;
-        }
-    }
-    assert!(batch.done[0]);
-    assert_eq!(ended, [1, 1, 1, 1, 0, 0]);
-}
-
-#[test]
 fn slots_can_be_chosen_for_each_scene_by_its_name() {
     let scene = |name: &str| {
         let mut scene = city(4).as_ref().clone();
@@ -129,27 +67,6 @@ fn slots_can_be_chosen_for_each_scene_by_its_name() {
     assert_eq!(both.world.slot_agents(1).unwrap(), [Some(3), None]);
     let unknown = ccdiff_sim::world::VecWorld::new(vec![scene("c")], config.clone(), 1, 1, Vec::new());
     assert!(matches!(unknown, Err(SimError::Scene { .. })));
-}
-
-#[test]
-fn sequential_order_plays_every_scene_once_per_round() {
-    let scenes: Vec<_> = (0..7).map(|i| city(3 + i)).collect();
-    let config = WorldConfig {
-        scene_order: SceneOrder::Sequential,
-        horizon_steps: 1,
-        autoreset: Autoreset::SameStep,
-        ..WorldConfig::default()
-    };
-    let mut batch = Batch::new(scenes, config, 3, 1);
-    batch.reset_all(0);
-    let mut played = vec![0; 7];
-    for t in 0..7 {
-        for i in 0..3 {
-            played[batch.world.status(i).unwrap().scene_idx] += 1;
-        }
-        batch.step(&actions(t, 6)).unwrap();
-    }
-    assert_eq!(played, [3; 7]);
 }
 
 #[test]

@@ -201,14 +201,6 @@ proptest! {
     }
 
     #[test]
-    fn box_contains_agrees_with_geo(b in oriented_box(), x in -10f32..10.0, y in -10f32..10.0) {
-        let (p, polygon) = (Point2::new(x, y), geo_box(&b));
-        if Euclidean.distance(&geo_point(p), polygon.exterior()) > DOUBT_M {
-            prop_assert_eq!(b.contains(p), polygon.contains(&geo_point(p)));
-        }
-    }
-
-    #[test]
     fn boxes_are_apart_before_the_time_to_contact_and_touch_at_it(
         a in oriented_box(), b in oriented_box(), va in velocity(), vb in velocity(),
         away in 0f32..40.0, bearing in 0f32..TAU,

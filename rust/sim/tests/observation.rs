@@ -198,27 +198,6 @@ fn map_segments_cover_their_lines_and_the_cut_is_left_out() {
 }
 
 #[test]
-fn chosen_columns_make_the_row_of_the_comparison() {
-    let names = |n: &[&str]| Some(n.iter().map(|s| (*s).to_owned()).collect());
-    let observation = ObservationConfig {
-        num_neighbors: 63,
-        num_route_points: 0,
-        num_map_segments: 200,
-        masks: false,
-        ego_columns: names(&["speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"]),
-        agent_columns: names(&["x", "y", "cos", "sin", "speed", "length", "width"]),
-        map_columns: names(&["x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"]),
-        ..ObservationConfig::default()
-    };
-    assert_eq!(Layout::new(&observation).unwrap().size, 7 + 63 * 7 + 200 * 7);
-    let mut batch = Batch::new(vec![city(64)], WorldConfig { observation, ..config() }, 1, 1);
-    batch.reset_all(0);
-    assert!(batch.obs.iter().any(|v| *v != 0.0));
-    let bad = ObservationConfig { map_columns: names(&["colour"]), ..ObservationConfig::default() };
-    assert!(Layout::new(&bad).is_err());
-}
-
-#[test]
 fn the_observation_page_is_up_to_date() {
     let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/observation.md");
     let text = std::fs::read_to_string(page).unwrap();

@@ -157,30 +157,6 @@ fn nobody_plans_for_a_world_that_rests() {
 }
 
 #[test]
-fn plans_are_part_of_snapshots_and_forks_and_end_with_the_episode() {
-    let mut batch = batch(config("slow".into()), 2, 1);
-    batch.reset(&[Some(3), Some(4)], &[Some(0), Some(0)]).unwrap();
-    for t in 0..6 {
-        batch.step(&actions(t, 4)).unwrap();
-    }
-    let kept = batch.world.snapshot(0).unwrap();
-    let play = |batch: &mut Batch| {
-        (6..14).for_each(|t| batch.step(&actions(t, 4)).unwrap());
-        batch.world.digest(0).unwrap()
-    };
-    let first = play(&mut batch);
-    batch.world.restore(0, &kept).unwrap();
-    assert_eq!(batch.world.explain(0, None).unwrap().unwrap().made_at, 4);
-    assert_eq!(play(&mut batch), first);
-    // a fork follows the plan of the world that it comes from
-    batch.world.restore(1, &kept).unwrap();
-    assert_eq!(batch.world.explain(1, None).unwrap().unwrap().made_at, 4);
-    batch.reset_masked(&[true, false]).unwrap();
-    assert!(batch.world.explain(0, None).unwrap().is_none());
-    assert!(batch.world.explain(1, None).unwrap().is_some());
-}
-
-#[test]
 fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
     let shares = [("idm", 0.5), ("slow", 0.3), ("replay", 0.2)];
     let drawn = |envs: usize, threads: usize, seed: u64| {
@@ -211,24 +187,6 @@ fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
 }
 
 #[test]
-fn single_vehicles_have_drivers_of_their_own() {
-    let scene = city(20);
-    let id = scene.agents[5].id.clone();
-    let drivers = BTreeMap::from([(id, "fast".to_owned())]);
-    let mut batch = batch(WorldConfig { drivers, ..config("idm".into()) }, 1, 1);
-    batch.reset(&[Some(1)], &[Some(0)]).unwrap();
-    let found = names(&batch.world, 0);
-    assert_eq!((found[4].as_str(), found[5].as_str()), ("idm", "fast"));
-    batch.step(&actions(0, 2)).unwrap();
-    assert_eq!(batch.world.explain(0, Some("fast")).unwrap().unwrap().agents, [5]);
-    // nobody is driven by it in this world: it is not asked
-    assert!(batch.world.explain(0, Some("slow")).unwrap().is_none());
-    batch.world.assign(0, &[6], "slow").unwrap();
-    batch.step(&actions(1, 2)).unwrap();
-    assert_eq!(batch.world.explain(0, Some("slow")).unwrap().unwrap().agents, [6]);
-}
-
-#[test]
 fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
     for fault in ["error", "agent", "number", "length", "count"] {
         let policy: Box<dyn TrafficPolicy> = Box::new(Steady { speed_mps: 5.0, replan_steps: 1, fault });
@@ -242,43 +200,6 @@ fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
         }
         assert_eq!(batch.world.digest(0).unwrap(), before, "{fault}");
     }
-}
-
-#[test]
-fn drivers_that_are_not_there_are_named() {
-    let fail = |config: WorldConfig, policies: Vec<(String, Box<dyn TrafficPolicy>)>| {
-        VecWorld::new(vec![city(9)], config, 1, 1, policies).err().unwrap().to_string()
-    };
-    let named = fail(config("crazy".into()), Vec::new());
-    assert_eq!(
-        named,
-        "config: traffic is \"crazy\", expected a driver of this batch: replay, constant_velocity, idm"
-    );
-    let twice = fail(config("idm".into()), vec![("idm".to_owned(), Steady::boxed(1.0))]);
-    assert!(twice.contains("named_drivers is idm"), "{twice}");
-    let drivers = BTreeMap::from([("nobody".to_owned(), "idm".to_owned())]);
-    let unknown = fail(WorldConfig { drivers, ..config("idm".into()) }, Vec::new());
-    assert!(unknown.contains("\"nobody\""), "{unknown}");
-    for bad in [&[("idm", 0.5)][..], &[("idm", 1.5), ("replay", -0.5)], &[]] {
-        let shares = fail(config(mix(bad)), Vec::new());
-        assert!(shares.contains("config: traffic is") && shares.contains("sum to 1"), "{shares}");
-    }
-    let shares = fail(config(mix(&[("idm", f32::NAN)])), Vec::new());
-    assert_eq!(shares, "config: traffic.idm is null, expected a number");
-    let mut batch = batch(config("idm".into()), 1, 1);
-    batch.reset_all(0);
-    assert!(batch.world.assign(0, &[1], "external").is_err(), "it has no slot");
-    assert!(batch.world.assign(0, &[1], "crazy").is_err());
-}
-
-#[test]
-fn a_snapshot_of_another_layout_is_refused_by_its_number() {
-    let mut batch = batch(config("idm".into()), 1, 1);
-    batch.reset_all(0);
-    let mut bytes = batch.world.snapshot(0).unwrap();
-    bytes[0] = 1;
-    let error = batch.world.restore(0, &bytes).unwrap_err().to_string();
-    assert_eq!(error, "snapshot: layout 1 of another release, this one reads 7");
 }
 
 /// Leaves everything to the defaults of the trait.

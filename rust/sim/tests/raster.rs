@@ -3,7 +3,7 @@
 mod common;
 
 use ccdiff_sim::geom::{Point2, Pose2};
-use ccdiff_sim::observe::{BevConfig, Layout, ObservationConfig};
+use ccdiff_sim::observe::{BevConfig, ObservationConfig};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::{Autoreset, WorldConfig};
 use common::{Batch, actions, city};
@@ -83,35 +83,5 @@ fn channels_show_what_is_at_the_centres_of_their_pixels() {
         assert!(status.elapsed_steps > 5 || ahead_of_ego == 255, "the route begins at the agent");
         // the channels of lines and of the route hold no other bytes than theirs
         assert!(batch.bev[plane..3 * plane].iter().all(|b| [0, 128, 255].contains(b)));
-    }
-}
-
-#[test]
-fn rasters_do_not_depend_on_threads_and_change_nothing_else() {
-    let run = |config: WorldConfig, threads: usize| {
-        let mut batch = Batch::new(vec![city(40), city(7)], config, 16, threads);
-        batch.reset_all(5);
-        let mut all = Vec::new();
-        for t in 0..120 {
-            batch.step(&actions(t, 32)).unwrap();
-            all.push((batch.bits(), batch.final_bev.clone()));
-        }
-        (all, batch.bits().len() - batch.bev.len())
-    };
-    let (one, rest) = run(config(), 1);
-    assert!(one == run(config(), 3).0);
-    let (without, _) = run(WorldConfig { observation: ObservationConfig::default(), ..config() }, 1);
-    assert!(one.iter().zip(&without).all(|(a, b)| a.0[..rest] == b.0));
-}
-
-#[test]
-fn sizes_out_of_range_are_refused() {
-    for bev in [
-        BevConfig { size_px: 4, ..BEV },
-        BevConfig { metres_per_px: f32::NAN, ..BEV },
-        BevConfig { behind_share: 1.5, ..BEV },
-    ] {
-        let observation = ObservationConfig { bev: Some(bev), ..ObservationConfig::default() };
-        assert!(Layout::new(&observation).is_err(), "{bev:?}");
     }
 }

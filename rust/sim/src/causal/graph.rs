@@ -1,6 +1,6 @@
 //! The decision causal graph G: who may influence whose decision.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
 
 /// When two agents are joined.
@@ -50,18 +50,12 @@ impl CausalGraph {
     ) -> Result<Self> {
         let pairs = num_agents * num_agents;
         for (what, got) in [("TTC matrix", ttc_s.len()), ("distance matrix", distance_m.len())] {
-            if got != pairs {
-                return Err(SimError::Length { what, got, expected: pairs });
-            }
+            check_length(what, got, pairs)?;
         }
         for (field, value) in [("graph.ttc_s", thresholds.ttc_s), ("graph.distance_m", thresholds.distance_m)]
         {
             if value.is_nan() || value < 0.0 {
-                return Err(SimError::Config {
-                    field: field.into(),
-                    got: value.to_string(),
-                    expected: "at least 0".into(),
-                });
+                return Err(SimError::config(field, value, "at least 0"));
             }
         }
         let mut is_edge: Vec<bool> = ttc_s
@@ -106,18 +100,5 @@ impl CausalGraph {
         }
         let edges = self.is_edge.iter().filter(|&&e| e).count() - self.num_agents;
         1.0 - edges as Real / pairs as Real
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn wrong_shapes_and_thresholds_are_refused() {
-        let ok = [0.0; 4];
-        assert!(CausalGraph::from_measures(2, &ok[..3], &ok, GraphThresholds::default()).is_err());
-        let bad = GraphThresholds { ttc_s: -1.0, ..GraphThresholds::default() };
-        assert!(CausalGraph::from_measures(2, &ok, &ok, bad).is_err());
     }
 }

@@ -4,7 +4,7 @@
 //! heading and side; [`Ttc::Released`] repeats the arithmetic of the authors' release (reference.md#pairwise-features), quirks
 //! included, for parity with its rankings. Entries of absent agents hold "no contact" (20 s) or an infinite distance.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, check_length};
 use crate::geom::{OrientedBox, Pose2, Real, Vector2, math};
 
 /// Times to contact are capped here, seconds (reference.md#pairwise-features).
@@ -44,30 +44,30 @@ pub struct AgentFrame<'a> {
     pub apart: &'a [bool],
 }
 
-fn check(what: &'static str, got: usize, expected: usize) -> Result<()> {
-    if got == expected { Ok(()) } else { Err(SimError::Length { what, got, expected }) }
-}
-
 impl AgentFrame<'_> {
     /// The same, of arrays of one length.
     ///
     /// # Errors
-    /// [`SimError::Length`] where an array's length differs from `x_m`'s.
+    /// [`crate::SimError::Length`] where an array's length differs from `x_m`'s.
     pub fn checked(self) -> Result<Self> {
-        let num_agents = self.x_m.len();
-        check("y of the agents", self.y_m.len(), num_agents)?;
-        check("heading of the agents", self.heading_rad.len(), num_agents)?;
-        check("speed of the agents", self.speed_mps.len(), num_agents)?;
-        check("length of the agents", self.length_m.len(), num_agents)?;
-        check("width of the agents", self.width_m.len(), num_agents)?;
-        check("validity of the agents", self.valid.len(), num_agents)?;
-        self.check_levels(num_agents)?;
+        self.check(self.x_m.len(), self.x_m.len())?;
         Ok(self)
     }
 
-    fn check_levels(&self, num_agents: usize) -> Result<()> {
-        let pairs = num_agents * num_agents;
-        check("levels of the agents", self.apart.len(), if self.apart.is_empty() { 0 } else { pairs })
+    fn check(&self, num_agents: usize, num_states: usize) -> Result<()> {
+        let pairs = if self.apart.is_empty() { 0 } else { num_agents * num_agents };
+        for (what, got, expected) in [
+            ("y of the agents", self.y_m.len(), num_states),
+            ("heading of the agents", self.heading_rad.len(), num_states),
+            ("speed of the agents", self.speed_mps.len(), num_states),
+            ("validity of the agents", self.valid.len(), num_states),
+            ("length of the agents", self.length_m.len(), num_agents),
+            ("width of the agents", self.width_m.len(), num_agents),
+            ("levels of the agents", self.apart.len(), pairs),
+        ] {
+            check_length(what, got, expected)?;
+        }
+        Ok(())
     }
 
     /// Writes what holds of pairs on different levels into a matrix [M, M].
@@ -103,11 +103,11 @@ impl AgentFrame<'_> {
     /// features belong to, which for a history is its last step, not the step of this frame.
     ///
     /// # Errors
-    /// [`SimError::Length`] where `frame_heading_rad` or `out` do not fit M.
+    /// [`crate::SimError::Length`] where `frame_heading_rad` or `out` do not fit M.
     pub fn ttc_s(&self, ttc: Ttc, frame_heading_rad: &[Real], out: &mut [Real]) -> Result<()> {
         let num_agents = self.num_agents();
-        check("frame headings", frame_heading_rad.len(), num_agents)?;
-        check("TTC matrix", out.len(), num_agents * num_agents)?;
+        check_length("frame headings", frame_heading_rad.len(), num_agents)?;
+        check_length("TTC matrix", out.len(), num_agents * num_agents)?;
         match ttc {
             Ttc::Oriented => self.ttc_oriented_s(out),
             Ttc::Released => self.ttc_released_s(frame_heading_rad, out),
@@ -158,19 +158,13 @@ impl AgentFrame<'_> {
         self.part_levels(TTC_CAP_S, out);
     }
 
-    /// Distances [M] of all centres from an agent's, metres, whoever is there.
-    pub fn distance_from_m(&self, agent_idx: usize) -> Vec<Real> {
-        let centre = |i: usize| Vector2::new(self.x_m[i], self.y_m[i]);
-        (0..self.num_agents()).map(|i| (centre(i) - centre(agent_idx)).norm()).collect()
-    }
-
     /// Writes the distances of the centres, metres, into `out` [M, M]; infinite where an agent is absent.
     ///
     /// # Errors
-    /// [`SimError::Length`] where `out` does not hold M * M entries.
+    /// [`crate::SimError::Length`] where `out` does not hold M * M entries.
     pub fn distance_m(&self, out: &mut [Real]) -> Result<()> {
         let num_agents = self.num_agents();
-        check("pair matrix", out.len(), num_agents * num_agents)?;
+        check_length("pair matrix", out.len(), num_agents * num_agents)?;
         for i in 0..num_agents {
             for j in 0..num_agents {
                 let both = self.valid[i] && self.valid[j];
@@ -210,16 +204,11 @@ impl<'a> AgentHistory<'a> {
     /// A view of T * M states and M sizes.
     ///
     /// # Errors
-    /// [`SimError::Length`] where the arrays do not agree on T and M.
+    /// [`crate::SimError::Length`] where the arrays do not agree on T and M.
     pub fn new(all: AgentFrame<'a>) -> Result<Self> {
         let (num_agents, total) = (all.length_m.len(), all.x_m.len());
-        check("width of the agents", all.width_m.len(), num_agents)?;
-        check("x of the history", if num_agents == 0 { total } else { total % num_agents }, 0)?;
-        check("y of the history", all.y_m.len(), total)?;
-        check("heading of the history", all.heading_rad.len(), total)?;
-        check("speed of the history", all.speed_mps.len(), total)?;
-        check("validity of the history", all.valid.len(), total)?;
-        all.check_levels(num_agents)?;
+        check_length("x of the history", if num_agents == 0 { total } else { total % num_agents }, 0)?;
+        all.check(num_agents, total)?;
         Ok(Self(all))
     }
 
@@ -280,35 +269,5 @@ impl<'a> AgentHistory<'a> {
             }
         }
         Ok(out)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A frame of (x, y, heading, speed), length and width, everybody there.
-    fn frame<'a>(state: [&'a [f32]; 4], size: [&'a [f32]; 2]) -> AgentFrame<'a> {
-        let ([x_m, y_m, heading_rad, speed_mps], [length_m, width_m]) = (state, size);
-        AgentFrame {
-            x_m,
-            y_m,
-            heading_rad,
-            speed_mps,
-            length_m,
-            width_m,
-            valid: &[true; 3][..x_m.len()],
-            apart: &[],
-        }
-    }
-
-    #[test]
-    fn relative_distances_follow_the_recipe() {
-        let frame = frame([&[0.0, 6.0], &[0.0, 8.0], &[0.3; 2], &[0.0; 2]], [&[4.0, 6.0], &[2.0; 2]]);
-        let mut out = [0.0; 4];
-        frame.distance_m(&mut out).unwrap();
-        assert!((normalised_distance(out[1]) - 0.5).abs() < 1e-6);
-        assert_eq!(normalised_distance(out[0]), 1.0);
-        assert_eq!((normalised_ttc(20.0), normalised_ttc(0.0), normalised_ttc(3.0)), (0.0, 1.0, 0.85));
     }
 }

@@ -67,19 +67,4 @@ impl ActionGrid {
             Dynamics::Unicycle(_) | Dynamics::Bicycle(_) | Dynamics::Assisted(_) => [first, second, 0.0],
         })
     }
-
-    /// Index of the grid's nearest action, each axis by itself; the lower index on a tie, 0 for an empty grid.
-    pub fn nearest(&self, dynamics: &Dynamics, action: Action) -> usize {
-        let turning = match dynamics {
-            Dynamics::DeltaPose(_) => action[2],
-            Dynamics::Unicycle(_) | Dynamics::Bicycle(_) | Dynamics::Assisted(_) => action[1],
-        };
-        let nearest = |values: &[Real], wanted: Real| {
-            let by_distance = |a: &(usize, &Real), b: &(usize, &Real)| {
-                (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())
-            };
-            values.iter().enumerate().min_by(by_distance).map_or(0, |(i, _)| i)
-        };
-        nearest(&self.first, action[0]) * self.second.len() + nearest(&self.second, turning)
-    }
 }

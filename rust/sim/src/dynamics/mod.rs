@@ -29,6 +29,7 @@ pub use delta_pose::DeltaPoseLimits;
 pub use unicycle::UnicycleLimits;
 
 use crate::choices;
+use crate::error::{Result, SimError};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::state::{AgentStates, Footprint};
 use serde::{Deserialize, Serialize};
@@ -77,6 +78,19 @@ pub(crate) struct LateralSpeed {
 }
 
 impl Dynamics {
+    /// Refuses assisted dynamics, whose steps depend on other agents.
+    ///
+    /// # Errors
+    /// [`SimError::Config`].
+    pub fn check_moves_by_itself(&self) -> Result<()> {
+        match self {
+            Self::Assisted(_) => {
+                Err(SimError::config("action.dynamics", "assisted", "a model of motion by itself"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Number of columns of an action: 2, or 3 for delta pose.
     pub fn num_columns(&self) -> usize {
         match self {

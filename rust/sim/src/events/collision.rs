@@ -77,7 +77,6 @@ impl Contact {
 #[derive(Debug, Clone, Default)]
 pub struct Collisions {
     pairs: Vec<(u32, u32)>,
-    first: Vec<Option<Contact>>,
     /// Active agents: index, centre and radius, padded by [`LANES`] entries at infinity.
     agent: Vec<u32>,
     x: Vec<Real>,
@@ -98,24 +97,65 @@ impl Collisions {
     /// Finds all touching pairs of active agents; pairs of two static agents are left out.
     ///
     /// `footprints` and `kinds` are indexed like `states`; agents beyond the shortest of the three are not looked at.
-    pub fn detect(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.find(states, footprints, kinds);
-        self.describe(states, footprints);
-    }
-
-    /// The pairs of [`Self::detect`] alone: what is told of single agents is not recomputed.
     pub fn find(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        let num_agents = states.len().min(footprints.len()).min(kinds.len());
-        let num_active = states.active[..num_agents].iter().filter(|a| **a).count();
-        if num_active < SWEEP_FROM_AGENTS {
+        self.pairs.clear();
+        self.gather(states, footprints, kinds);
+        if self.agent.len() < SWEEP_FROM_AGENTS {
             self.find_by_circles(states, footprints, kinds);
         } else {
             self.find_by_sweep(states, footprints, kinds);
         }
     }
 
-    /// The touching pairs of [`Self::detect`] that hold one of some active agents; others may be among them. What is
-    /// told of single agents is not recomputed.
+    fn find_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        let num_active = self.agent.len();
+        for row in 0..num_active {
+            let (first, blocks) = (row + 1, (num_active - row - 1).div_ceil(LANES));
+            let columns = first..first + blocks * LANES;
+            let circle = [self.x[row], self.y[row], self.radius[row]];
+            let near = &mut self.near[..blocks * LANES];
+            let circles = [&self.x, &self.y, &self.radius].map(|column| &column[columns.clone()]);
+            find_near(circle, &circles, near);
+            for (block, near) in near.as_chunks::<LANES>().0.iter().enumerate() {
+                let mut left = u64::from_le_bytes(*near);
+                while left != 0 {
+                    let column = first + block * LANES + left.trailing_zeros() as usize / 8;
+                    let (a, b) = (self.agent[row], self.agent[column]);
+                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
+                    left &= left - 1;
+                }
+            }
+        }
+    }
+
+    fn find_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.order.clear();
+        self.order.extend((0..self.agent.len()).map(|i| {
+            let bits = (self.x[i] - self.radius[i]).to_bits();
+            let ordered = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
+            u64::from(ordered) << 32 | i as u64
+        }));
+        self.order.sort_unstable();
+        for (rank, key) in self.order.iter().enumerate() {
+            let a = (*key & 0xffff_ffff) as usize;
+            let (x, y, radius) = (self.x[a], self.y[a], self.radius[a]);
+            for key in &self.order[rank + 1..] {
+                let b = (*key & 0xffff_ffff) as usize;
+                let (dx, dy, reach) = (self.x[b] - x, self.y[b] - y, self.radius[b] + radius);
+                // the margin covers the rounding of the keys
+                if dx > reach + 1e-3 {
+                    break;
+                }
+                if dx * dx + dy * dy <= reach * reach {
+                    let (a, b) = (self.agent[a.min(b)], self.agent[a.max(b)]);
+                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
+                }
+            }
+        }
+        self.pairs.sort_unstable();
+    }
+
+    /// The touching pairs of [`Self::find`] that hold one of some active agents; others may be among them.
     pub fn pairs_of(
         &mut self,
         states: &AgentStates,
@@ -144,79 +184,9 @@ impl Collisions {
         &self.pairs
     }
 
-    /// [`Self::detect`] with circle tests of all pairs.
-    pub fn detect_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.find_by_circles(states, footprints, kinds);
-        self.describe(states, footprints);
-    }
-
-    fn find_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.pairs.clear();
-        self.gather(states, footprints, kinds);
-        let num_active = self.agent.len();
-        for row in 0..num_active {
-            let (first, blocks) = (row + 1, (num_active - row - 1).div_ceil(LANES));
-            let columns = first..first + blocks * LANES;
-            let circle = [self.x[row], self.y[row], self.radius[row]];
-            let near = &mut self.near[..blocks * LANES];
-            let circles = [&self.x, &self.y, &self.radius].map(|column| &column[columns.clone()]);
-            find_near(circle, &circles, near);
-            for (block, near) in near.as_chunks::<LANES>().0.iter().enumerate() {
-                let mut left = u64::from_le_bytes(*near);
-                while left != 0 {
-                    let column = first + block * LANES + left.trailing_zeros() as usize / 8;
-                    let (a, b) = (self.agent[row], self.agent[column]);
-                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
-                    left &= left - 1;
-                }
-            }
-        }
-    }
-
-    /// [`Self::detect`] with a sort along x and a sweep.
-    pub fn detect_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.find_by_sweep(states, footprints, kinds);
-        self.describe(states, footprints);
-    }
-
-    fn find_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.pairs.clear();
-        self.gather(states, footprints, kinds);
-        self.order.clear();
-        self.order.extend((0..self.agent.len()).map(|i| {
-            let bits = (self.x[i] - self.radius[i]).to_bits();
-            let ordered = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
-            u64::from(ordered) << 32 | i as u64
-        }));
-        self.order.sort_unstable();
-        for (rank, key) in self.order.iter().enumerate() {
-            let a = (*key & 0xffff_ffff) as usize;
-            let (x, y, radius) = (self.x[a], self.y[a], self.radius[a]);
-            for key in &self.order[rank + 1..] {
-                let b = (*key & 0xffff_ffff) as usize;
-                let (dx, dy, reach) = (self.x[b] - x, self.y[b] - y, self.radius[b] + radius);
-                // the margin covers the rounding of the keys
-                if dx > reach + 1e-3 {
-                    break;
-                }
-                if dx * dx + dy * dy <= reach * reach {
-                    let (a, b) = (self.agent[a.min(b)], self.agent[a.max(b)]);
-                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
-                }
-            }
-        }
-        self.pairs.sort_unstable();
-    }
-
     /// Touching pairs (i, j), i < j, ascending.
     pub fn pairs(&self) -> &[(u32, u32)] {
         &self.pairs
-    }
-
-    /// The agent's contact with the partner of lowest index, as if in its lane; `None` without contact.
-    #[inline]
-    pub fn first_partner(&self, agent_idx: usize) -> Option<Contact> {
-        self.first.get(agent_idx).copied().flatten()
     }
 
     /// Copies the active agents together.
@@ -239,19 +209,6 @@ impl Collisions {
         self.y.resize(padded, Real::INFINITY);
         self.radius.resize(padded, 0.0);
         self.near.resize(padded, 0);
-    }
-
-    /// Fills what is known per agent from the pairs.
-    fn describe(&mut self, states: &AgentStates, footprints: &[Footprint]) {
-        self.first.clear();
-        self.first.resize(states.len(), None);
-        for &(a, b) in &self.pairs {
-            for (agent, partner) in [(a, b), (b, a)] {
-                let made =
-                    || Contact::between(states, footprints, agent as usize, partner as usize, || false);
-                self.first[agent as usize].get_or_insert_with(made);
-            }
-        }
     }
 }
 

@@ -71,11 +71,6 @@ impl Boundary {
         }
         self.pieces.iter().fold(least, nearer).sqrt()
     }
-
-    /// The pieces, each with the union on one side.
-    pub fn pieces(&self) -> &[[Point2; 2]] {
-        &self.pieces
-    }
 }
 
 /// Edges of a ring cut into pieces of at most [`CELL_M`].
@@ -177,43 +172,6 @@ mod tests {
         Boundary::new(polygons, &Region::new(polygons).unwrap())
     }
 
-    fn length_m(boundary: &Boundary) -> Real {
-        boundary.pieces().iter().map(|[a, b]| (b - a).norm()).sum()
-    }
-
-    #[test]
-    fn what_polygons_share_is_no_edge_of_their_union() {
-        // side by side, one of them with a hole; one across both; one that is all inside
-        let mut left = rectangle(0.0, 0.0, 30.0, 20.0);
-        left.holes.push(rectangle(5.0, 5.0, 4.0, 4.0).exterior);
-        let polygons = [
-            left,
-            rectangle(30.0, 0.0, 10.0, 20.0),
-            rectangle(20.0, 15.0, 15.0, 10.0),
-            rectangle(31.0, 1.0, 2.0, 2.0),
-        ];
-        let found = boundary(&polygons);
-        // the outline of 40 m by 20 m, 5 m more on either side of what juts out, and the hole
-        assert!((length_m(&found) - (120.0 + 10.0 + 16.0)).abs() < 1e-2, "{}", length_m(&found));
-        for (x, y, expected) in
-            [(30.0, 10.0, 10.0), (7.0, 7.0, 2.0), (31.0, 2.0, 2.0), (27.0, 23.0, 2.0), (-3.0, -4.0, 5.0)]
-        {
-            let distance = found.distance_m(Point2::new(x, y));
-            assert!((distance - expected).abs() < 1e-4, "{x} {y}: {distance}");
-        }
-        assert!((found.distance_m(Point2::new(-300.0, 10.0)) - 300.0).abs() < 1e-3);
-    }
-
-    #[test]
-    fn edges_without_an_area_are_left_out() {
-        let spike = Polygon::from_exterior(
-            [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (10.0, 25.0), (10.0, 10.0), (0.0, 10.0)]
-                .map(|(x, y)| Point2::new(x, y))
-                .to_vec(),
-        );
-        assert!((length_m(&boundary(&[spike.clone(), spike])) - 80.0).abs() < 1e-2);
-    }
-
     proptest! {
         #[test]
         fn the_nearest_piece_is_found(
@@ -223,7 +181,7 @@ mod tests {
             let polygons: Vec<Polygon> = boxes.iter().map(|(x, y, w, h)| rectangle(*x, *y, *w, *h)).collect();
             let found = boundary(&polygons);
             let point = Point2::new(x, y);
-            let least = found.pieces().iter().map(|p| distance_sq(p, point)).fold(Real::INFINITY, Real::min).sqrt();
+            let least = found.pieces.iter().map(|p| distance_sq(p, point)).fold(Real::INFINITY, Real::min).sqrt();
             prop_assert_eq!(found.distance_m(point), least);
             // every place of the outline that is in no other box bounds the union
             for (i, box_) in polygons.iter().enumerate() {

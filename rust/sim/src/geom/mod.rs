@@ -30,3 +30,12 @@ pub type Real = f32;
 pub type Point2 = nalgebra::Point2<Real>;
 /// A displacement or a velocity, metres or metres per second.
 pub type Vector2 = nalgebra::Vector2<Real>;
+
+/// Lower left and upper right corner of the box round some points; `None` without any.
+pub(crate) fn bounds(points: impl IntoIterator<Item = Point2>) -> Option<(Point2, Point2)> {
+    let mut points = points.into_iter();
+    let first = points.next()?;
+    Some(points.fold((first, first), |(lo, hi), p| {
+        (Point2::new(lo.x.min(p.x), lo.y.min(p.y)), Point2::new(hi.x.max(p.x), hi.y.max(p.y)))
+    }))
+}

@@ -55,13 +55,6 @@ impl OrientedBox {
         [c + along + left, c - along + left, c - along - left, c + along - left]
     }
 
-    /// Whether a point lies in the box or on its edge.
-    #[inline]
-    pub fn contains(&self, point: Point2) -> bool {
-        let local = self.rotate_inverse(point - self.centre);
-        (local.x.abs() <= self.half_length_m) & (local.y.abs() <= self.half_width_m)
-    }
-
     #[inline]
     fn relative(&self, other: &Self) -> Relative {
         let offset = other.centre - self.centre;

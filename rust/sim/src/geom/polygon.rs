@@ -69,10 +69,7 @@ impl Polygon {
 
     /// Lower left and upper right corner of the box round the outer ring; `None` when it has no points.
     pub fn bounds(&self) -> Option<(Point2, Point2)> {
-        let first = *self.exterior.first()?;
-        Some(self.exterior.iter().fold((first, first), |(lo, hi), p| {
-            (Point2::new(lo.x.min(p.x), lo.y.min(p.y)), Point2::new(hi.x.max(p.x), hi.y.max(p.y)))
-        }))
+        super::bounds(self.exterior.iter().copied())
     }
 
     /// The part of the polygon in an axis-aligned rectangle; `None` where nothing is left.

@@ -48,20 +48,3 @@ impl Pose2 {
         Point2::from(self.rotate_inverse(p - self.position))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn to_local_undoes_to_outer(
-            x in -200f32..200., y in -200f32..200., h in -7f32..7., px in -50f32..50., py in -50f32..50.,
-        ) {
-            let pose = Pose2::new(x, y, h);
-            let back = pose.to_local(pose.to_outer(Point2::new(px, py)));
-            prop_assert!((back - Point2::new(px, py)).norm() < 1e-3);
-        }
-    }
-}

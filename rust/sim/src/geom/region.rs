@@ -6,7 +6,7 @@
 //! reference point's parity flipped once per edge that the segment crosses.
 
 use super::polygon::{near_origin, ring_edges};
-use super::{Point2, Polygon, Real};
+use super::{Point2, Polygon, Real, bounds};
 
 /// Wanted side of a cell, metres.
 const CELL_M: f64 = 2.0;
@@ -113,11 +113,7 @@ impl Region {
         let finite = |p: &Polygon| p.rings().flatten().all(|q| q.x.is_finite() && q.y.is_finite());
         let polygons: Vec<&Polygon> =
             polygons.iter().filter(|p| p.exterior.len() >= 3 && finite(p)).collect();
-        let mut bounds = polygons.iter().flat_map(|p| p.rings().flatten().copied()).map(|p| (p, p));
-        let first = bounds.next()?;
-        let (min, max) = bounds.fold(first, |(lo, hi), (p, _)| {
-            (Point2::new(lo.x.min(p.x), lo.y.min(p.y)), Point2::new(hi.x.max(p.x), hi.y.max(p.y)))
-        });
+        let (min, max) = bounds(polygons.iter().flat_map(|p| p.rings().flatten().copied()))?;
         let margin = 0.1;
         let (min, max) =
             (Point2::new(min.x - margin, min.y - margin), Point2::new(max.x + margin, max.y + margin));
@@ -175,14 +171,6 @@ impl Region {
         let (Some((left, bottom)), Some((right, top))) = (low, high) else { return false };
         let row = |row: usize| &self.cells[row * self.grid.num_columns..][left..=right];
         (bottom..=top).all(|r| row(r).iter().all(|code| *code == INSIDE))
-    }
-
-    /// Bytes held on the heap.
-    pub fn num_bytes(&self) -> usize {
-        size_of_val(self.cells.as_slice())
-            + size_of_val(self.crossed.as_slice())
-            + size_of_val(self.parts.as_slice())
-            + size_of_val(self.edges.as_slice())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::Trajectories;
 use crate::error::Result;
-use crate::events::{Collisions, ContactKind};
+use crate::events::{Collisions, Contact, ContactKind};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 
@@ -88,15 +88,20 @@ impl CollisionReport {
         let mut at_start: Vec<(u32, u32)> = Vec::new();
         for step_idx in 0..motion.num_steps() {
             motion.states_at(step_idx, &mut states);
-            found.detect(&states, motion.footprints(), &kinds);
+            found.find(&states, motion.footprints(), &kinds);
             if step_idx == 0 {
                 at_start = found.pairs().to_vec();
             }
             if let Some(log) = log {
                 log.states_at(step_idx, &mut log_states);
-                log_found.detect(&log_states, log.footprints(), &kinds);
+                log_found.find(&log_states, log.footprints(), &kinds);
             }
             for &(a, b) in found.pairs() {
+                for (agent, partner) in [(a as usize, b as usize), (b as usize, a as usize)] {
+                    let kind =
+                        || Contact::between(&states, motion.footprints(), agent, partner, || false).kind;
+                    report.first_kind[agent].get_or_insert_with(kind);
+                }
                 let pair = (a.min(b), a.max(b));
                 let among = |pairs: &[(u32, u32)]| pairs.iter().any(|&(c, d)| pair == (c.min(d), c.max(d)));
                 report.contacts.push(PairContact {
@@ -105,11 +110,6 @@ impl CollisionReport {
                     controlled: controlled[a as usize] || controlled[b as usize],
                     new: !among(&at_start) && !among(log_found.pairs()),
                 });
-            }
-            for agent in 0..num_agents {
-                if report.first_kind[agent].is_none() {
-                    report.first_kind[agent] = found.first_partner(agent).map(|contact| contact.kind);
-                }
             }
         }
         report.contacts.sort_by_key(|c| (c.step_idx, c.agents));
@@ -124,11 +124,6 @@ impl CollisionReport {
             collided[contact.agents.1 as usize] = true;
         }
         collided
-    }
-
-    /// Whether any contact counts: the scene's entry in the scene collision rate (SCR).
-    pub fn any(&self, variant: CollisionVariant) -> bool {
-        self.contacts.iter().any(|c| c.counts_in(variant))
     }
 
     /// Share of the agents that are ever there that are ever in a contact that counts; 0 without agents.

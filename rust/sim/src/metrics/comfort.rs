@@ -43,11 +43,7 @@ impl ComfortHistograms {
     /// reference.md#comfort-distance; the release uses 0.5 s between entries.
     pub fn from_motion(motion: &Trajectories<'_>, axes: ComfortAxes, stride: usize) -> Result<Self> {
         if stride == 0 {
-            return Err(SimError::Config {
-                field: "stride".into(),
-                got: "0".into(),
-                expected: "at least 1".into(),
-            });
+            return Err(SimError::config("stride", 0, "at least 1"));
         }
         let mut counts = [[0u64; HISTOGRAM_BINS]; 3];
         let entries: Vec<usize> = (0..motion.num_steps()).step_by(stride).collect();

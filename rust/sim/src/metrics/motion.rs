@@ -1,6 +1,6 @@
 //! A view of one recorded scene.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use crate::geom::{Point2, Pose2, Real, Vector2};
 use crate::state::{AgentStates, Footprint, Height};
 
@@ -39,29 +39,18 @@ impl<'a> Trajectories<'a> {
     ) -> Result<Self> {
         let expected = x_m.len();
         for (what, got) in [("y", y_m.len()), ("heading", heading_rad.len()), ("validity", valid.len())] {
-            if got != expected {
-                return Err(SimError::Length { what, got, expected });
-            }
+            check_length(what, got, expected)?;
         }
         let num_steps = expected.checked_div(footprints.len()).unwrap_or(0);
-        if num_steps * footprints.len() != expected {
-            return Err(SimError::Length {
-                what: "x",
-                got: expected,
-                expected: num_steps * footprints.len(),
-            });
-        }
+        check_length("x", expected, num_steps * footprints.len())?;
         if !(dt_s.is_finite() && dt_s > 0.0) {
-            let expected = "a positive number of seconds".into();
-            return Err(SimError::Config { field: "dt_s".into(), got: dt_s.to_string(), expected });
+            return Err(SimError::config("dt_s", dt_s, "a positive number of seconds"));
         }
         let finite = |k: usize| x_m[k].is_finite() && y_m[k].is_finite() && heading_rad[k].is_finite();
         if let Some(k) = (0..expected).find(|&k| valid[k] && !finite(k)) {
-            return Err(SimError::Config {
-                field: "motion".into(),
-                got: format!("a state that is not finite at agent {}, step {}", k / num_steps, k % num_steps),
-                expected: "finite states wherever an agent is valid".into(),
-            });
+            let got =
+                format!("a state that is not finite at agent {}, step {}", k / num_steps, k % num_steps);
+            return Err(SimError::config("motion", got, "finite states wherever an agent is valid"));
         }
         Ok(Self { num_steps, dt_s, x_m, y_m, heading_rad, valid, footprints, elevation_m: &[] })
     }
@@ -75,14 +64,10 @@ impl<'a> Trajectories<'a> {
         if elevation_m.is_empty() {
             return Ok(self);
         }
-        if elevation_m.len() != self.valid.len() {
-            let (got, expected) = (elevation_m.len(), self.valid.len());
-            return Err(SimError::Length { what: "elevations", got, expected });
-        }
+        check_length("elevations", elevation_m.len(), self.valid.len())?;
         let states = elevation_m.iter().zip(self.valid);
         if let Some((z, _)) = states.into_iter().find(|(z, valid)| **valid && !z.is_finite()) {
-            let expected = "finite numbers wherever an agent is valid".into();
-            return Err(SimError::Config { field: "elevation_m".into(), got: z.to_string(), expected });
+            return Err(SimError::config("elevation_m", z, "finite numbers wherever an agent is valid"));
         }
         Ok(Self { elevation_m, ..self })
     }
@@ -179,54 +164,11 @@ impl<'a> Trajectories<'a> {
 
     /// Checks that another rollout has the same agents and steps, and a mask the same agents.
     pub(super) fn check_same(&self, other: Option<&Trajectories<'_>>, controlled: &[bool]) -> Result<()> {
-        if controlled.len() != self.num_agents() {
-            let (got, expected) = (controlled.len(), self.num_agents());
-            return Err(SimError::Length { what: "mask of controlled agents", got, expected });
-        }
+        check_length("mask of controlled agents", controlled.len(), self.num_agents())?;
         if let Some(other) = other {
-            for (what, got, expected) in [
-                ("agents of the log", other.num_agents(), self.num_agents()),
-                ("steps of the log", other.num_steps, self.num_steps),
-            ] {
-                if got != expected {
-                    return Err(SimError::Length { what, got, expected });
-                }
-            }
+            check_length("agents of the log", other.num_agents(), self.num_agents())?;
+            check_length("steps of the log", other.num_steps, self.num_steps)?;
         }
         Ok(())
-    }
-}
-
-/// State (x, y, heading) at one step, `None` for absent.
-#[cfg(test)]
-pub(super) type Entry = Option<(Real, Real, Real)>;
-
-/// Arrays of a rollout for tests: agents as rows of entries.
-#[cfg(test)]
-pub(super) struct Recorded {
-    x_m: Vec<Real>,
-    y_m: Vec<Real>,
-    heading_rad: Vec<Real>,
-    valid: Vec<bool>,
-    footprints: Vec<Footprint>,
-}
-
-#[cfg(test)]
-impl Recorded {
-    /// Cars of 4 m by 2 m.
-    pub(super) fn new(agents: &[Vec<Entry>]) -> Self {
-        let all: Vec<_> = agents.iter().flatten().copied().collect();
-        Self {
-            x_m: all.iter().map(|s| s.map_or(Real::NAN, |s| s.0)).collect(),
-            y_m: all.iter().map(|s| s.map_or(Real::NAN, |s| s.1)).collect(),
-            heading_rad: all.iter().map(|s| s.map_or(Real::NAN, |s| s.2)).collect(),
-            valid: all.iter().map(Option::is_some).collect(),
-            footprints: vec![Footprint::new(4.0, 2.0); agents.len()],
-        }
-    }
-
-    pub(super) fn motion(&self, dt_s: Real) -> Trajectories<'_> {
-        Trajectories::new(dt_s, &self.x_m, &self.y_m, &self.heading_rad, &self.valid, &self.footprints)
-            .unwrap()
     }
 }

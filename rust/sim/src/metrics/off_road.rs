@@ -71,9 +71,9 @@ pub fn off_road_report<'r>(
 
 #[cfg(test)]
 mod tests {
-    use super::super::motion::Recorded;
     use super::*;
     use crate::geom::{Point2, Polygon};
+    use crate::state::Footprint;
 
     #[test]
     fn rates_count_present_agents_and_the_reference_impl_counts_those_who_vanish_within_a_plan() {
@@ -81,13 +81,15 @@ mod tests {
         let square = Polygon::from_exterior(ring.map(|(x, y)| Point2::new(x, y)).to_vec());
         let region = Region::new(&[square]).unwrap();
         // centre leaves at the third step, a corner at the second; gone from the fourth on
-        let leaving = [5.0, 9.0, 11.0].map(|x| Some((x, 5.0, 0.0))).into_iter().chain([None; 3]).collect();
-        let recorded = Recorded::new(&[leaving, vec![Some((5.0, 5.0, 0.0)); 6]]);
-        let report = off_road_report(&recorded.motion(0.1), |_| Some(&region), &[], 5);
+        let x = [5.0, 9.0, 11.0, 0.0, 0.0, 0.0, 5.0, 5.0, 5.0, 5.0, 5.0, 5.0];
+        let there = x.map(|x| x > 0.0);
+        let cars = [Footprint::new(4.0, 2.0); 2];
+        let motion = Trajectories::new(0.1, &x, &[5.0; 12], &[0.0; 12], &there, &cars).unwrap();
+        let report = off_road_report(&motion, |_| Some(&region), &[], 5);
         assert_eq!(report.centroid_rate, 1.0 / 9.0);
         assert_eq!(report.box_rate, 2.0 / 9.0);
         assert_eq!(report.reference_impl_rate, 3.0 / 11.0);
-        let only_second = off_road_report(&recorded.motion(0.1), |_| Some(&region), &[false, true], 5);
+        let only_second = off_road_report(&motion, |_| Some(&region), &[false, true], 5);
         assert_eq!(only_second.reference_impl_rate, 0.0);
         assert!(!only_second.flags[3].centroid);
     }

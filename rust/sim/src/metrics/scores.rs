@@ -1,6 +1,6 @@
 //! The paper's scores: controllability (CS), realism (RS) and generational distances to the Pareto front.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 
 /// Least and largest value of a metric.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,16 +43,6 @@ pub struct ScoreBounds {
     pub cfd: Bounds,
 }
 
-impl ScoreBounds {
-    /// Over the paper's six methods and eleven columns: puts other results on the paper's scale (reference.md#scores).
-    pub const PAPER: Self = Self {
-        scr: Bounds { min: 0.31, max: 0.58 },
-        orr: Bounds { min: 0.51, max: 12.21 },
-        fde: Bounds { min: 3.20, max: 15.00 },
-        cfd: Bounds { min: 1.88, max: 11.65 },
-    };
-}
-
 /// Scores (CS, RS) of every entry: CS = scaled SCR, RS = 1 - mean of scaled ORR, FDE and CFD.
 ///
 /// Bounds are those of the whole arrays unless given, as in the paper, where methods and all columns share them: a
@@ -71,9 +61,7 @@ pub fn scores(
     bounds: Option<ScoreBounds>,
 ) -> Result<(Vec<f64>, Vec<f64>)> {
     for (what, got) in [("ORR", orr.len()), ("FDE", fde.len()), ("CFD", cfd.len())] {
-        if got != scr.len() {
-            return Err(SimError::Length { what, got, expected: scr.len() });
-        }
+        check_length(what, got, scr.len())?;
     }
     let own = || ScoreBounds {
         scr: Bounds::of(scr),
@@ -127,40 +115,17 @@ fn mean_distance(from: &[Point], to: &[Point]) -> f64 {
 /// # Reference
 /// reference.md#scores.
 pub fn generational_distance(num_methods: usize, cs: &[f64], rs: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
-    if cs.len() != rs.len() {
-        return Err(SimError::Length { what: "RS", got: rs.len(), expected: cs.len() });
-    }
+    check_length("RS", rs.len(), cs.len())?;
     let num_columns = cs.len().checked_div(num_methods).unwrap_or(0);
     if num_columns == 0 || num_columns * num_methods != cs.len() {
         let expected = num_methods * num_columns.max(1);
         return Err(SimError::Length { what: "CS", got: cs.len(), expected });
     }
     if let Some(bad) = cs.iter().chain(rs).find(|v| !v.is_finite()) {
-        let expected = "finite scores".into();
-        return Err(SimError::Config { field: "scores".into(), got: bad.to_string(), expected });
+        return Err(SimError::config("scores", bad, "finite scores"));
     }
     let points: Vec<Point> = cs.iter().zip(rs).map(|(&c, &r)| [c, r]).collect();
     let front = pareto_front(&points);
     let of_method = |own: &[Point]| (mean_distance(own, &front), mean_distance(&front, own));
     Ok(points.chunks_exact(num_columns).map(of_method).unzip())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_metric_that_never_varies_scores_zero() {
-        let (cs, rs) = scores(&[0.3, 0.3], &[1.0, 2.0], &[5.0, 5.0], &[1.0, 1.0], None).unwrap();
-        assert_eq!(cs, [0.0, 0.0]);
-        assert!((rs[0] - 1.0).abs() < 1e-12 && (rs[1] - 2.0 / 3.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn tables_of_unequal_shape_are_refused() {
-        assert!(scores(&[0.0], &[], &[0.0], &[0.0], None).is_err());
-        assert!(generational_distance(2, &[0.0; 3], &[0.0; 3]).is_err());
-        assert!(generational_distance(0, &[], &[]).is_err());
-        assert!(generational_distance(1, &[f64::NAN], &[0.0]).is_err());
-    }
 }

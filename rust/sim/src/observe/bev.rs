@@ -4,7 +4,7 @@
 //! raster, and cut out of it turned; the rest is drawn for each raster.
 
 use super::view::View;
-use crate::geom::{Bitmap, Point2, Pose2, Real, visit_band};
+use crate::geom::{Bitmap, Point2, Pose2, Real, bounds, visit_band};
 use crate::options;
 use crate::options::within;
 use crate::scene::{AgentKind, Map};
@@ -76,9 +76,7 @@ impl BevConfig {
         let centrelines =
             || map.lanes.iter().flat_map(|l| l.on_level(elevation_m).map(|run| &l.centreline[run]));
         let points = areas.iter().flat_map(|p| &p.exterior).chain(dividers().chain(centrelines()).flatten());
-        let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
-        let (min, max) = points.fold(none, |(low, high), p| (low.inf(p), high.sup(p)));
-        let (min, max) = if min.x <= max.x { (min, max) } else { (Point2::origin(), Point2::origin()) };
+        let (min, max) = bounds(points.copied()).unwrap_or((Point2::origin(), Point2::origin()));
         let mut ground = Bitmap::new(min, max, 2.0 / self.metres_per_px);
         areas.iter().for_each(|area| ground.fill(area, DRIVABLE));
         // no sample of the raster falls between two sides of a line

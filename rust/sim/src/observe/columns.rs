@@ -60,15 +60,15 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         e.view.facts.last_action[1]
     }),
     entry("speed_limit", "m/s", 20.0, POSITIVE, "of the lane, else the configured one", |e| {
-        e.view.facts.speed_limit_mps
+        e.view.facts.place.speed_limit_mps
     }),
     entry("route_distance", "m", 5.0, SIGNED, "signed distance from the route, left positive", |e| {
-        e.view.facts.lateral_m
+        e.view.facts.place.route_distance_m
     }),
     entry("route_sin", "", 1.0, SIGNED, "sine of the heading against the route", |e| e.route_turn().0),
     entry("route_cos", "", 1.0, SIGNED, "cosine of the heading against the route", |e| e.route_turn().1),
     on_request(entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
-        flag(e.view.facts.lane_distance_m.is_some())
+        flag(e.view.facts.place.lane_distance_m.is_some())
     })),
     on_request(entry(
         "lane_distance",
@@ -76,7 +76,7 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         5.0,
         POSITIVE,
         "distance to the nearest lane centre, 0 without one",
-        |e| e.view.facts.lane_distance_m.unwrap_or(0.0),
+        |e| e.view.facts.place.lane_distance_m.unwrap_or(0.0),
     )),
     entry("off_road", "", 1.0, POSITIVE, "1 if a corner of the box is off the road", |e| {
         flag(e.view.facts.off_road)

@@ -98,10 +98,9 @@ fn choose(field: &'static str, all: &[ObservationColumn], names: Option<&Vec<Str
         return Ok((0..all.len()).filter(|i| all[*i].in_default).collect());
     };
     let index = |name: &String| {
-        all.iter().position(|c| c.name == name).ok_or_else(|| SimError::Config {
-            field: field.into(),
-            got: format!("{name:?}"),
-            expected: format!("some of {:?}", all.iter().map(|c| c.name).collect::<Vec<_>>()),
+        all.iter().position(|c| c.name == name).ok_or_else(|| {
+            let names: Vec<_> = all.iter().map(|c| c.name).collect();
+            SimError::config(field, format!("{name:?}"), format!("some of {names:?}"))
         })
     };
     names.iter().map(index).collect()
@@ -139,8 +138,7 @@ impl Layout {
         layout.push("agents", Some(("agents_mask", c.num_neighbors)), pick(&agent, &chosen[1]));
         layout.push("map", Some(("map_mask", c.num_map_segments)), pick(&map, &chosen[2]));
         if layout.size == 0 {
-            let expected = "at least one number".into();
-            return Err(SimError::Config { field: "observation".into(), got: "nothing".into(), expected });
+            return Err(SimError::config("observation", "nothing", "at least one number"));
         }
         Ok(layout)
     }

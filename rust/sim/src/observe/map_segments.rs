@@ -1,7 +1,7 @@
 //! The map as short straight segments, and the nearest of them for every place.
 
 use super::frame::F32x8;
-use crate::geom::{Point2, Polygon, Real, Region, Vector2, math};
+use crate::geom::{Point2, Polygon, Real, Region, Vector2, bounds, math};
 use crate::scene::{LaneKind, Map};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -186,16 +186,6 @@ impl MapSegments {
         self.segments.is_empty()
     }
 
-    /// Bytes held on the heap now; grows as agents come to new cells.
-    pub fn num_bytes(&self) -> usize {
-        let lists = self.cells.iter().filter_map(OnceLock::get);
-        let numbers = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);
-        size_of_val(self.segments.as_slice())
-            + numbers.iter().map(|(_, numbers)| size_of_val::<[F32x8]>(numbers)).sum::<usize>()
-            + size_of_val(self.cells.as_slice())
-            + lists.map(|list| size_of_val::<[u32]>(list)).sum::<usize>()
-    }
-
     /// Indices of the segments nearest to a place, nearest first, at most 256.
     pub fn nearest(&self, at: Point2) -> &[u32] {
         if self.is_empty() {
@@ -289,10 +279,8 @@ impl MapSegments {
     }
 
     fn make_cells(&mut self) {
-        if self.is_empty() {
-            return;
-        }
-        let (low, high) = bounds(self.segments.iter().map(|s| Point2::new(s.x, s.y)));
+        let middles = self.segments.iter().map(|s| Point2::new(s.x, s.y));
+        let Some((low, high)) = bounds(middles) else { return };
         let (width, height) = (high.x - low.x, high.y - low.y);
         self.low = [low.x, low.y];
         self.cell_m = CELL_M;
@@ -303,11 +291,6 @@ impl MapSegments {
         self.num_cells = [width, height].map(|extent| (extent / self.cell_m) as usize + 1);
         self.cells = (0..self.num_cells[0] * self.num_cells[1]).map(|_| OnceLock::new()).collect();
     }
-}
-
-fn bounds(points: impl Iterator<Item = Point2>) -> (Point2, Point2) {
-    let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
-    points.fold(none, |(low, high), p| (low.inf(&p), high.sup(&p)))
 }
 
 /// The rectangle that the map was cut out with.
@@ -325,7 +308,8 @@ impl Cut<'_> {
             [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.stop_lines, &map.carpark_areas];
         let of_areas = areas.into_iter().flatten().flat_map(|p| &p.exterior);
         let of_lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
-        let (low, high) = bounds(of_areas.chain(of_lines).copied());
+        let none = (Point2::new(Real::MAX, Real::MAX), Point2::new(Real::MIN, Real::MIN));
+        let (low, high) = bounds(of_areas.chain(of_lines).copied()).unwrap_or(none);
         Self { low, high, road: None }
     }
 

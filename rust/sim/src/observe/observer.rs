@@ -2,13 +2,12 @@
 
 use super::agent_rows::AgentRows;
 use super::column::clip;
-use super::columns::ROUTE;
-use super::ego_row::EgoRow;
+use super::columns::{EGO, Entry, ROUTE};
 use super::frame::Frame;
 use super::layout::Layout;
 use super::map_rows::MapRows;
 use super::map_segments::MapSegments;
-use super::route_rows::write_route;
+use super::source::{Ego, OfEgo};
 use super::view::View;
 use crate::geom::Real;
 use crate::scene::AgentKind;
@@ -18,7 +17,8 @@ use crate::state::{AgentStates, Footprint};
 #[derive(Debug, Clone)]
 pub struct Observer {
     layout: Layout,
-    ego: EgoRow,
+    /// Numbers about the observing agent, and their factors.
+    ego: Vec<(&'static Entry<OfEgo>, Real)>,
     agents: AgentRows,
     map: MapRows,
 }
@@ -28,7 +28,7 @@ impl Observer {
     pub fn new(layout: Layout) -> Self {
         let ([ego, agents, map], c) = (&layout.chosen, &layout.config);
         Self {
-            ego: EgoRow::new(ego),
+            ego: ego.iter().map(|c| (&EGO[*c], 1.0 / EGO[*c].column.scale)).collect(),
             agents: AgentRows::new(agents, c.num_neighbors, c.radius_m),
             map: MapRows::new(map, c.num_map_segments),
             layout,
@@ -70,8 +70,11 @@ impl Observer {
         let (num_points, num_neighbors, num_segments) =
             (c.num_route_points, c.num_neighbors, c.num_map_segments);
         let (agents_size, map_size) = (self.agents.size(), self.map.size());
-        let (out, rest) = out.split_at_mut(self.ego.size());
-        self.ego.write(view, out);
+        let (out, rest) = out.split_at_mut(self.ego.len());
+        let ego = Ego::new(view);
+        for (to, (entry, factor)) in out.iter_mut().zip(&self.ego) {
+            *to = clip((entry.source)(&ego) * factor, entry.column.low, entry.column.high);
+        }
         let (out, rest) = rest.split_at_mut(num_points * ROUTE.len());
         let (route_mask, rest) = rest.split_at_mut(mask(num_points, num_points));
         write_route(view, &frame, c.route_spacing_m, out, route_mask);
@@ -83,5 +86,32 @@ impl Observer {
             self.map.enter(view.segments);
         }
         self.map.write(view.segments, &frame, out, &mut rest[..mask(map_size, num_segments)]);
+    }
+}
+
+/// Factors of the columns of a point on the route.
+const FACTOR: [Real; 4] = [
+    1.0 / ROUTE[0].column.scale,
+    1.0 / ROUTE[1].column.scale,
+    1.0 / ROUTE[2].column.scale,
+    1.0 / ROUTE[3].column.scale,
+];
+
+/// Fills [P, 4] and the mask [P] (or nothing, where there is no mask).
+fn write_route(view: &View<'_>, frame: &Frame, spacing_m: Real, out: &mut [Real], mask: &mut [Real]) {
+    let length = view.route.length_m();
+    let (rows, _) = out.as_chunks_mut::<{ ROUTE.len() }>();
+    for (p, row) in rows.iter_mut().enumerate() {
+        let s = view.route_s_m + (p + 1) as Real * spacing_m;
+        let there = s <= length;
+        *row = if there {
+            let at = view.route.at(s);
+            frame.rotate([at.position.x - frame.x, at.position.y - frame.y, at.cos, at.sin], FACTOR)
+        } else {
+            [0.0; ROUTE.len()]
+        };
+        if let Some(m) = mask.get_mut(p) {
+            *m = if there { 1.0 } else { 0.0 };
+        }
     }
 }

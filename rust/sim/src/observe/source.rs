@@ -36,7 +36,7 @@ impl<'a> Ego<'a> {
 
     /// Sine and cosine of its heading against the route.
     pub(super) fn route_turn(&self) -> (Real, Real) {
-        *self.route_turn.get_or_init(|| math::sin_cos(self.view.facts.heading_error_rad))
+        *self.route_turn.get_or_init(|| math::sin_cos(self.view.facts.place.heading_error_rad))
     }
 
     /// The next agent on its route.

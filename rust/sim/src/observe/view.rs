@@ -4,20 +4,30 @@ use super::map_segments::MapSegments;
 use crate::geom::{Polyline, Real};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
+use serde::{Deserialize, Serialize};
+
+/// Where an agent is beside its route and lanes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RoutePlace {
+    /// It faces against the lane whose surface holds it.
+    pub wrong_way: bool,
+    /// Signed distance from the route, left positive, metres.
+    pub route_distance_m: Real,
+    /// Heading against the route, radians.
+    pub heading_error_rad: Real,
+    /// Distance to the nearest lane centre, metres, where a lane is near.
+    pub lane_distance_m: Option<Real>,
+    /// Speed limit of that lane, else the configured one, m/s.
+    pub speed_limit_mps: Real,
+}
 
 /// What the world knows about the observing agent beside its state.
 #[derive(Debug, Clone, Copy)]
 pub struct EgoFacts {
     /// First two columns of the last normalised action.
     pub last_action: [Real; 2],
-    /// Speed limit, m/s.
-    pub speed_limit_mps: Real,
-    /// Distance to the nearest lane centre, metres, where a lane is near.
-    pub lane_distance_m: Option<Real>,
-    /// Signed distance from the route, left positive, metres.
-    pub lateral_m: Real,
-    /// Heading against the route, radians.
-    pub heading_error_rad: Real,
+    /// Where it is beside route and lanes.
+    pub place: RoutePlace,
     /// A corner is off the road.
     pub off_road: bool,
     /// Touches another agent.

@@ -51,15 +51,6 @@ options! {
 }
 
 #[test]
-fn what_is_legal_is_read() {
-    let whole: Whole = read("", r#"{"way": {"parted": {"sizes_m": [2, 0.5]}}, "count": 3}"#).unwrap();
-    assert_eq!(whole.way, Way::Parted(Part { sizes_m: vec![2.0, 0.5] }));
-    assert_eq!((whole.way.name(), Way::Plain.name()), ("parted", "plain"));
-    assert_eq!((whole.speed_mps, whole.count), (0.1, Some(3)));
-    check("", &whole).unwrap();
-}
-
-#[test]
 fn what_is_wrong_is_named_with_its_path_and_its_rule() {
     for (json, message) in [
         (r#"{"speed_mps": 0}"#, "config: speed_mps is 0, expected a number in (0, 100]"),
@@ -83,14 +74,6 @@ fn what_is_wrong_is_named_with_its_path_and_its_rule() {
         check("a.b", &bad).unwrap_err().to_string(),
         "config: a.b.speed_mps is null, expected a number in (0, 100]"
     );
-}
-
-#[test]
-fn tables_say_what_they_hold() {
-    let table = serde_json::to_value(Whole::TABLE).unwrap();
-    assert_eq!(table["defaults"]["speed_mps"], 0.1);
-    assert_eq!(table["fields"][0]["range"], "in (0, 100]");
-    assert_eq!(table["fields"][1]["form"]["one_of"]["variants"][1]["form"]["table"], "Part");
 }
 
 #[test]

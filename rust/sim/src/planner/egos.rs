@@ -74,14 +74,11 @@ impl Egos {
     pub fn new(parts: EgoParts) -> Result<Self> {
         let layout = Layout::new(&parts.observation)?;
         let decoder = ActionDecoder::new(&parts.action);
-        let fails = |field: &str, got: String, expected: &str| {
-            Err(SimError::Config { field: field.to_owned().into(), got, expected: expected.into() })
-        };
         if decoder.num_actions().is_some() || matches!(decoder.dynamics(), Dynamics::DeltaPose(_)) {
-            return fails("egos.policy", "other actions".into(), "accelerations and turns");
+            return Err(SimError::config("egos.policy", "other actions", "accelerations and turns"));
         }
         if parts.decision_steps == 0 {
-            return fails("egos.policy.decision_steps", "0".into(), "at least 1");
+            return Err(SimError::config("egos.policy.decision_steps", 0, "at least 1"));
         }
         let network = NetworkOfEgo::new(&layout, decoder.width(), parts.tensors)?;
         let row = vec![0.0; layout.size];
@@ -92,7 +89,8 @@ impl Egos {
     /// What a vehicle does in the steps of a decision: adds its poses and speeds to the plan, and what it remembers.
     fn decide(&mut self, world: &WorldView<'_>, a: usize, before: [Real; REMEMBERED], plan: &mut PlanState) {
         let (states, scene) = (world.states, world.scene);
-        let (place, s_m) = (place_on_route(states, scene, a, world.route_s_m[a]), world.route_s_m[a]);
+        let s_m = world.route_s_m[a];
+        let (place, _) = place_on_route(states, scene, a, s_m, world.speed_limit_mps);
         let ground = scene.at(states.elevation_m(a));
         let off = ground.road.as_ref().map(|road| off_road(states, a, &scene.footprints[a], road).corner);
         let has_been_on_road = before[2] > 0.0 || off == Some(false);
@@ -107,10 +105,7 @@ impl Egos {
             agent_idx: a,
             facts: EgoFacts {
                 last_action: [before[0], before[1]],
-                speed_limit_mps: place.speed_limit_mps.unwrap_or(world.speed_limit_mps),
-                lane_distance_m: place.lane_distance_m,
-                lateral_m: place.distance_m,
-                heading_error_rad: place.heading_error_rad,
+                place,
                 off_road: off == Some(true) && has_been_on_road,
                 collided: false,
                 route_remaining_m: route.length_m() - s_m,

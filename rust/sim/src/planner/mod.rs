@@ -63,8 +63,7 @@ impl Planner {
     pub fn new(name: &str, network: Option<Box<dyn TrafficPolicy>>) -> Result<Self> {
         let kind = PLANNERS.iter().find(|kind| kind.name == name).ok_or_else(|| {
             let names: Vec<&str> = PLANNERS.iter().map(|kind| kind.name).collect();
-            let expected = format!("one of {}", names.join(", "));
-            SimError::Unknown { what: "planner", got: format!("{name:?}"), expected }
+            SimError::unknown("planner", format!("{name:?}"), format!("one of {}", names.join(", ")))
         })?;
         Ok(Self { act: kind.act, network: network.map(Network::new) })
     }
@@ -81,14 +80,7 @@ impl Planner {
     }
 
     fn act_in(&self, world: &VecWorld, world_idx: usize) -> Result<Action> {
-        if let Dynamics::Assisted(_) = world.decoder().dynamics() {
-            let expected = "a model of motion by itself".into();
-            return Err(SimError::Config {
-                field: "action.dynamics".into(),
-                got: "assisted".into(),
-                expected,
-            });
-        }
+        world.decoder().dynamics().check_moves_by_itself()?;
         let status = world.status(world_idx)?;
         let seat = world.slot_agents(world_idx)?.first().copied().flatten();
         let Some(ego) = seat.filter(|ego| status.states.active[*ego]) else { return Ok(Action::default()) };

@@ -8,18 +8,14 @@
 //! velocity, IDM) implement `act` alone.
 
 mod constant_velocity;
-mod driver;
 mod idm;
-mod kind;
 mod plan;
 mod replay;
 mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
-pub use driver::Driver;
 pub use idm::{Idm, IdmConfig, idm_acceleration, idm_towards};
 pub(crate) use idm::{idm_with, share_of};
-pub use kind::{Kind, Make};
 pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
 };
@@ -28,8 +24,46 @@ pub use social_force::SocialForce;
 
 use crate::error::Result;
 use crate::geom::{Pose2, Real, Vector2};
+use crate::options::Table;
 use crate::stage::{History, PreparedScene};
 use crate::state::AgentStates;
+use serde::{Deserialize, Serialize};
+
+/// Who drives an agent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Driver {
+    /// Actions handed to `step`.
+    External,
+    /// The policy at this place of the batch's table.
+    Policy(u16),
+    /// Nobody: it is towed by the vehicle that it is hitched to.
+    Towed,
+}
+
+impl Driver {
+    /// Log replay: the first policy of every table.
+    pub const REPLAY: Self = Self::Policy(0);
+}
+
+/// Makes a policy from its options as JSON, which stand at a path.
+pub type Make = fn(path: &str, options: &str) -> Result<Box<dyn TrafficPolicy>>;
+
+/// A kind of driver: its file declares one, a list names it, and configurations, images, tables and help texts read it.
+#[derive(Debug, Clone, Copy)]
+pub struct Kind {
+    /// Name in configurations.
+    pub name: &'static str,
+    /// Name in legends and tables.
+    pub title: &'static str,
+    /// Whose colour it has in images: a driver that images tell apart, or `"other"`.
+    pub style: &'static str,
+    /// Its options; `None`: it takes none.
+    pub options: Option<&'static Table>,
+    /// Whether every batch has it under this name; others are made where somebody drives by them.
+    pub always: bool,
+    /// How it is made; `None`: not from options alone.
+    pub make: Option<Make>,
+}
 
 /// The kinds of the simulator: a new one is a line here.
 pub const KINDS: &[Kind] = &[replay::KIND, constant_velocity::KIND, idm::KIND];

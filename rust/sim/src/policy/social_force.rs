@@ -154,19 +154,4 @@ mod tests {
         let behind = repulsion(REACH_M, walk, walk);
         assert!((behind.x - FROM_BEHIND * STRENGTH_MPS2 / std::f32::consts::E).abs() < 1e-6);
     }
-
-    #[test]
-    fn gaps_are_to_the_way_of_the_box() {
-        let (pose, velocity, half) = (Pose2::new(0.0, 0.0, 0.0), Vector2::new(3.0, 0.0), (2.0, 1.0));
-        // beside the way, ahead of its end, behind the box, inside
-        for (point, gap, away) in [
-            ((5.0, 3.0), 2.0, (0.0, 1.0)),
-            ((11.0, 0.0), 3.0, (1.0, 0.0)),
-            ((-4.0, 0.0), 2.0, (-1.0, 0.0)),
-            ((4.0, -0.5), 0.0, (0.0, -1.0)),
-        ] {
-            let (got, n) = vehicle_gap(Vector2::new(point.0, point.1), &pose, velocity, half);
-            assert!((got - gap).abs() < 1e-6 && (n - Vector2::new(away.0, away.1)).norm() < 1e-6);
-        }
-    }
 }

@@ -7,7 +7,7 @@
 use super::cell_border::{Border, Parts};
 use super::road_area::HALF_LANE_M;
 use super::{LaneKind, Map};
-use crate::geom::{Grid, Point2, Real, Vector2, math, ring_edges};
+use crate::geom::{Grid, Point2, Real, Vector2, bounds, math, ring_edges};
 use crate::simd_dispatch::{pick, simd_dispatch};
 use std::f32::consts::FRAC_1_SQRT_2;
 use std::sync::OnceLock;
@@ -155,10 +155,7 @@ impl LaneIndex {
             first_segment.push(segments.len() as u32);
         }
         let ends = |s: &Segment| [s.start, s.end()];
-        let first = segments.first()?.start;
-        let (min, max) = segments.iter().flat_map(ends).fold((first, first), |(lo, hi), p| {
-            (Point2::new(lo.x.min(p.x), lo.y.min(p.y)), Point2::new(hi.x.max(p.x), hi.y.max(p.y)))
-        });
+        let (min, max) = bounds(segments.iter().flat_map(ends))?;
         let (min, max) =
             (Point2::new(min.x - REACH_M, min.y - REACH_M), Point2::new(max.x + REACH_M, max.y + REACH_M));
         let grid = Grid::new(min, max, CELL_M, MAX_CELLS);
@@ -361,14 +358,6 @@ impl LaneIndex {
     /// Lanes further away than this are never found, metres.
     pub fn reach_m(&self) -> Real {
         REACH_M
-    }
-
-    /// Bytes held on the heap.
-    pub fn num_bytes(&self) -> usize {
-        let lists = self.cells.iter().filter_map(|cell| cell.segments.get());
-        size_of_val(self.segments.as_slice())
-            + size_of_val(self.cells.as_slice())
-            + lists.map(|list| size_of_val::<[Block]>(list)).sum::<usize>()
     }
 
     /// The segments that may matter in a cell.

@@ -205,7 +205,6 @@ pub fn range_of(heights: &[Real]) -> [Real; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::LaneKind;
 
     /// A straight line along an axis at a height that depends on the place.
     fn line(along_x: bool, height: impl Fn(Real) -> Real) -> (Vec<Point2>, Vec<Real>) {
@@ -225,25 +224,6 @@ mod tests {
         // two roads that meet on a hill, 20 % steep, and a step of less than a level
         assert!(bounds(&[line(true, |x| 0.2 * x), line(false, |_| 0.0)]).is_empty());
         assert!(bounds(&[line(true, |_| 2.4), line(false, |_| 0.0)]).is_empty());
-    }
-
-    #[test]
-    fn runs_of_a_lane_are_those_on_the_level() {
-        let (centreline, elevation_m) = line(true, |x| if x.abs() < 21.0 { 8.0 } else { 0.0 });
-        let polygon = Polygon::default();
-        let (successors, predecessors) = (vec![], vec![]);
-        let (id, kind, speed_limit_mps) = (String::new(), LaneKind::Lane, None);
-        let lane =
-            Lane { id, kind, centreline, polygon, successors, predecessors, speed_limit_mps, elevation_m };
-        let runs = |z| lane.on_level(z).collect::<Vec<_>>();
-        let ends = |z| runs(z).iter().map(|run| (run.start, run.end)).collect::<Vec<_>>();
-        assert_eq!(ends(None), [(0, 21)]);
-        assert_eq!(ends(Some(7.0)), [(6, 15)]);
-        assert_eq!(ends(Some(0.0)), [(0, 6), (15, 21)]);
-        assert!(runs(Some(4.0)).is_empty());
-        // half way down, and beyond the ends
-        assert_eq!(lane.height(27.5), Some(4.0));
-        assert_eq!((lane.height(-1.0), lane.height(1e3)), (Some(0.0), Some(0.0)));
     }
 
     #[test]

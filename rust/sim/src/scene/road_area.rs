@@ -6,7 +6,7 @@
 
 use super::contour::{CELL_M, polygons};
 use super::map::Lane;
-use crate::geom::{Point2, Polygon, Real};
+use crate::geom::{self, Point2, Polygon, Real};
 
 /// Most nodes of a grid: a square kilometre.
 const MAX_NODES: f64 = 4e6;
@@ -310,11 +310,8 @@ impl Field {
 
 /// Lower left and upper right of points.
 fn bounds<'a>(points: impl IntoIterator<Item = &'a Point2>) -> Option<[[f64; 2]; 2]> {
-    let mut points = points.into_iter().map(|p| [f64::from(p.x), f64::from(p.y)]);
-    let first = points.next()?;
-    Some(points.fold([first, first], |[lo, hi], p| {
-        [[lo[0].min(p[0]), lo[1].min(p[1])], [hi[0].max(p[0]), hi[1].max(p[1])]]
-    }))
+    let (low, high) = geom::bounds(points.into_iter().copied())?;
+    Some([low, high].map(|p| [f64::from(p.x), f64::from(p.y)]))
 }
 
 /// Length of a line along x and y, metres.

@@ -1,6 +1,6 @@
 //! The line to drive along: the lanes that the route goes by, joined through the lane graph.
 
-use crate::geom::{Point2, Polyline, Projection, Real, Vector2, math};
+use crate::geom::{Point2, Polyline, Projection, Real, Vector2, bounds, math};
 use crate::scene::{LEVEL_M, Map};
 use crate::stage::route::Route;
 
@@ -130,7 +130,8 @@ fn lanes_along(map: &Map, of_agent: &Route) -> Vec<Candidate> {
     let route = &of_agent.path;
     let samples = (route.length_m() / LOOK_M).ceil() as usize + 1;
     let lines: Vec<_> = map.lanes.iter().map(|lane| Polyline::new(lane.centreline.clone())).collect();
-    let boxes: Vec<_> = lines.iter().map(|line| line.as_ref().map(bounds)).collect();
+    let bounds = |line: &Polyline| bounds(line.points().iter().copied());
+    let boxes: Vec<_> = lines.iter().map(|line| line.as_ref().and_then(bounds)).collect();
     let mut steps: Vec<Vec<Candidate>> = Vec::with_capacity(samples);
     let mut from: Vec<Vec<usize>> = Vec::with_capacity(samples);
     let mut costs: Vec<Real> = Vec::new();
@@ -138,7 +139,7 @@ fn lanes_along(map: &Map, of_agent: &Route) -> Vec<Candidate> {
         let at = route.at(k as Real * LOOK_M);
         let mut here = vec![Candidate { lane: None, s_m: 0.0, lateral_m: 0.0 }];
         for (lane, (line, bounds)) in lines.iter().zip(&boxes).enumerate() {
-            let (Some(line), Some([lo, hi])) = (line, bounds) else { continue };
+            let (Some(line), Some((lo, hi))) = (line, bounds) else { continue };
             let p = at.position;
             if p.x < lo.x - REACH_M || p.y < lo.y - REACH_M || p.x > hi.x + REACH_M || p.y > hi.y + REACH_M {
                 continue;
@@ -188,13 +189,6 @@ fn transition(map: &Map, last: &Candidate, next: &Candidate) -> Real {
         (Some(_), Some(_)) => CHANGE_M2,
         _ => LEAVE_M2,
     }
-}
-
-fn bounds(line: &Polyline) -> [Point2; 2] {
-    let first = line.points()[0];
-    line.points().iter().fold([first, first], |[lo, hi], p| {
-        [Point2::new(lo.x.min(p.x), lo.y.min(p.y)), Point2::new(hi.x.max(p.x), hi.y.max(p.y))]
-    })
 }
 
 /// What is tabulated, every [`STEP_M`]: headings over two metres, curvatures over three.

@@ -1,6 +1,6 @@
 //! Where a step writes: memory of the caller, E worlds x C slots, row-major. One table names every array.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, check_length};
 use crate::observe::Layout;
 use crate::world::config::{Autoreset, WorldConfig};
 use crate::world::reward_columns::NUM_COLUMNS;
@@ -122,10 +122,7 @@ macro_rules! step_arrays {
             pub fn check(&self, num_worlds: usize, extent: Extent) -> Result<()> {
                 let sizes = Sizes::of(extent);
                 for (what, got, size) in [$((stringify!($name), self.$name.len(), sizes.$name)),+] {
-                    let expected = num_worlds * size;
-                    if got != expected {
-                        return Err(SimError::Length { what, got, expected });
-                    }
+                    check_length(what, got, num_worlds * size)?;
                 }
                 Ok(())
             }
@@ -194,24 +191,5 @@ impl StepBuffers<'_> {
         self.truncated.fill(false);
         self.columns.fill(0.0);
         self.done.fill(false);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_array_too_short_is_named_and_absent_ones_have_no_shape() {
-        let extent = Extent { slots: 2, row: 3, raster: [0; 3], has_final: false };
-        let arrays = extent.arrays(4);
-        let shape = |name: &str| arrays.iter().find(|a| a.name == name).map(|a| (a.dtype, a.shape.clone()));
-        assert_eq!(shape("obs"), Some(("float32", vec![4, 2, 3])));
-        assert_eq!(shape("columns"), Some(("float32", vec![4, 2, NUM_COLUMNS])));
-        assert_eq!(shape("done"), Some(("bool", vec![4])));
-        assert_eq!(shape("final_obs"), Some(("float32", vec![])));
-        assert_eq!(shape("bev"), Some(("uint8", vec![])));
-        let with_all = Extent { raster: [5, 8, 8], has_final: true, ..extent }.arrays(4);
-        assert_eq!(with_all.last().map(|a| a.shape.clone()), Some(vec![4, 2, 5, 8, 8]));
     }
 }

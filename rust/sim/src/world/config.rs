@@ -250,11 +250,7 @@ pub const TABLES: &[&Table] = &[
 ];
 
 fn check(ok: bool, field: &'static str, got: impl ToString, expected: &str) -> Result<()> {
-    if ok {
-        Ok(())
-    } else {
-        Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
-    }
+    if ok { Ok(()) } else { Err(SimError::config(field, got, expected)) }
 }
 
 impl WorldConfig {
@@ -321,35 +317,5 @@ impl WorldConfig {
     pub fn names(&self, policy: &str) -> bool {
         let mut names = self.traffic.names().chain(self.drivers.values().map(String::as_str));
         self.driver == policy || names.any(|name| name == policy)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_default_is_legal_and_survives_json() {
-        let config = WorldConfig::default();
-        config.validate().unwrap();
-        let text = serde_json::to_string(&config).unwrap();
-        assert_eq!(WorldConfig::from_json(&text).unwrap(), config);
-    }
-
-    #[test]
-    fn bad_values_are_named() {
-        for (json, field) in [
-            (r#"{"dt_s": 0}"#, "dt_s"),
-            (r#"{"traffic": "external"}"#, "traffic"),
-            (r#"{"num_slots": 3}"#, "num_slots"),
-            (r#"{"decision_steps": 0}"#, "decision_steps"),
-            (r#"{"colour": 3}"#, "colour"),
-            (r#"{"reward": {"goal": 1e9}}"#, "reward.goal"),
-        ] {
-            match WorldConfig::from_json(json) {
-                Err(SimError::Config { field: got, .. }) => assert_eq!(got, field, "{json}"),
-                other => panic!("{json} gave {other:?}"),
-            }
-        }
     }
 }

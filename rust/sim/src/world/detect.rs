@@ -5,7 +5,7 @@ use crate::geom::Real;
 use crate::policy::Driver;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
-use crate::world::surroundings::{leave_road, route_and_lane, straddles_lanes};
+use crate::world::surroundings::{leave_road, place_on_route, straddles_lanes};
 use crate::world::sweep::{parts, states_between};
 use crate::world::tick::World;
 
@@ -18,7 +18,8 @@ impl World {
         for (slot, from_route_m) in e.slots.iter_mut().zip(&mut self.scratch.from_route_m) {
             if let Some(a) = slot.agent_idx.filter(|a| e.states.active[*a]) {
                 leave_road(&e.states, &self.scene, a, slot);
-                *from_route_m = route_and_lane(&e.states, &self.scene, a, e.route_s_m[a], slot, config);
+                (slot.place, *from_route_m) =
+                    place_on_route(&e.states, &self.scene, a, e.route_s_m[a], config.speed_limit_mps);
             }
         }
     }

@@ -108,8 +108,7 @@ pub(crate) fn check_styles(ranges: &Styles, reward: &RewardConfig) -> Result<()>
     };
     let Some(name) = ranges.keys().find(|name| !counts(name)) else { return Ok(()) };
     let known: Vec<_> = COMPONENTS.into_iter().filter(|name| counts(name)).collect();
-    let expected = format!("weights that are not 0: {}", known.join(", "));
-    Err(SimError::Config { field: "style".into(), got: name.clone(), expected })
+    Err(SimError::config("style", name, format!("weights that are not 0: {}", known.join(", "))))
 }
 
 /// Refuses factors of a reset that are not those of the configuration's ranges.
@@ -123,28 +122,7 @@ pub(crate) fn check_style(style: &BTreeMap<String, Real>, ranges: &Styles) -> Re
                 (name.clone(), format!("some of the configuration's style: {}", names.join(", ")))
             }
         };
-        return Err(SimError::Config { field: "options: style".into(), got, expected });
+        return Err(SimError::config("options: style", got, expected));
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_ranges_nothing_is_changed() {
-        let drawn = Drawn::new(&Randomization::default(), &Styles::new(), &BTreeMap::new(), Rng::new(3));
-        assert_eq!((drawn.gains, drawn.size, drawn.style), ([1.0; 2], 1.0, [1.0; NUM_COMPONENTS]));
-        assert!(drawn.pending.is_empty());
-    }
-
-    #[test]
-    fn actions_come_out_in_order_after_the_delay() {
-        let mut drawn = Drawn::new(&Randomization::default(), &Styles::new(), &BTreeMap::new(), Rng::new(3));
-        drawn.pending = vec![[0.0; 3]; 2];
-        let given = |t: usize| [t as Real + 1.0, 0.0, 0.0];
-        let out: Vec<_> = (0..5).map(|t| drawn.delayed(given(t), t)[0]).collect();
-        assert_eq!(out, [0.0, 0.0, 1.0, 2.0, 3.0]);
-    }
 }

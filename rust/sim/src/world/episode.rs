@@ -2,6 +2,7 @@
 
 use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
+use crate::observe::RoutePlace;
 use crate::options::CRITICALITY;
 use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
@@ -52,11 +53,7 @@ pub(crate) struct Slot {
     // what the last step found out, for reward and observation
     pub(crate) off_road: bool,
     pub(crate) off_road_centroid: bool,
-    pub(crate) wrong_way: bool,
-    pub(crate) route_distance_m: Real,
-    pub(crate) route_heading_error_rad: Real,
-    pub(crate) lane_distance_m: Option<Real>,
-    pub(crate) speed_limit_mps: Real,
+    pub(crate) place: RoutePlace,
     pub(crate) statistics: EpisodeStatistics,
     pub(crate) drawn: Drawn,
 }
@@ -152,7 +149,7 @@ impl Episode {
         let (seed, number) = (self.seed, self.number);
         self.drivers.extend(scene.kinds.iter().enumerate().map(|(a, kind)| match kind {
             AgentKind::Vehicle => policies.of_vehicle(seed, number, a),
-            AgentKind::Pedestrian => policies.of_pedestrians(),
+            AgentKind::Pedestrian => policies.pedestrians,
             _ => Driver::REPLAY,
         }));
         for a in 0..num_agents {
@@ -160,8 +157,8 @@ impl Episode {
                 self.enter(scene, a, config.dt_s);
             }
         }
-        self.fill_slots(scene, config, policies.of_slots(), start.ego, &wanted.style);
-        for (id, driver) in policies.by_id() {
+        self.fill_slots(scene, config, policies.slots, start.ego, &wanted.style);
+        for (id, driver) in &policies.by_id {
             let agent = log.agent_index(id).filter(|a| scene.kinds[*a] == AgentKind::Vehicle);
             // actions reach agents with a slot only
             let takes = |a: &usize| *driver != Driver::External || self.has_slot(*a);
@@ -261,11 +258,13 @@ impl Episode {
                 has_been_on_road: false,
                 off_road: false,
                 off_road_centroid: false,
-                wrong_way: false,
-                route_distance_m: 0.0,
-                route_heading_error_rad: 0.0,
-                lane_distance_m: None,
-                speed_limit_mps: config.speed_limit_mps,
+                place: RoutePlace {
+                    wrong_way: false,
+                    route_distance_m: 0.0,
+                    heading_error_rad: 0.0,
+                    lane_distance_m: None,
+                    speed_limit_mps: config.speed_limit_mps,
+                },
                 statistics: EpisodeStatistics::default(),
                 drawn: Drawn::new(&config.randomization, &config.style, style, rng.split(c as u64)),
             });
@@ -385,10 +384,10 @@ impl Slot {
     fn is_sound(&self) -> bool {
         let found = [
             self.acceleration_mps2,
-            self.speed_limit_mps,
-            self.route_distance_m,
-            self.route_heading_error_rad,
-            self.lane_distance_m.unwrap_or(0.0),
+            self.place.speed_limit_mps,
+            self.place.route_distance_m,
+            self.place.heading_error_rad,
+            self.place.lane_distance_m.unwrap_or(0.0),
         ];
         let ways = self.progress.reals();
         let reals = ways.iter().chain(&found).chain(&self.last_action);

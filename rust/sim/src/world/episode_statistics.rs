@@ -128,10 +128,6 @@ impl EpisodeStatistics {
 mod tests {
     use super::*;
 
-    fn value(metrics: &Metrics, name: &str) -> f64 {
-        metrics[METRICS.iter().position(|m| m.name == name).unwrap()]
-    }
-
     #[test]
     fn names_agree_with_those_of_the_columns() {
         let name = |column: Col| COLUMNS[column as usize].name;
@@ -142,34 +138,5 @@ mod tests {
         assert!(components.iter().all(|c| c.starts_with("reward_")));
         assert_eq!(names[13..], components);
         assert_eq!(NUM_METRICS, 2 + EVER.len() + LAST.len() + 1 + MEAN.len() + NUM_COMPONENTS);
-    }
-
-    #[test]
-    fn sums_means_extremes_and_last_values() {
-        let mut statistics = EpisodeStatistics::default();
-        let mut columns = [0.0; NUM_COLUMNS];
-        columns[Col::Ttc as usize] = 4.0;
-        columns[Col::Speed as usize] = 2.0;
-        columns[Col::OffRoad as usize] = 1.0;
-        columns[Col::RewardOffRoad as usize] = -1.0;
-        statistics.add(-1.0, &columns);
-        columns = [0.0; NUM_COLUMNS];
-        columns[Col::Ttc as usize] = 9.0;
-        columns[Col::Speed as usize] = 4.0;
-        columns[Col::Progress as usize] = 7.0;
-        statistics.add(0.5, &columns);
-        let metrics = statistics.metrics();
-        for (name, expected) in [
-            ("return", -0.5),
-            ("length", 2.0),
-            ("off_road", 1.0),
-            ("collision", 0.0),
-            ("progress", 7.0),
-            ("min_ttc", 4.0),
-            ("mean_speed", 3.0),
-            ("reward_off_road", -1.0),
-        ] {
-            assert_eq!(value(&metrics, name), expected, "{name}");
-        }
     }
 }

@@ -1,8 +1,8 @@
 //! What can be asked of a running batch of worlds.
 
 use super::{ActionDecoder, Drawn, Extent, Metrics, VecWorld, WorldConfig};
-use crate::dynamics::{Action, Dynamics};
-use crate::error::{Result, SimError};
+use crate::dynamics::Action;
+use crate::error::{Result, SimError, check_length};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
@@ -38,6 +38,11 @@ pub struct WorldStatus<'a> {
     pub route_s_m: &'a [Real],
 }
 
+/// What is wrong with an index that is not below a number.
+pub(super) fn no_index(what: &'static str, idx: usize, below: usize) -> SimError {
+    SimError::unknown(what, idx, format!("an index below {below}"))
+}
+
 impl VecWorld {
     /// Puts a driver into vehicles of a world, until its episode ends. Vehicles that have left their log do not go back
     /// to it by log replay without a jump: assign at the start of an episode.
@@ -50,12 +55,11 @@ impl VecWorld {
         let driver = self.policies.driver("driver", driver)?;
         let kinds = &world.scene.kinds;
         if let Some(agent) = agents.iter().find(|a| kinds.get(**a) != Some(&AgentKind::Vehicle)) {
-            let expected = "the index of a vehicle".into();
-            return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
+            return Err(SimError::unknown("agent", agent, "the index of a vehicle"));
         }
         if driver == Driver::External && !agents.iter().all(|a| world.episode.has_slot(*a)) {
-            let expected = "a policy: actions from outside reach agents with a slot only".into();
-            return Err(SimError::Config { field: "driver".into(), got: "external".into(), expected });
+            let expected = "a policy: actions from outside reach agents with a slot only";
+            return Err(SimError::config("driver", "external", expected));
         }
         let drivers = &mut self.worlds[world_idx].episode.drivers;
         agents.iter().for_each(|a| drivers[*a] = driver);
@@ -72,16 +76,10 @@ impl VecWorld {
     pub fn override_plan(&mut self, world_idx: usize, wanted: PlanOverride) -> Result<()> {
         let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
         if let Some(agent) = wanted.guided.iter().flatten().find(|a| **a >= num_agents) {
-            let expected = format!("an index below {num_agents}");
-            return Err(SimError::Unknown { what: "agent", got: agent.to_string(), expected });
+            return Err(no_index("agent", *agent, num_agents));
         }
         if let Some(strength) = wanted.criticality.filter(|c| !CRITICALITY.holds(f64::from(*c))) {
-            let expected = format!("a number {CRITICALITY}");
-            return Err(SimError::Config {
-                field: "criticality".into(),
-                got: strength.to_string(),
-                expected,
-            });
+            return Err(SimError::config("criticality", strength, format!("a number {CRITICALITY}")));
         }
         self.planner(None)?;
         self.worlds[world_idx].episode.plan_override = wanted;
@@ -101,22 +99,22 @@ impl VecWorld {
 
     /// Place in the table of the policy of a name that plans, or of the first one.
     fn planner(&self, policy: Option<&str>) -> Result<u16> {
-        let planners = self.policies.planners();
+        let planners = &self.policies.planners;
         let is_it = |i: &&u16| policy.is_none_or(|name| self.policies.name_of(Driver::Policy(**i)) == name);
         planners.iter().find(is_it).copied().ok_or_else(|| {
             let names: Vec<&str> = self.planner_names().collect();
             let got = policy.map_or_else(|| "that plans".into(), |name| format!("{name:?}"));
             let expected = match names[..] {
-                [] => "a batch with a driver that plans".into(),
+                [] => "a batch with a driver that plans".to_owned(),
                 _ => format!("one that plans: {}", names.join(", ")),
             };
-            SimError::Unknown { what: "policy", got, expected }
+            SimError::unknown("policy", got, expected)
         })
     }
 
     /// Names of the policies that plan.
     pub fn planner_names(&self) -> impl Iterator<Item = &str> {
-        self.policies.planners().iter().map(|i| self.policies.name_of(Driver::Policy(*i)))
+        self.policies.planners.iter().map(|i| self.policies.name_of(Driver::Policy(*i)))
     }
 
     /// Names of the policies, in the order of the table, each with its kind.
@@ -169,11 +167,7 @@ impl VecWorld {
     /// [`SimError::Unknown`] for an index out of range.
     pub fn scene(&self, scene_idx: usize) -> Result<&Arc<Scene>> {
         let known = self.scenes.list.get(scene_idx).map(|(scene, _)| scene);
-        known.ok_or_else(|| SimError::Unknown {
-            what: "scene",
-            got: scene_idx.to_string(),
-            expected: format!("an index below {}", self.num_scenes()),
-        })
+        known.ok_or_else(|| no_index("scene", scene_idx, self.num_scenes()))
     }
 
     /// A scene made ready.
@@ -208,11 +202,7 @@ impl VecWorld {
     }
 
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {
-        self.worlds.get(world_idx).ok_or_else(|| SimError::Unknown {
-            what: "world",
-            got: world_idx.to_string(),
-            expected: format!("an index below {}", self.worlds.len()),
-        })
+        self.worlds.get(world_idx).ok_or_else(|| no_index("world", world_idx, self.worlds.len()))
     }
 
     pub(super) fn begun(&self, world_idx: usize) -> Result<&World> {
@@ -294,7 +284,7 @@ impl VecWorld {
         let world = self.begun(world_idx)?;
         let (states, scene) = (&world.episode.states, &world.scene);
         let mut collisions = Collisions::new();
-        collisions.detect(states, &scene.footprints, &scene.kinds);
+        collisions.find(states, &scene.footprints, &scene.kinds);
         let seen = |i: u32, j: u32| {
             let (i, j) = (i as usize, j as usize);
             Contact::between(states, &scene.footprints, i, j, || straddles_lanes(states, scene, i))
@@ -338,14 +328,7 @@ impl VecWorld {
     /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics, whose steps are not inverted.
     pub fn expert_actions(&self, world_idx: usize) -> Result<Vec<Action>> {
         let world = self.begun(world_idx)?;
-        if let Dynamics::Assisted(_) = self.decoder.dynamics() {
-            let expected = "a model of motion by itself".into();
-            return Err(SimError::Config {
-                field: "action.dynamics".into(),
-                got: "assisted".into(),
-                expected,
-            });
-        }
+        self.decoder.dynamics().check_moves_by_itself()?;
         let (e, scene) = (&world.episode, &world.scene);
         let action = |agent: Option<usize>| {
             let a = agent?;
@@ -383,14 +366,8 @@ impl VecWorld {
     pub fn observe(&mut self, world_idx: usize, obs: &mut [Real], bev: &mut [u8]) -> Result<()> {
         self.begun(world_idx)?;
         let extent = self.extent();
-        for (what, got, size) in
-            [("obs", obs.len(), extent.row), ("bev", bev.len(), self.layout.raster_size())]
-        {
-            let expected = extent.slots * size;
-            if got != expected {
-                return Err(SimError::Length { what, got, expected });
-            }
-        }
+        check_length("obs", obs.len(), extent.slots * extent.row)?;
+        check_length("bev", bev.len(), extent.slots * self.layout.raster_size())?;
         let now = self.worlds[world_idx].episode.elapsed_steps;
         self.worlds[world_idx].observe(&self.config, extent, now, obs, bev, false);
         Ok(())

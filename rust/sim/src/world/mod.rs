@@ -9,7 +9,6 @@
 mod actions;
 mod arrival;
 mod assist;
-mod autoreset;
 mod buffers;
 mod candidates;
 mod config;
@@ -64,7 +63,7 @@ pub use start::{LEAST_WAY_M, Wanted};
 pub(crate) use surroundings::place_on_route;
 pub use traffic::{EXTERNAL, Traffic};
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
 use crate::observe::{Layout, Observer};
 use crate::policy::{Driver, PlanRequest, TrafficPolicy};
@@ -131,17 +130,14 @@ impl VecWorld {
         policies: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Result<Self> {
         config.validate()?;
-        let bad = |field: &'static str, got: usize, expected: &str| {
-            Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
-        };
         if !(1..=MOST_WORLDS).contains(&num_worlds) {
-            return bad("num_envs", num_worlds, "1 to 65536");
+            return Err(SimError::config("num_envs", num_worlds, "1 to 65536"));
         }
         if !(1..=MOST_THREADS).contains(&num_threads) {
-            return bad("num_threads", num_threads, "1 to 1024");
+            return Err(SimError::config("num_threads", num_threads, "1 to 1024"));
         }
         if scenes.is_empty() {
-            return bad("scenes", 0, "at least one scene");
+            return Err(SimError::config("scenes", 0, "at least one scene"));
         }
         for scene in &scenes {
             check_scene(scene, &config)?;
@@ -154,9 +150,8 @@ impl VecWorld {
         let bytes =
             [config.num_slots, num_worlds].iter().fold(row_bytes as u64, |b, n| b.saturating_mul(*n as u64));
         if bytes > MOST_BYTES {
-            let expected = "at most 16 GiB: fewer worlds or columns".into();
-            let field = "bytes of the observations of a step".into();
-            return Err(SimError::Config { field, got: bytes.to_string(), expected });
+            let field = "bytes of the observations of a step";
+            return Err(SimError::config(field, bytes, "at most 16 GiB: fewer worlds or columns"));
         }
         let num_scenes = scenes.len();
         let scenes = Scenes::new(scenes, config.observation.bev);
@@ -166,14 +161,8 @@ impl VecWorld {
             .map(|i| World::new(i, num_scenes, Arc::clone(&first), observer.clone()))
             .collect();
         let pool = if num_threads > 1 {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build().map_err(|e| {
-                SimError::Config {
-                    field: "num_threads".into(),
-                    got: e.to_string(),
-                    expected: "threads that start".into(),
-                }
-            })?;
-            Some(pool)
+            let made = rayon::ThreadPoolBuilder::new().num_threads(num_threads).build();
+            Some(made.map_err(|e| SimError::config("num_threads", e, "threads that start"))?)
         } else {
             None
         };
@@ -190,11 +179,8 @@ impl VecWorld {
     /// scenes are played in their order.
     pub fn set_scene_weights(&mut self, weights: Option<&[f64]>) -> Result<()> {
         if weights.is_some() && self.config.scene_order == SceneOrder::Sequential {
-            return Err(SimError::Config {
-                field: "scene_order".into(),
-                got: "sequential".into(),
-                expected: "random, where scenes are drawn by weights".into(),
-            });
+            let expected = "random, where scenes are drawn by weights";
+            return Err(SimError::config("scene_order", "sequential", expected));
         }
         self.scenes.weigh(weights)
     }
@@ -205,11 +191,8 @@ impl VecWorld {
     /// [`SimError::Config`] where one has begun.
     pub fn set_autoreset(&mut self, mode: Autoreset) -> Result<()> {
         if self.worlds.iter().any(|w| w.episode.begun()) {
-            return Err(SimError::Config {
-                field: "autoreset".into(),
-                got: format!("{mode:?} in worlds that have begun"),
-                expected: "the mode that they were made with".into(),
-            });
+            let got = format!("{mode:?} in worlds that have begun");
+            return Err(SimError::config("autoreset", got, "the mode that they were made with"));
         }
         self.config.autoreset = mode;
         Ok(())
@@ -222,25 +205,15 @@ impl VecWorld {
     pub fn reset(&mut self, request: &ResetRequest<'_>, out: StepBuffers<'_>) -> Result<()> {
         let num_worlds = self.worlds.len();
         out.check(num_worlds, self.extent())?;
-        let length = |what, got| Err(SimError::Length { what, got, expected: num_worlds });
-        if request.seeds.len() != num_worlds {
-            return length("seeds", request.seeds.len());
-        }
-        if request.scenes.len() != num_worlds {
-            return length("scenes", request.scenes.len());
-        }
-        if let Some(mask) = request.mask
-            && mask.len() != num_worlds
-        {
-            return length("reset_mask", mask.len());
-        }
+        check_length("seeds", request.seeds.len(), num_worlds)?;
+        check_length("scenes", request.scenes.len(), num_worlds)?;
+        check_length("reset_mask", request.mask.map_or(num_worlds, <[bool]>::len), num_worlds)?;
         let n = self.scenes.list.len();
         if let Some(idx) = request.scenes.iter().flatten().find(|i| **i >= n) {
-            let expected = format!("an index below {n}");
-            return Err(SimError::Unknown { what: "scene", got: idx.to_string(), expected });
+            return Err(inspect::no_index("scene", *idx, n));
         }
-        if !request.wanted.is_empty() && request.wanted.len() != num_worlds {
-            return length("wanted", request.wanted.len());
+        if !request.wanted.is_empty() {
+            check_length("wanted", request.wanted.len(), num_worlds)?;
         }
         let goes = |i: usize| request.mask.is_none_or(|m| m[i]);
         for (i, wanted) in request.wanted.iter().enumerate().filter(|(i, _)| goes(*i)) {
@@ -303,7 +276,7 @@ impl VecWorld {
         }
         let steps = self.config.decision_steps;
         // where a policy plans for all worlds they go on step by step together
-        let stride = if self.policies.planners().is_empty() { steps } else { 1 };
+        let stride = if self.policies.planners.is_empty() { steps } else { 1 };
         for first in (0..steps).step_by(stride) {
             self.plan(first, active, &out)?;
             self.step_held(actions, active, first..first + stride, out.reborrow());
@@ -351,11 +324,8 @@ impl VecWorld {
         let (num_worlds, slots) = (self.worlds.len(), self.config.num_slots);
         out.check(num_worlds, self.extent())?;
         let width = self.decoder.width() * slots;
-        let active_len = active.map_or(num_worlds, <[bool]>::len);
-        let lengths = [("actions", actions.len(), num_worlds * width), ("active", active_len, num_worlds)];
-        if let Some((what, got, expected)) = lengths.into_iter().find(|(_, got, expected)| got != expected) {
-            return Err(SimError::Length { what, got, expected });
-        }
+        check_length("actions", actions.len(), num_worlds * width)?;
+        check_length("active", active.map_or(num_worlds, <[bool]>::len), num_worlds)?;
         for (i, world) in self.worlds.iter().enumerate().filter(|(i, _)| goes(active, *i)) {
             match world.episode.phase {
                 Phase::NeverReset => {
@@ -377,8 +347,8 @@ impl VecWorld {
             goes(active, w.idx) && w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx])
         };
         let mut made = Vec::new();
-        for place in 0..self.policies.planners().len() {
-            let policy_idx = self.policies.planners()[place];
+        for place in 0..self.policies.planners.len() {
+            let policy_idx = self.policies.planners[place];
             let (driver, always) = (Driver::Policy(policy_idx), self.policies.always_plans(policy_idx));
             let drives = |w: &&World| always || w.episode.drivers.contains(&driver);
             let running = self.worlds.iter().filter(goes_on).filter(drives);

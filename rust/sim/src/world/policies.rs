@@ -16,18 +16,18 @@ const MIX_STREAM: u64 = u64::MAX - 1;
 /// Policies by name, and the configuration's choice among them.
 pub(crate) struct Policies {
     table: Vec<(String, Box<dyn TrafficPolicy>)>,
-    /// Policies that make plans.
-    planners: Vec<u16>,
+    /// Places in the table of those that make plans.
+    pub(crate) planners: Vec<u16>,
     /// States that the policy looks back at which looks back farthest; 0: none.
     pub(crate) history_states: usize,
     /// Driver of the agents with a slot.
-    slots: Driver,
+    pub(crate) slots: Driver,
     /// Drivers of the other vehicles, each with the sum of the shares up to its own.
     traffic: Vec<(Real, Driver)>,
     /// Driver of pedestrians.
-    pedestrians: Driver,
+    pub(crate) pedestrians: Driver,
     /// Drivers of single vehicles by id.
-    by_id: Vec<(String, Driver)>,
+    pub(crate) by_id: Vec<(String, Driver)>,
 }
 
 impl Policies {
@@ -49,8 +49,7 @@ impl Policies {
         let walks = PEDESTRIANS.iter().find(|kind| kind.name == config.pedestrians.name());
         for (name, policy) in more.into_iter().chain(walks.and_then(made).transpose()?) {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
-                let expected = "a name that nobody else has".into();
-                return Err(SimError::Config { field: "named_drivers".into(), got: name, expected });
+                return Err(SimError::config("named_drivers", name, "a name that nobody else has"));
             }
             let (least, has) = (policy.least_history_states(), config.history_steps.saturating_add(1));
             if has < least {
@@ -58,8 +57,7 @@ impl Policies {
                     "at least {}: {name:?} looks back at {least} states or more, the present one included",
                     least - 1
                 );
-                let got = config.history_steps.to_string();
-                return Err(SimError::Config { field: "history_steps".into(), got, expected });
+                return Err(SimError::config("history_steps", config.history_steps, expected));
             }
             table.push((name, policy));
         }
@@ -88,8 +86,7 @@ impl Policies {
         for (id, name) in &config.drivers {
             let known = scenes.iter().filter_map(|s| Some(s.agents[s.agent_index(id)?].kind));
             if !known.clone().any(|kind| kind == AgentKind::Vehicle) {
-                let expected = "the id of a vehicle".into();
-                return Err(SimError::Unknown { what: "agent of drivers", got: format!("{id:?}"), expected });
+                return Err(SimError::unknown("agent of drivers", format!("{id:?}"), "the id of a vehicle"));
             }
             let is_towed = |s: &Arc<Scene>| {
                 let agent = s.agent_index(id).filter(|_| id != EGO_ID);
@@ -97,9 +94,8 @@ impl Policies {
             };
             let is_named = matches!(config.controlled, Controlled::Ids(_) | Controlled::PerScene(_));
             if !is_named && scenes.iter().any(is_towed) {
-                let expected =
-                    "the id of a vehicle that no other one tows: those follow who tows them".into();
-                return Err(SimError::Config { field: "drivers".into(), got: format!("{id:?}"), expected });
+                let expected = "the id of a vehicle that no other one tows: those follow who tows them";
+                return Err(SimError::config("drivers", format!("{id:?}"), expected));
             }
             policies.by_id.push((id.clone(), policies.driver("drivers", name)?));
         }
@@ -129,7 +125,7 @@ impl Policies {
         found.map(|i| Driver::Policy(i as u16)).ok_or_else(|| {
             let names: Vec<&str> = self.names().collect();
             let expected = format!("a driver of this batch: {}", names.join(", "));
-            SimError::Config { field: field.into(), got: format!("{name:?}"), expected }
+            SimError::config(field, format!("{name:?}"), expected)
         })
     }
 
@@ -144,11 +140,6 @@ impl Policies {
 
     pub(crate) fn len(&self) -> usize {
         self.table.len()
-    }
-
-    /// Policies that make plans, by their places in the table.
-    pub(crate) fn planners(&self) -> &[u16] {
-        &self.planners
     }
 
     /// Whether a policy plans for every world, or only for those where somebody was put into its hands.
@@ -175,11 +166,6 @@ impl Policies {
         Ok(plans)
     }
 
-    /// Driver of the agents with a slot.
-    pub(crate) fn of_slots(&self) -> Driver {
-        self.slots
-    }
-
     /// Driver of a vehicle without a slot in the episode of a seed.
     pub(crate) fn of_vehicle(&self, seed: u64, episode: u64, agent_idx: usize) -> Driver {
         if let [(_, only)] = self.traffic[..] {
@@ -189,15 +175,5 @@ impl Policies {
         let drawn = (rng.next_u64() >> 40) as Real / (1u64 << 24) as Real;
         let found = self.traffic.iter().find(|(up_to, _)| drawn < *up_to);
         found.or(self.traffic.last()).map_or(Driver::REPLAY, |(_, driver)| *driver)
-    }
-
-    /// Driver of pedestrians.
-    pub(crate) fn of_pedestrians(&self) -> Driver {
-        self.pedestrians
-    }
-
-    /// Drivers of single vehicles by id.
-    pub(crate) fn by_id(&self) -> &[(String, Driver)] {
-        &self.by_id
     }
 }

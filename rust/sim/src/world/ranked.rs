@@ -1,7 +1,7 @@
 //! Vehicles of a scene by their importance where an episode starts.
 
-use crate::causal::measures::{AgentFrame, AgentHistory};
-use crate::causal::rank::KeyRanking;
+use crate::causal::measures::{AgentFrame, AgentHistory, Ttc, normalised_distance, normalised_ttc};
+use crate::causal::rank::{CliqueSettings, RankInput, Ranker};
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::apart_in_log;
@@ -27,12 +27,9 @@ pub fn ranked_vehicles(
     let Some(ego) = log.agent_index(EGO_ID).filter(drives).or_else(|| (0..n).find(drives)) else {
         return Vec::new();
     };
-    let (kind, back) = match ranking {
-        VehicleRanking::Cliques => (KeyRanking::Cliques, (LOOK_BACK_S / log.dt_s).round() as usize),
-        VehicleRanking::Nearest => (KeyRanking::Nearest, 0),
-        VehicleRanking::Ttc => (KeyRanking::Ttc, 0),
-        VehicleRanking::First => (KeyRanking::First, 0),
-        VehicleRanking::Random => (KeyRanking::Random { seed: 0 }, 0),
+    let back = match ranking {
+        VehicleRanking::Cliques => (LOOK_BACK_S / log.dt_s).round() as usize,
+        _ => 0,
     };
     let steps = step_idx.saturating_sub(back)..=step_idx;
     let places: Vec<usize> = steps.flat_map(|t| (0..n).map(move |a| log.at(a, t))).collect();
@@ -48,8 +45,36 @@ pub fn ranked_vehicles(
         valid: &places.iter().map(|at| tracks.valid[*at]).collect::<Vec<bool>>(),
         apart: &apart_in_log(log, step_idx, &(0..n).collect::<Vec<usize>>()),
     };
-    let candidates: Vec<bool> = (0..n).map(|a| drives(&a)).collect();
-    let others = AgentHistory::new(frame).and_then(|history| kind.rank(&history, &candidates, ego));
+    let place = |a: usize| tracks.position[log.at(a, step_idx)];
+    let distance_m = |a: usize| (place(a) - place(ego)).norm();
+    let ranked = AgentHistory::new(frame).and_then(|history| {
+        let mut agents: Vec<usize> = match ranking {
+            VehicleRanking::Cliques => {
+                let valid: Vec<bool> = (0..n).map(|a| log.is_valid(a, step_idx)).collect();
+                let ttc: Vec<Real> = history.ttc_s(Ttc::Oriented).into_iter().map(normalised_ttc).collect();
+                let distance: Vec<Real> =
+                    history.distance_m()?.into_iter().map(normalised_distance).collect();
+                let input =
+                    RankInput { valid: &valid, ttc: &ttc, distance: &distance, ..RankInput::default() };
+                Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL).rank(&input, n)?.agents
+            }
+            VehicleRanking::Random => {
+                let input = RankInput { valid: &vec![true; n], ..RankInput::default() };
+                Ranker::Random { seed: 0 }.rank(&input, n)?.agents
+            }
+            VehicleRanking::Nearest | VehicleRanking::Ttc | VehicleRanking::First => (0..n).collect(),
+        };
+        agents.retain(|a| *a != ego && drives(a));
+        if ranking == VehicleRanking::Nearest {
+            agents.sort_by(|a, b| distance_m(*a).total_cmp(&distance_m(*b)));
+        } else if ranking == VehicleRanking::Ttc {
+            let ttc_s = history.ttc_s(Ttc::Oriented);
+            let of_ego = &ttc_s[ego * n..];
+            let nearer = |a: &usize, b: &usize| distance_m(*a).total_cmp(&distance_m(*b));
+            agents.sort_by(|a, b| of_ego[*a].total_cmp(&of_ego[*b]).then(nearer(a, b)));
+        }
+        Ok(agents)
+    });
     // the arrays are of one length
-    std::iter::once(ego).chain(others.unwrap_or_default()).collect()
+    std::iter::once(ego).chain(ranked.unwrap_or_default()).collect()
 }

@@ -16,7 +16,7 @@ const MAX_DISCOMFORT: Real = 3.0;
 /// Speed above the limit at which progress is worth nothing, m/s.
 const SPEEDING_MPS: Real = 5.0;
 
-/// What a slot's reward is made from, besides its state.
+/// What happened to a slot's agent in a step.
 pub(crate) struct StepFacts {
     /// A contact that begins in this step.
     pub(crate) contact: Option<Contact>,
@@ -47,7 +47,7 @@ pub(crate) fn score(
     states: &AgentStates,
     agent_idx: usize,
     slot: &mut Slot,
-    facts: &StepFacts,
+    facts: StepFacts,
     config: &WorldConfig,
     columns: &mut [Real],
 ) -> Real {
@@ -58,29 +58,21 @@ pub(crate) fn score(
     slot.ever_collided |= facts.contact.is_some();
     slot.ever_off_road |= slot.off_road;
     let mut step = Step {
-        contact: facts.contact,
         contact_counts: facts.contact.is_some(),
         worth: 1.0,
         soft: 1.0,
-        progress_m: facts.progress_m,
         travelled_m: slot.progress.travelled_m(),
         completion: slot.progress.completion(),
-        reached: facts.reached,
         success: (facts.terminated || facts.timed_out) && is_success(slot, facts.route_s_m, config),
-        timed_out: facts.timed_out,
         off_road: slot.off_road,
         off_road_centroid: slot.off_road_centroid,
-        wrong_way: slot.wrong_way,
-        lane_distance_m: slot.lane_distance_m,
-        route_distance_m: slot.route_distance_m,
-        speed_limit_mps: slot.speed_limit_mps,
+        place: slot.place,
         speed_mps: speed,
         acceleration_mps2: acceleration,
         lateral_acceleration_mps2: lateral,
         jerk_mps3: jerk,
         discomfort: discomfort(acceleration, lateral, jerk),
-        ttc_s: facts.ttc_s,
-        log_distance_m: facts.log_distance_m,
+        facts,
     };
     if config.reward.form == RewardForm::Product {
         // of single steps, where nuPlan looks at smoothed motions
@@ -90,9 +82,9 @@ pub(crate) fn score(
             && jerk.abs() <= limits::JERK_MPS3;
         let half = |ok: bool| if ok { 1.0 } else { 0.5 };
         let over = step.speeding_mps() / SPEEDING_MPS;
-        let worth = half(calm) * half(facts.ttc_s >= limits::TTC_S) * (1.0 - over).max(0.0);
+        let worth = half(calm) * half(step.facts.ttc_s >= limits::TTC_S) * (1.0 - over).max(0.0);
         step.worth = worth * (1.0 - 0.5 * step.aside());
-        step.contact_counts = facts.contact.is_some_and(|c| c.at_fault);
+        step.contact_counts = step.facts.contact.is_some_and(|c| c.at_fault);
         step.soft = 0.0;
     }
     reward_columns::fill(&step, &config.reward, &slot.drawn.style, columns)

@@ -4,10 +4,12 @@
 //! made from it.
 
 use crate::choices;
-use crate::events::{Contact, ContactKind};
+use crate::events::ContactKind;
 use crate::geom::Real;
+use crate::observe::RoutePlace;
 use crate::options;
 use crate::options::WEIGHT;
+use crate::world::reward::StepFacts;
 use serde::Serialize;
 
 /// A column of `info`, or a metric of an episode.
@@ -35,38 +37,26 @@ choices! {
 
 /// What the rewards and info columns of a slot's step are made from.
 pub(crate) struct Step {
-    /// A contact that begins in this step.
-    pub(crate) contact: Option<Contact>,
-    /// Whether it counts in the form of the reward.
+    pub(crate) facts: StepFacts,
+    /// Whether a contact counts in the form of the reward.
     pub(crate) contact_counts: bool,
     /// Worth of progress in the form of the reward, 0 to 1.
     pub(crate) worth: Real,
     /// 1 where discomfort, speeding and distance from the route are components, 0 where they are factors.
     pub(crate) soft: Real,
-    /// New progress of this step.
-    pub(crate) progress_m: Real,
     /// Progress since the start.
     pub(crate) travelled_m: Real,
     pub(crate) completion: Real,
-    /// The goal is reached in this step.
-    pub(crate) reached: bool,
     /// The episode ends in this step as a success.
     pub(crate) success: bool,
-    /// The horizon or the log ends the episode in this step.
-    pub(crate) timed_out: bool,
     pub(crate) off_road: bool,
     pub(crate) off_road_centroid: bool,
-    pub(crate) wrong_way: bool,
-    pub(crate) lane_distance_m: Option<Real>,
-    pub(crate) route_distance_m: Real,
-    pub(crate) speed_limit_mps: Real,
+    pub(crate) place: RoutePlace,
     pub(crate) speed_mps: Real,
     pub(crate) acceleration_mps2: Real,
     pub(crate) lateral_acceleration_mps2: Real,
     pub(crate) jerk_mps3: Real,
     pub(crate) discomfort: Real,
-    pub(crate) ttc_s: Real,
-    pub(crate) log_distance_m: Real,
 }
 
 /// Jerk counts up to here, m/s³.
@@ -77,12 +67,12 @@ const MAX_LANE_KEEPING_M: Real = 3.0;
 impl Step {
     /// Speed above the limit, m/s.
     pub(crate) fn speeding_mps(&self) -> Real {
-        (self.speed_mps - self.speed_limit_mps).max(0.0)
+        (self.speed_mps - self.place.speed_limit_mps).max(0.0)
     }
 
     /// Distance from the route as far as it counts, metres.
     fn aside_m(&self) -> Real {
-        self.route_distance_m.abs().min(MAX_LANE_KEEPING_M)
+        self.place.route_distance_m.abs().min(MAX_LANE_KEEPING_M)
     }
 
     /// The same as a share.
@@ -92,7 +82,7 @@ impl Step {
 
     /// Number of the side that is hit.
     fn contact_number(&self) -> Real {
-        match self.contact.map(|c| c.kind) {
+        match self.facts.contact.map(|c| c.kind) {
             None => 0.0,
             Some(ContactKind::Front) => 1.0,
             Some(ContactKind::Rear) => 2.0,
@@ -182,7 +172,7 @@ columns! {
     rewards {
         /// Per metre of new progress along the route.
         RewardProgress, progress = 0.02, "weighted reward of new progress along the route",
-            |weight, s| weight * s.progress_m * s.worth;
+            |weight, s| weight * s.facts.progress_m * s.worth;
         /// At the step of a collision.
         RewardCollision, collision = -2.5, "weighted reward of the step of a collision",
             |weight, s| weight * flag(s.contact_counts);
@@ -200,7 +190,7 @@ columns! {
             |weight, s| weight * s.soft * s.aside_m();
         /// When the goal is reached.
         RewardGoal, goal = 1.0, "weighted reward of reaching the goal",
-            |weight, s| weight * flag(s.reached);
+            |weight, s| weight * flag(s.facts.reached);
         /// Per m/s³ of jerk either way, at most 10, per step.
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
@@ -208,27 +198,27 @@ columns! {
     // name, unit, what it is, and the value from the step
     info {
         Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
-            |s| flag(s.contact.is_some());
+            |s| flag(s.facts.contact.is_some());
         CollisionKind, "collision_kind", "", "side of this agent that is hit: 0 none, 1 front, 2 rear, 3 side",
             Step::contact_number;
         CollisionPartner, "collision_partner", "", "1 + index of the other agent in the scene's list; 0 for none",
-            |s| s.contact.map_or(0.0, |c| (c.partner + 1) as Real);
+            |s| s.facts.contact.map_or(0.0, |c| (c.partner + 1) as Real);
         AtFault, "at_fault", "", "1 if the collision counts against this agent",
-            |s| flag(s.contact.is_some_and(|c| c.at_fault));
+            |s| flag(s.facts.contact.is_some_and(|c| c.at_fault));
         OffRoad, "off_road", "", "1 while a corner of the box is off the road",
             |s| flag(s.off_road);
         OffRoadCentroid, "off_road_centroid", "", "1 while the centre is off the road",
             |s| flag(s.off_road_centroid);
         WrongWay, "wrong_way", "", "1 while the agent faces against the lane whose surface holds it",
-            |s| flag(s.wrong_way);
+            |s| flag(s.place.wrong_way);
         GoalReached, "goal_reached", "", "1 at the step at which the goal is reached",
-            |s| flag(s.reached);
+            |s| flag(s.facts.reached);
         HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance means something",
-            |s| flag(s.lane_distance_m.is_some());
+            |s| flag(s.place.lane_distance_m.is_some());
         LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
-            |s| s.lane_distance_m.unwrap_or(0.0);
+            |s| s.place.lane_distance_m.unwrap_or(0.0);
         RouteDistance, "route_distance", "m", "signed distance from the route, left positive",
-            |s| s.route_distance_m;
+            |s| s.place.route_distance_m;
         Progress, "progress", "m", "farthest position along the route since the start",
             |s| s.travelled_m;
         RouteCompletion, "route_completion", "", "progress over the distance to the goal, 0 to 1",
@@ -242,13 +232,13 @@ columns! {
         Jerk, "jerk", "m/s3", "change of acceleration over the step",
             |s| s.jerk_mps3;
         Ttc, "ttc", "s", "least time to contact with any agent at constant velocities, at most 10",
-            |s| s.ttc_s;
+            |s| s.facts.ttc_s;
         LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
-            |s| s.log_distance_m;
+            |s| s.facts.log_distance_m;
         Success, "is_success", "", "1 at the end of an episode with enough of the route (`success_completion`), no collision and no step off the road",
             |s| flag(s.success);
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
-            |s| flag(s.timed_out);
+            |s| flag(s.facts.timed_out);
         Speeding, "speeding", "m/s", "speed above the limit, 0 below it",
             Step::speeding_mps;
     }

@@ -56,10 +56,7 @@ impl World {
             let route = &self.scene.routes[a].path;
             let facts = EgoFacts {
                 last_action: [slot.last_action[0], slot.last_action[1]],
-                speed_limit_mps: slot.speed_limit_mps,
-                lane_distance_m: slot.lane_distance_m,
-                lateral_m: slot.route_distance_m,
-                heading_error_rad: slot.route_heading_error_rad,
+                place: slot.place,
                 off_road: slot.off_road,
                 collided: slot.in_contact,
                 route_remaining_m: slot.progress.remaining_m(e.route_s_m[a]),

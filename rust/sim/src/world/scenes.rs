@@ -1,6 +1,6 @@
 //! The scenes of a batch: which of them is played next, and whether it can be played.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use crate::observe::BevConfig;
 use crate::scene::Scene;
 use crate::stage::PreparedScene;
@@ -30,13 +30,10 @@ impl Scenes {
             self.sums = None;
             return Ok(());
         };
-        let (got, expected) = (weights.len(), self.list.len());
-        if got != expected {
-            return Err(SimError::Length { what: "scene weights", got, expected });
-        }
+        check_length("scene weights", weights.len(), self.list.len())?;
         let fine = |w: &f64| (0.0..=1e100).contains(w);
         if let Some(bad) = weights.iter().find(|w| !fine(w)) {
-            return Err(weights_error(bad.to_string(), "finite weights, not negative"));
+            return Err(SimError::config("scene weights", bad, "finite weights, not negative"));
         }
         let sum = |sum: &mut f64, w: &f64| {
             *sum += w;
@@ -44,7 +41,7 @@ impl Scenes {
         };
         let sums: Vec<f64> = weights.iter().scan(0.0, sum).collect();
         if sums.last().is_none_or(|total| *total <= 0.0) {
-            return Err(weights_error("only 0".into(), "one above 0"));
+            return Err(SimError::config("scene weights", "only 0", "one above 0"));
         }
         self.sums = Some(sums);
         Ok(())
@@ -78,10 +75,6 @@ impl Scenes {
         };
         (self.prepared(scene_idx), scene_idx)
     }
-}
-
-fn weights_error(got: String, expected: &str) -> SimError {
-    SimError::Config { field: "scene weights".into(), got, expected: expected.into() }
 }
 
 /// Refuses a scene that worlds of a configuration cannot play.

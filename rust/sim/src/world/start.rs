@@ -91,29 +91,28 @@ impl Wanted {
         if self.ego.is_none() && self.start.is_none() {
             return Ok(());
         }
-        let bad = |field: &'static str, got: String, expected: String| {
-            Err(SimError::Config { field: field.into(), got, expected })
-        };
         let field = if self.ego.is_some() { "ego" } else { "start" };
         if config.controlled != Controlled::Any {
-            return bad(field, "given".into(), "nothing: who starts where is drawn with ego=\"any\"".into());
+            let expected = "nothing: who starts where is drawn with ego=\"any\"";
+            return Err(SimError::config(field, "given", expected));
         }
         let Some(scene) = scene else {
-            return bad(field, "given without a scene".into(), "a scene besides".into());
+            return Err(SimError::config(field, "given without a scene", "a scene besides"));
         };
         let is_vehicle = |a: usize| scene.agents.get(a).is_some_and(|agent| agent.kind == AgentKind::Vehicle);
         if let Some(a) = self.ego.filter(|a| !is_vehicle(*a)) {
             let got = scene.agents.get(a).map_or_else(|| a.to_string(), |agent| agent.id.clone());
-            return bad("ego", got, format!("a vehicle of {}", scene.name));
+            return Err(SimError::config("ego", got, format!("a vehicle of {}", scene.name)));
         }
         let (first, last) = (config.history_steps, scene.num_steps - 2);
         if let Some(step) = self.start.filter(|step| !(first..=last).contains(step)) {
-            return bad("start", step.to_string(), format!("{first} to {last} in {}", scene.name));
+            return Err(SimError::config("start", step, format!("{first} to {last} in {}", scene.name)));
         }
         if Start::draw(scene, None, config, self, Rng::new(0)).is_none() {
             let got = self.ego.map_or_else(|| "nobody".into(), |a| scene.agents[a].id.clone());
             let at = self.start.map_or_else(|| "a start".into(), |step| format!("step {step}"));
-            return bad("ego", got, format!("a vehicle that is logged at {at} of {}", scene.name));
+            let expected = format!("a vehicle that is logged at {at} of {}", scene.name);
+            return Err(SimError::config("ego", got, expected));
         }
         Ok(())
     }

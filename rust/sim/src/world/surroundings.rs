@@ -2,30 +2,22 @@
 
 use crate::events::{self, lane_facts, off_road};
 use crate::geom::{Real, math};
+use crate::observe::RoutePlace;
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
-use crate::world::config::WorldConfig;
 use crate::world::episode::{Episode, Slot};
 
 /// Lanes farther than this say nothing about an agent, metres.
 const LANE_REACH_M: Real = 5.0;
 
-/// Where an agent is beside its route and lanes.
-pub(crate) struct OnRoute {
-    /// Distance from the route's place, and the part of it across the route, left positive, metres.
-    pub(crate) from_route_m: Real,
-    pub(crate) distance_m: Real,
-    /// Heading against the route, radians.
-    pub(crate) heading_error_rad: Real,
-    /// Distance to the nearest lane centre, metres, where a lane is near.
-    pub(crate) lane_distance_m: Option<Real>,
-    /// Limit of that lane, m/s, where the map has one.
-    pub(crate) speed_limit_mps: Option<Real>,
-    pub(crate) wrong_way: bool,
-}
-
-/// Finds an agent beside its route, at a place along it, and beside the lanes.
-pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usize, s_m: Real) -> OnRoute {
+/// Finds an agent beside its route, at a place along it, and beside the lanes; with it, the distance from that place, metres.
+pub(crate) fn place_on_route(
+    states: &AgentStates,
+    scene: &PreparedScene,
+    a: usize,
+    s_m: Real,
+    speed_limit_mps: Real,
+) -> (RoutePlace, Real) {
     let pose = states.pose(a);
     let on_route = scene.routes[a].path.at(s_m);
     let d = pose.position - on_route.position;
@@ -34,14 +26,15 @@ pub(crate) fn place_on_route(states: &AgentStates, scene: &PreparedScene, a: usi
     let map = &scene.scene.map;
     let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
     let lane = lanes.map(|l| lane_facts(states, a, l, map, LANE_REACH_M)).unwrap_or_default();
-    OnRoute {
-        from_route_m: d.norm(),
-        distance_m: d.y * on_route.cos - d.x * on_route.sin,
+    let limit = lane.lane.zip(lanes).and_then(|(lane, lanes)| lanes.speed_limit_mps(lane.lane_idx));
+    let place = RoutePlace {
+        wrong_way: lane.wrong_way,
+        route_distance_m: d.y * on_route.cos - d.x * on_route.sin,
         heading_error_rad: math::atan2(sin, cos),
         lane_distance_m: lane.lane.map(|l| l.distance_m),
-        speed_limit_mps: lane.lane.zip(lanes).and_then(|(lane, lanes)| lanes.speed_limit_mps(lane.lane_idx)),
-        wrong_way: lane.wrong_way,
-    }
+        speed_limit_mps: limit.unwrap_or(speed_limit_mps),
+    };
+    (place, d.norm())
 }
 
 /// Whether an agent straddles lanes or is beside them; never where the map has none.
@@ -49,24 +42,6 @@ pub(crate) fn straddles_lanes(states: &AgentStates, scene: &PreparedScene, a: us
     let corners = || states.oriented_box(a, &scene.footprints[a]).corners();
     let lanes = scene.at(states.elevation_m(a)).lanes.as_ref();
     lanes.is_some_and(|lanes| events::straddles_lanes(lanes, &scene.scene.map, &corners()))
-}
-
-/// Tells a slot where its agent is beside route and lane; returns the distance from the route's place, metres.
-pub(crate) fn route_and_lane(
-    states: &AgentStates,
-    scene: &PreparedScene,
-    a: usize,
-    route_s_m: Real,
-    slot: &mut Slot,
-    config: &WorldConfig,
-) -> Real {
-    let place = place_on_route(states, scene, a, route_s_m);
-    slot.route_distance_m = place.distance_m;
-    slot.route_heading_error_rad = place.heading_error_rad;
-    slot.lane_distance_m = place.lane_distance_m;
-    slot.wrong_way = place.wrong_way;
-    slot.speed_limit_mps = place.speed_limit_mps.unwrap_or(config.speed_limit_mps);
-    place.from_route_m
 }
 
 /// Tells a slot whether its agent is off the road, or was at an earlier part of the step.

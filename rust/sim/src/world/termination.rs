@@ -81,7 +81,7 @@ impl World {
             };
             slot.in_contact = self.scratch.in_contact[c];
             slot.stopped |= outcome.stands;
-            let reward = reward::score(&e.states, a, slot, &facts, config, columns);
+            let reward = reward::score(&e.states, a, slot, facts, config, columns);
             slot.statistics.add(reward, columns);
             out.reward[c] = earlier.map_or(reward, |earlier| earlier.join(reward, columns));
             if ended {

@@ -10,7 +10,7 @@ use crate::scene::EGO_ID;
 use crate::stage::PreparedScene;
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
-use crate::world::config::{Controlled, WorldConfig};
+use crate::world::config::{Autoreset, Controlled, WorldConfig};
 use crate::world::episode::{Episode, Phase};
 use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
@@ -229,6 +229,28 @@ impl World {
         self.autoreset(reset_pending, since, shared, next_scene, out);
         if out.done[0] || out.was_reset[0] || !goes_on {
             self.finish(shared, since, out);
+        }
+    }
+
+    /// Begins the next episode: in NEXT_STEP mode the one that is pending since the last step, in SAME_STEP mode after
+    /// the last observations of the present one, `since` the elapsed steps before the decision, are written aside.
+    fn autoreset(
+        &mut self,
+        reset_pending: bool,
+        since: usize,
+        shared: &Shared<'_>,
+        next_scene: impl FnOnce(&mut Episode) -> (Arc<PreparedScene>, usize),
+        out: &mut StepBuffers<'_>,
+    ) {
+        let ends_now = out.done[0] && shared.config.autoreset == Autoreset::SameStep;
+        if ends_now {
+            self.keep_earlier(shared.extent, since, out);
+            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev, false);
+        }
+        if reset_pending || ends_now {
+            let (scene, scene_idx) = next_scene(&mut self.episode);
+            self.begin(scene, scene_idx, shared, &Wanted::default());
+            out.was_reset[0] = true;
         }
     }
 

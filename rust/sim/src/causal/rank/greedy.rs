@@ -1,6 +1,6 @@
 //! The paper's greedy cliques on the graph G = M x attention.
 
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use std::cmp::Reverse;
 
 /// What orders the agents once every one has grown its clique.
@@ -30,16 +30,9 @@ pub enum GreedyOrder {
 /// # Reference
 /// Paper, algorithm "Causal discovery and Ranking".
 pub fn greedy_order(num_agents: usize, weights: &[f64], order: GreedyOrder) -> Result<Vec<usize>> {
-    if weights.len() != num_agents * num_agents {
-        return Err(SimError::Length {
-            what: "weights of the graph",
-            got: weights.len(),
-            expected: num_agents * num_agents,
-        });
-    }
+    check_length("weights of the graph", weights.len(), num_agents * num_agents)?;
     if let Some(bad) = weights.iter().find(|w| !w.is_finite() || **w < 0.0) {
-        let expected = "finite and at least 0".into();
-        return Err(SimError::Config { field: "rank.weights".into(), got: bad.to_string(), expected });
+        return Err(SimError::config("rank.weights", bad, "finite and at least 0"));
     }
     let weight = |i: usize, j: usize| {
         if i == j { 0.0 } else { weights[i * num_agents + j].max(weights[j * num_agents + i]) }
@@ -71,15 +64,4 @@ pub fn greedy_order(num_agents: usize, weights: &[f64], order: GreedyOrder) -> R
         Reverse(first[a]).cmp(&Reverse(first[b])).then(total[b].total_cmp(&total[a])).then(a.cmp(&b))
     });
     Ok(ranked)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bad_weights_are_refused() {
-        assert!(greedy_order(2, &[0.0; 3], GreedyOrder::Occurrences).is_err());
-        assert!(greedy_order(2, &[0.0, f64::NAN, 0.0, 0.0], GreedyOrder::Occurrences).is_err());
-    }
 }

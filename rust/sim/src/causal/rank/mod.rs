@@ -5,16 +5,14 @@
 
 mod clique_search;
 mod greedy;
-mod key_agents;
 mod occurrence;
 
 pub use clique_search::{HeaviestCliques, WeightedGraph};
 pub use greedy::{GreedyOrder, greedy_order};
-pub use key_agents::KeyRanking;
 pub use occurrence::{CliqueSettings, Occurrences, clique_occurrences};
 
 use super::graph::CausalGraph;
-use crate::error::{Result, SimError};
+use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
 
 /// How key agents are found.
@@ -106,11 +104,7 @@ impl Ranker {
 }
 
 fn missing(what: &'static str, ranker: &str) -> SimError {
-    SimError::Config {
-        field: what.into(),
-        got: "nothing".into(),
-        expected: format!("given for the {ranker} ranking"),
-    }
+    SimError::config(what, "nothing", format!("given for the {ranker} ranking"))
 }
 
 /// G times attention [M, M].
@@ -119,9 +113,7 @@ fn graph_weights(input: &RankInput<'_>) -> Result<Vec<f64>> {
     let pairs = input.valid.len() * input.valid.len();
     let attention = input.attention.map_or(pairs, <[Real]>::len);
     for (what, got) in [("graph G", graph.as_slice().len()), ("attention", attention)] {
-        if got != pairs {
-            return Err(SimError::Length { what, got, expected: pairs });
-        }
+        check_length(what, got, pairs)?;
     }
     let weight = |k: usize| input.attention.map_or(1.0, |a| f64::from(a[k]));
     Ok(graph.as_slice().iter().enumerate().map(|(k, &joined)| if joined { weight(k) } else { 0.0 }).collect())
@@ -129,11 +121,7 @@ fn graph_weights(input: &RankInput<'_>) -> Result<Vec<f64>> {
 
 fn listed(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
     match list.iter().find(|&&agent| agent >= num_agents) {
-        Some(agent) => Err(SimError::Unknown {
-            what: "agent index",
-            got: agent.to_string(),
-            expected: format!("below {num_agents}"),
-        }),
+        Some(agent) => Err(SimError::unknown("agent index", agent, format!("below {num_agents}"))),
         None => Ok(list.to_vec()),
     }
 }
@@ -142,9 +130,7 @@ fn listed(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
 fn by_falling_score(input: &RankInput<'_>) -> Result<Vec<usize>> {
     let scores = input.scores.ok_or_else(|| missing("rank.scores", "score"))?;
     let num_agents = input.valid.len();
-    if scores.len() != num_agents {
-        return Err(SimError::Length { what: "scores", got: scores.len(), expected: num_agents });
-    }
+    check_length("scores", scores.len(), num_agents)?;
     let key = |agent: usize| if scores[agent].is_nan() { Real::NEG_INFINITY } else { scores[agent] };
     let mut agents: Vec<usize> = (0..num_agents).collect();
     agents.sort_by(|&a, &b| key(b).total_cmp(&key(a)).then(a.cmp(&b)));
@@ -201,7 +187,6 @@ fn nearness(measure: &[Real], what: &'static str, num_agents: usize) -> Result<V
 
 #[cfg(test)]
 mod tests {
-    use super::super::graph::GraphThresholds;
     use super::*;
 
     const NEAR: [Real; 16] = {
@@ -224,49 +209,5 @@ mod tests {
         assert_eq!(named, Ranking { agents: vec![1, 2, 3, 0], num_named: 1, exact: true });
         assert_eq!(rank(&Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL), &input, 3), [2, 3, 0]);
         assert_eq!(rank(&Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL), &input, 3), [0, 1, 2]);
-    }
-
-    #[test]
-    fn absent_agents_are_never_chosen() {
-        let valid = [false, true, true, false];
-        let input = RankInput { valid: &valid, ttc: &NEAR, ..RankInput::default() };
-        for ranker in [Ranker::FirstK, Ranker::Listed(vec![3, 1, 1]), Ranker::Random { seed: 3 }] {
-            let mut agents = rank(&ranker, &input, 10);
-            agents.sort_unstable();
-            assert_eq!(agents, [1, 2]);
-        }
-    }
-
-    #[test]
-    fn scores_rank_by_falling_value_and_put_missing_ones_last() {
-        let scores = [0.1, Real::NAN, 0.7, 0.1];
-        let input = RankInput { valid: &[true; 4], scores: Some(&scores), ..RankInput::default() };
-        assert_eq!(rank(&Ranker::Scores, &input, 4), [2, 0, 3, 1]);
-    }
-
-    #[test]
-    fn greedy_ranking_sees_only_attention_that_the_graph_lets_through() {
-        let ttc_s = [0.0, 1.0, 9.0, 1.0, 0.0, 9.0, 9.0, 9.0, 0.0];
-        let graph = CausalGraph::from_measures(3, &ttc_s, &[1.0; 9], GraphThresholds::default()).unwrap();
-        let attention = [0.1, 0.2, 0.7, 0.2, 0.1, 0.7, 0.5, 0.4, 0.1];
-        let input = RankInput {
-            valid: &[true; 3],
-            graph: Some(&graph),
-            attention: Some(&attention),
-            ..RankInput::default()
-        };
-        let ranking = Ranker::Greedy(GreedyOrder::default()).rank(&input, 3).unwrap();
-        assert_eq!((ranking.agents, ranking.num_named), (vec![0, 1, 2], 2));
-    }
-
-    #[test]
-    fn absent_inputs_are_named_in_the_error() {
-        let input = RankInput { valid: &[true; 2], ..RankInput::default() };
-        let text = Ranker::Scores.rank(&input, 1).unwrap_err().to_string();
-        assert!(text.contains("rank.scores"), "{text}");
-        assert!(Ranker::Greedy(GreedyOrder::default()).rank(&input, 1).is_err());
-        assert!(Ranker::Listed(vec![2]).rank(&input, 1).is_err());
-        let ragged = RankInput { ttc: &[0.0; 3], ..input };
-        assert!(Ranker::FirstK.rank(&ragged, 1).is_err());
     }
 }

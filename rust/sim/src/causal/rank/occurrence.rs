@@ -66,14 +66,11 @@ pub fn clique_occurrences<V: Into<f64> + Copy>(
     if ragged != 0 {
         return Err(SimError::Length { what: "last matrix of the measure", got: ragged, expected: pairs });
     }
-    let refuse = |field: &'static str, got: f64, expected: &str| {
-        Err(SimError::Config { field: field.into(), got: got.to_string(), expected: expected.into() })
-    };
     if settings.threshold.is_nan() || settings.threshold < 0.0 {
-        return refuse("rank.threshold", settings.threshold, "at least 0");
+        return Err(SimError::config("rank.threshold", settings.threshold, "at least 0"));
     }
     if let Some(bad) = measure.iter().map(|&v| v.into()).find(|v| *v < 0.0 || *v > 1.0) {
-        return refuse("rank.measure", bad, "a normalised measure in [0, 1]");
+        return Err(SimError::config("rank.measure", bad, "a normalised measure in [0, 1]"));
     }
     let mut result = Occurrences { counts: Vec::new(), num_cliques: 0, exact: true };
     for matrix in measure.chunks_exact(pairs.max(1)) {
@@ -92,18 +89,4 @@ pub fn clique_occurrences<V: Into<f64> + Copy>(
     }
     result.counts.sort_by_key(|&(_, count)| std::cmp::Reverse(count));
     Ok(result)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn bad_measures_are_refused() {
-        assert!(clique_occurrences(2, &[0.0; 5], &CliqueSettings::REFERENCE_IMPL).is_err());
-        assert!(clique_occurrences(2, &[0.0, 2.0, 0.0, 0.0], &CliqueSettings::REFERENCE_IMPL).is_err());
-        let negative = CliqueSettings { threshold: -0.1, ..CliqueSettings::REFERENCE_IMPL };
-        assert!(clique_occurrences(2, &[0.0; 4], &negative).is_err());
-        assert!(clique_occurrences(0, &[0.0; 0], &CliqueSettings::REFERENCE_IMPL).unwrap().counts.is_empty());
-    }
 }
