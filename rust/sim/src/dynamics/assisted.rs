@@ -49,7 +49,6 @@ options! {
     }
 }
 
-/// Where an agent is beside its route.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BesideRoute {
     /// Signed distance from the route, left positive, metres.
@@ -61,7 +60,6 @@ pub(crate) struct BesideRoute {
 }
 
 impl AssistedLimits {
-    /// The unicycle that is driven.
     pub(super) fn unicycle(&self) -> UnicycleLimits {
         UnicycleLimits {
             acceleration_mps2: self.acceleration_mps2,

@@ -11,7 +11,6 @@ const SPARSE: usize = 4;
 /// A line through at least two distinct points, with arc length. Immutable.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polyline {
-    /// P distinct points.
     points: Vec<Point2>,
     /// Arc length at each point, metres [P].
     s_m: Vec<Real>,
@@ -126,7 +125,6 @@ fn nearest_of(segments: &Segments, first: usize, end: usize, point: Point2) -> N
 }
 
 simd_dispatch! {
-    /// See [`nearest_of`].
     fn nearest_segment(segments: &Segments, first: usize, end: usize, point: Point2, best: &mut Nearest) {
         *best = nearest_of(segments, first, end, point);
     }

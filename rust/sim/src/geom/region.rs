@@ -174,7 +174,6 @@ impl Region {
     }
 }
 
-/// Region under construction.
 struct Builder {
     grid: Grid,
     is_inside: Vec<bool>,

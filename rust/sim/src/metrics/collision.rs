@@ -56,7 +56,6 @@ pub struct CollisionReport {
     pub contacts: Vec<PairContact>,
     /// Side on which every agent is hit at its first contact.
     pub first_kind: Vec<Option<ContactKind>>,
-    /// Agents that are there at some step.
     present: Vec<bool>,
 }
 

@@ -39,7 +39,6 @@ struct PairColumn {
     fill: fn(&Pairs<'_>, Target<'_>),
 }
 
-/// Writes the nearest agents.
 #[derive(Debug, Clone)]
 pub(super) struct AgentRows {
     num_rows: usize,
@@ -160,7 +159,6 @@ impl AgentRows {
         }
     }
 
-    /// Floats of all rows.
     pub(super) fn size(&self) -> usize {
         self.num_rows * self.width
     }

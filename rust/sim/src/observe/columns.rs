@@ -42,7 +42,6 @@ fn flag(is: bool) -> Real {
     if is { 1.0 } else { 0.0 }
 }
 
-/// Columns of `ego`.
 pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("speed", "m/s", 20.0, SIGNED, "along the heading", |e| e.state(|s| &s.speed_mps)),
     entry("acceleration", "m/s2", 10.0, SIGNED, "change of speed over the last step", |e| {
@@ -116,7 +115,6 @@ pub(super) const ROUTE: [Entry<()>; 4] = [
     entry("sin", "", 1.0, SIGNED, "sine of the direction", ()),
 ];
 
-/// Columns of `agents`.
 pub(super) static AGENTS: &[Entry<OfAgent>] = &[
     entry("x", "m", 60.0, SIGNED, "centre, ahead", Place(Axis::X)),
     entry("y", "m", 60.0, SIGNED, "centre, to the left", Place(Axis::Y)),
@@ -228,7 +226,6 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
     )),
 ];
 
-/// Columns of `map`.
 pub(super) static MAP: &[Entry<OfSegment>] = &[
     entry("x", "m", 60.0, SIGNED, "middle of the piece, ahead", OfSegment::Place(Axis::X)),
     entry("y", "m", 60.0, SIGNED, "middle of the piece, to the left", OfSegment::Place(Axis::Y)),

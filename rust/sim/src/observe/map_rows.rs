@@ -8,7 +8,6 @@ use super::source::OfSegment;
 use crate::geom::{Point2, Real};
 use std::sync::Arc;
 
-/// Writes the nearest map segments.
 #[derive(Debug, Clone)]
 pub(super) struct MapRows {
     num_rows: usize,
@@ -45,7 +44,6 @@ impl MapRows {
             segments.numbers(&self.chosen, || segments.segments().flat_map(|s| self.of(s)).collect());
     }
 
-    /// The numbers of a segment.
     fn of(&self, segment: Segment) -> impl Iterator<Item = F32x8> {
         let mut constants = self.chosen.iter().map(move |column| match MAP[*column].source {
             OfSegment::HalfLength => {
@@ -69,7 +67,6 @@ impl MapRows {
         })
     }
 
-    /// Floats of all rows.
     pub(super) fn size(&self) -> usize {
         self.num_rows * self.chosen.len()
     }

@@ -9,7 +9,6 @@ use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
 use std::cell::OnceCell;
 
-/// The observing agent.
 pub(super) struct Ego<'a> {
     pub(super) view: &'a View<'a>,
     leader: OnceCell<Option<Leader>>,
@@ -29,7 +28,6 @@ impl<'a> Ego<'a> {
         of(self.view.states)[self.view.agent_idx]
     }
 
-    /// Its body.
     pub(super) fn footprint(&self) -> &Footprint {
         &self.view.footprints[self.view.agent_idx]
     }
@@ -39,7 +37,6 @@ impl<'a> Ego<'a> {
         *self.route_turn.get_or_init(|| math::sin_cos(self.view.facts.place.heading_error_rad))
     }
 
-    /// The next agent on its route.
     pub(super) fn leader(&self) -> Option<Leader> {
         let v = self.view;
         let find = || leader(v.states, v.footprints, v.route, v.route_s_m, v.agent_idx, ANTICIPATION_S);
@@ -52,11 +49,9 @@ impl<'a> Ego<'a> {
 pub(super) enum OfAgent {
     /// A component of its place, from the observer's.
     Place(Axis),
-    /// A component of its direction.
     Direction(Axis),
     /// A component of its velocity, less the observer's.
     Velocity(Axis),
-    /// Its speed along its heading.
     Speed,
     /// A number that stays what it is in a scene.
     Fixed(fn(&Footprint, AgentKind) -> Real),
@@ -74,11 +69,9 @@ pub(super) struct Pairs<'a> {
     pub(super) on_route: &'a [Projection],
 }
 
-/// An agent and its observer.
 #[derive(Clone, Copy)]
 pub(super) struct Pair<'a> {
     pub(super) view: &'a View<'a>,
-    /// The agent.
     pub(super) other: usize,
 }
 
@@ -114,7 +107,6 @@ impl<'a> Pairs<'a> {
 }
 
 impl Pair<'_> {
-    /// Distance of the two, metres.
     #[inline(always)]
     pub(super) fn distance_m(&self) -> Real {
         (self.view.states.position(self.other) - self.view.states.position(self.view.agent_idx))
@@ -122,7 +114,6 @@ impl Pair<'_> {
             .sqrt()
     }
 
-    /// The agent's velocity, m/s.
     #[inline(always)]
     pub(super) fn velocity(&self) -> Vector2 {
         self.view.states.velocity(self.other)
@@ -134,9 +125,7 @@ impl Pair<'_> {
 pub(super) enum OfSegment {
     /// A component of its middle.
     Place(Axis),
-    /// A component of its direction.
     Direction(Axis),
-    /// Half its length.
     HalfLength,
     /// 1 for segments of a kind.
     Is(SegmentKind),

@@ -40,7 +40,6 @@ pub static PLANNERS: &[PlannerKind] = &[
     PlannerKind { name: "plan", act: follow },
 ];
 
-/// What a planner is asked.
 struct Asked<'a> {
     scene: Scene<'a>,
     idm: &'a IdmConfig,

@@ -117,12 +117,7 @@ impl Network {
         let (plan, age) = self.plan_of(world_idx)?;
         let record = &plan.record;
         let row = record.agents.iter().position(|a| *a == agent_idx)?;
-        let from = (sample * record.agents.len() + row) * record.num_steps * 3;
-        let poses = record.samples.get(from..from + record.num_steps * 3)?;
-        let planned = |step: usize| {
-            let [x, y, heading_rad] = *poses.get(step * 3..)?.first_chunk::<3>()?;
-            Some(Pose2::new(x, y, heading_rad))
-        };
+        let planned = |step: usize| record.pose(sample, row, step);
         let present = states.pose(agent_idx);
         let before = age.checked_sub(1).map_or(Some(present), planned)?;
         let shift = present.position - before.position;
@@ -137,10 +132,6 @@ impl Network {
     /// Pose and speed that the ego shall have after the coming step.
     pub(super) fn next(&self, world_idx: usize, ego: usize) -> Option<(Pose2, Real)> {
         let (plan, age) = self.plan_of(world_idx)?;
-        let record = &plan.record;
-        let row = record.agents.iter().position(|a| *a == ego).filter(|_| age < record.num_steps)?;
-        let at = (record.selected_sample[row] * record.agents.len() + row) * record.num_steps + age;
-        let [x, y, heading_rad] = *record.samples.get(at * 3..)?.first_chunk::<3>()?;
-        Some((Pose2::new(x, y, heading_rad), *plan.speed_mps.get(row * record.num_steps + age)?))
+        plan.selected(plan.record.agents.iter().position(|a| *a == ego)?, age)
     }
 }

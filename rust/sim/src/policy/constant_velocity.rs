@@ -3,7 +3,6 @@
 use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 use crate::geom::{Point2, Pose2, Vector2};
 
-/// Constant velocity.
 pub(super) const KIND: Kind = Kind {
     name: "constant_velocity",
     title: "constant velocity",

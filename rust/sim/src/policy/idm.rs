@@ -11,7 +11,6 @@ use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
 use crate::options::{POSITIVE_MOTION, within};
 
-/// The intelligent driver model.
 pub(super) const KIND: Kind = Kind {
     name: "idm",
     title: "IDM",

@@ -46,12 +46,15 @@ impl PlanState {
         let plan = &self.record;
         let row = plan.agents.iter().position(|a| *a == agent_idx).filter(|row| plan.follows_plan[*row])?;
         let step = world.elapsed_steps.checked_sub(plan.made_at).filter(|s| *s < plan.num_steps)?;
-        let m = plan.agents.len();
-        let at = ((plan.selected_sample[row] * m + row) * plan.num_steps + step) * 3;
-        let [x, y, heading_rad] = plan.samples[at..at + 3] else { return None };
-        let pose = Pose2::new(x, y, heading_rad);
-        let speed = self.speed_mps[row * plan.num_steps + step];
+        let (pose, speed) = self.selected(row, step)?;
         Some((pose, Vector2::new(pose.cos * speed, pose.sin * speed)))
+    }
+
+    /// Pose and speed of the agent of a row after a step of the sample that it follows.
+    pub(crate) fn selected(&self, row: usize, step: usize) -> Option<(Pose2, Real)> {
+        let plan = &self.record;
+        let pose = plan.pose(plan.selected_sample[row], row, step)?;
+        Some((pose, *self.speed_mps.get(row * plan.num_steps + step)?))
     }
 
     /// Whether all arrays have the lengths that following the plan relies on, in a scene of some agents.
@@ -211,6 +214,13 @@ plan_record! { $
 }
 
 impl PlanRecord {
+    /// Pose of the agent of a row after a step of a sample, scene frame; `None` past the end.
+    pub(crate) fn pose(&self, sample: usize, row: usize, step: usize) -> Option<Pose2> {
+        let at = (sample * self.agents.len() + row) * self.num_steps + step;
+        let [x, y, heading_rad] = *self.samples.get(3 * at..)?.first_chunk::<3>()?;
+        (step < self.num_steps).then(|| Pose2::new(x, y, heading_rad))
+    }
+
     fn along(&self, axis: Axis) -> usize {
         match axis {
             Axis::Agents => self.agents.len(),

@@ -2,7 +2,6 @@
 
 use super::{AgentMotion, ConstantVelocity, Kind, PlanState, TrafficPolicy, WorldView};
 
-/// The log.
 pub(super) const KIND: Kind = Kind {
     name: "replay",
     title: "log",

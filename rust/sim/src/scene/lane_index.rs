@@ -86,7 +86,6 @@ struct Surfaces {
 #[derive(Debug, Clone, PartialEq)]
 struct Surface {
     lane_idx: u32,
-    /// It is a lane, no connector.
     is_lane: bool,
     /// Its mean direction, and the cosine to that above which a heading agrees with all of the lane.
     direction: Vector2,
@@ -394,7 +393,6 @@ impl LaneIndex {
         kept.chunks(LANES).map(|indices| self.block(indices)).collect()
     }
 
-    /// Up to eight segments.
     fn block(&self, indices: &[u32]) -> Block {
         let of = |number: fn(&Segment) -> Real, none: Real| {
             std::array::from_fn(|lane| {
@@ -499,7 +497,6 @@ impl Segment {
         }
     }
 
-    /// Sector of the segment's direction.
     fn sector(&self) -> usize {
         let turns = math::atan2(self.sin, self.cos) / std::f32::consts::TAU;
         ((turns + 1.0) * NUM_SECTORS as Real) as usize % NUM_SECTORS

@@ -29,13 +29,11 @@ pub fn progress_along_log(
     (!route.is_empty()).then(|| (along(path), along(log)))
 }
 
-/// The map as road blocks.
 struct Blocks<'a> {
     lanes: &'a LaneIndex,
     map: &'a Map,
 }
 
-/// A block of a route.
 struct Block {
     /// The lane or connector that the log takes.
     taken: usize,

@@ -49,7 +49,6 @@ pub struct CentreLine {
 /// A lane near a sample of the route.
 struct Candidate {
     lane: Option<usize>,
-    /// Arc length along the lane, metres.
     s_m: Real,
     /// Distance of the lane from the route, left positive, metres.
     lateral_m: Real,

@@ -99,7 +99,6 @@ impl Grounds {
     }
 }
 
-/// Where vehicles may drive, as polygons.
 fn road_polygons(map: &Map) -> Vec<Polygon> {
     match map.drivable_area.is_empty() {
         true => map.lanes.iter().map(|l| l.polygon.clone()).collect(),

@@ -88,7 +88,6 @@ macro_rules! step_arrays {
             $($(#[doc = $doc])+ pub $name: &'a mut [$type],)+
         }
 
-        /// Elements of each array per world.
         #[derive(Debug, Clone, Copy)]
         struct Sizes {
             $($name: usize,)+

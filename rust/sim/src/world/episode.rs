@@ -41,7 +41,6 @@ pub(crate) struct Slot {
     /// Stands still whatever its action.
     pub(crate) stopped: bool,
     pub(crate) progress: Progress,
-    /// The last action, normalised.
     pub(crate) last_action: [Real; 3],
     /// Acceleration of the step before, for the jerk.
     pub(crate) acceleration_mps2: Real,
@@ -58,7 +57,6 @@ pub(crate) struct Slot {
     pub(crate) drawn: Drawn,
 }
 
-/// State of one world.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Episode {
     pub(crate) phase: Phase,
@@ -316,7 +314,6 @@ impl Episode {
         self.next_scene_idx = next_scene_idx;
     }
 
-    /// Whether an agent has a slot.
     pub(crate) fn has_slot(&self, agent_idx: usize) -> bool {
         self.slots.iter().any(|s| s.agent_idx == Some(agent_idx))
     }

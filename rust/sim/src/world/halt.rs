@@ -75,7 +75,6 @@ fn stop(e: &mut Episode, scene: &PreparedScene, a: usize, before: &[Pose2], shar
     }
 }
 
-/// Whether a contact can stop an agent.
 fn may_stop(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
     let moves = scene.kinds[a] != AgentKind::Static && e.drivers[a] != Driver::External;
     moves && e.states.active[a] && !e.has_slot(a) && !e.halted[a]

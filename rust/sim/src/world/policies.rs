@@ -20,13 +20,10 @@ pub(crate) struct Policies {
     pub(crate) planners: Vec<u16>,
     /// States that the policy looks back at which looks back farthest; 0: none.
     pub(crate) history_states: usize,
-    /// Driver of the agents with a slot.
     pub(crate) slots: Driver,
     /// Drivers of the other vehicles, each with the sum of the shares up to its own.
     traffic: Vec<(Real, Driver)>,
-    /// Driver of pedestrians.
     pub(crate) pedestrians: Driver,
-    /// Drivers of single vehicles by id.
     pub(crate) by_id: Vec<(String, Driver)>,
 }
 
@@ -107,7 +104,6 @@ impl Policies {
         self.table.iter().map(|(name, _)| name.as_str())
     }
 
-    /// Name of a driver.
     pub(crate) fn name_of(&self, driver: Driver) -> &str {
         match driver {
             Driver::External => EXTERNAL,
@@ -116,7 +112,6 @@ impl Policies {
         }
     }
 
-    /// The driver of a name.
     pub(crate) fn driver(&self, field: &'static str, name: &str) -> Result<Driver> {
         if name == EXTERNAL {
             return Ok(Driver::External);

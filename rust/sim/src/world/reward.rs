@@ -18,15 +18,12 @@ const SPEEDING_MPS: Real = 5.0;
 
 /// What happened to a slot's agent in a step.
 pub(crate) struct StepFacts {
-    /// A contact that begins in this step.
     pub(crate) contact: Option<Contact>,
     pub(crate) ttc_s: Real,
     pub(crate) log_distance_m: Real,
     /// New progress.
     pub(crate) progress_m: Real,
-    /// The goal is reached in this step.
     pub(crate) reached: bool,
-    /// Position along the route.
     pub(crate) route_s_m: Real,
     /// What happened in this step ends the episode.
     pub(crate) terminated: bool,

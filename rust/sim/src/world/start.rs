@@ -23,12 +23,10 @@ pub struct Wanted {
     pub style: BTreeMap<String, Real>,
 }
 
-/// The start of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Start {
     /// The ego, where [`Controlled::Any`] leaves it to the draw.
     pub(crate) ego: Option<usize>,
-    /// Step of the log.
     pub(crate) step_idx: usize,
 }
 

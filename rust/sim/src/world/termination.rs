@@ -12,7 +12,6 @@ use crate::world::tow;
 /// What the events of a step do to an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Outcome {
-    /// Its episode ends.
     ends: bool,
     /// It stands still from now on.
     stands: bool,

@@ -27,7 +27,6 @@ pub(crate) struct World {
     pub(crate) episode: Episode,
     /// Metrics of the slots in the last episode that ended.
     pub(crate) ended: Vec<Metrics>,
-    /// Slots that hold adversaries.
     pub(super) adversaries: Vec<bool>,
     /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
     pub(super) blank: Vec<bool>,
@@ -46,7 +45,6 @@ pub(super) struct Scratch {
     pub(super) masks: Vec<u32>,
     /// Poses before the step, where contacts stop the traffic.
     pub(super) before: Vec<Pose2>,
-    /// Physical actions of the slots.
     pub(super) actions: Vec<Action>,
     /// Agents with slots that are there.
     pub(super) present: Vec<u32>,

@@ -10,7 +10,6 @@ use std::cmp::Ordering;
 /// equal weights are equal.
 const STEPS_PER_UNIT: f64 = (1u64 << 40) as f64;
 
-/// A clique and its weight.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Clique {
     /// Positions in the graph's node order, ascending.
@@ -99,7 +98,6 @@ impl WeightedGraph {
         self.weights[a as usize * self.agents.len() + b as usize]
     }
 
-    /// Sum of the weights from a node to others.
     fn weight_to(&self, node: u32, others: &[u32]) -> u64 {
         others.iter().map(|&other| self.weight(node, other)).sum()
     }
@@ -275,7 +273,6 @@ impl Search<'_> {
 
 /// Candidates split into classes without joined pairs: a clique takes at most one node of each.
 struct Classes {
-    /// Candidates, class after class.
     nodes: Vec<Candidate>,
     /// Where each class ends in `nodes`.
     ends: Vec<usize>,
