@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, ShapeError, expect_shape
 
 #: Bounds over the paper's six methods and eleven columns: :func:`scores` on the paper's scale.
@@ -26,16 +25,21 @@ def speed_limit(speed: npt.ArrayLike) -> float:
     Args:
         speed: any shape, metres per second; NaN is passed over.
     """
-    values = np.ascontiguousarray(speed, dtype=np.float32).ravel()
-    limit = _native.metrics_speed_limit(values)
-    return float("nan") if limit is None else float(limit)
+    values = np.asarray(speed, dtype=np.float32)
+    moving = np.sort(values[values > 1.0])
+    if not moving.size:
+        return float("nan")
+    at = 0.75 * (moving.size - 1)
+    below, above = moving[int(np.floor(at))], moving[int(np.ceil(at))]
+    return float(below + np.float32(at % 1) * (above - below))
 
 
-def _histograms(name: str, values: npt.ArrayLike, ndim: int) -> npt.NDArray[np.float64]:
-    array = np.ascontiguousarray(values, dtype=np.float64)
-    if array.ndim != ndim or array.shape[-2:] != (3, 20):
-        raise ShapeError(f"{name} has shape {array.shape}, expected {['S'] * (ndim - 2)} + [3, 20]")
-    return array
+def _shares(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    expect_shape(name, array, (3, 20))
+    total = array.cumsum(axis=-1)[:, -1:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(total > 0.0, array / total, np.nan)
 
 
 @dataclass(frozen=True)
@@ -51,13 +55,26 @@ class ComfortDistance:
 def comfort_distance(one: npt.ArrayLike, other: npt.ArrayLike) -> ComfortDistance:
     """Compare two sets of histograms [3, 20], each row scaled to a sum of 1 first.
 
-    A row without any mass is infinitely far from everything.
+    In one dimension the distance is the sum of the differences of the cumulative shares times the
+    width of a bin. A row without any mass is infinitely far from everything.
     """
-    rows, mean = _native.metrics_comfort_distance(
-        _histograms("one", one, 2), _histograms("other", other, 2)
-    )
-    longitudinal, lateral, jerk = rows
-    return ComfortDistance(longitudinal, lateral, jerk, mean)
+    ahead = np.abs(np.cumsum(_shares("one", one) - _shares("other", other), axis=-1))
+    width = 2.0 * np.array([2.0, 2.0, 1.0]) / ahead.shape[-1]
+    rows = np.cumsum(ahead * width[:, None], axis=-1)[:, -1]
+    rows[np.isnan(rows)] = np.inf
+    mean = np.cumsum(rows)[-1] / 3.0
+    return ComfortDistance(*(float(np.float32(value)) for value in (*rows, mean)))
+
+
+def _scaled(
+    values: npt.NDArray[np.float64], bounds: tuple[float, float] | None
+) -> npt.NDArray[np.float64]:
+    if bounds is None:
+        finite = values[np.isfinite(values)]
+        bounds = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+    least, largest = bounds
+    with np.errstate(invalid="ignore"):
+        return (values - least) / (largest - least) if largest > least else 0.0 * values
 
 
 def scores(
@@ -90,19 +107,24 @@ def scores(
     shape = arrays["scr"].shape
     for name, array in arrays.items():
         expect_shape(name, array, shape)
-    given = None
-    if bounds is not None:
-        for name, (least, largest) in bounds.items():
-            if name not in tables:
-                raise ConfigError(f"bounds name {name!r}, expected one of {sorted(tables)}")
-            if not (np.isfinite(least) and np.isfinite(largest) and least <= largest):
-                raise ConfigError(
-                    f"bounds of {name} are {(least, largest)}, expected (least, largest)"
-                )
-        given = [bounds.get(name) for name in tables]
-    flat = [array.ravel() for array in arrays.values()]
-    cs, rs = _native.metrics_scores(flat[0], flat[1], flat[2], flat[3], given)
-    return np.asarray(cs).reshape(shape), np.asarray(rs).reshape(shape)
+    bounds = bounds or {}
+    for name, (least, largest) in bounds.items():
+        if name not in tables:
+            raise ConfigError(f"bounds name {name!r}, expected one of {sorted(tables)}")
+        if not (np.isfinite(least) and np.isfinite(largest) and least <= largest):
+            raise ConfigError(f"bounds of {name} are {(least, largest)}, expected (least, largest)")
+    scaled = {name: _scaled(array, bounds.get(name)) for name, array in arrays.items()}
+    return scaled["scr"], 1.0 - (scaled["orr"] + scaled["fde"] + scaled["cfd"]) / 3.0
+
+
+def _distance(
+    to: npt.NDArray[np.float64], origin: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Root mean square over points [..., N, 2] of the distance to the nearest of [..., M, 2]."""
+    apart = origin[..., :, None, :] - to[..., None, :, :]
+    nearest = (apart[..., 0] * apart[..., 0] + apart[..., 1] * apart[..., 1]).min(axis=-1)
+    squared: npt.NDArray[np.float64] = nearest.cumsum(axis=-1)[..., -1] / nearest.shape[-1]
+    return squared**0.5
 
 
 def generational_distance(
@@ -116,11 +138,17 @@ def generational_distance(
     Returns:
         gd, igd: [methods]. GD is the root mean square distance of a method's points to the front of
             the union, IGD that of the front to the method's points; smaller is better.
+
+    Differs from the paper: its formula subtracts ``a`` where it must mean ``d``.
     """
-    control = np.ascontiguousarray(cs, dtype=np.float64)
-    realism = np.ascontiguousarray(rs, dtype=np.float64)
-    if control.ndim != 2 or control.shape != realism.shape:
+    control, realism = np.asarray(cs, dtype=np.float64), np.asarray(rs, dtype=np.float64)
+    if control.ndim != 2 or control.shape != realism.shape or not control.size:
         got = f"cs {control.shape} and rs {realism.shape}"
         raise ShapeError(f"{got}, expected [methods, columns] both")
-    gd, igd = _native.metrics_generational_distance(control, realism)
-    return np.asarray(gd), np.asarray(igd)
+    points = np.stack([control, realism], axis=-1)
+    if not np.isfinite(points).all():
+        raise ConfigError("scores are not finite")
+    union = points.reshape(-1, 2)
+    as_good = (union[:, None] >= union).all(axis=-1)
+    front = union[~(as_good & (union[:, None] != union).any(axis=-1)).any(axis=0)]
+    return _distance(front, points), _distance(points, front)

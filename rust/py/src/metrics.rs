@@ -5,9 +5,8 @@ use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
-    Bounds, CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, ScoreBounds,
-    Trajectories, comfort_distance, displacement, generational_distance, min_ttc_s, off_road_report,
-    over_speed, scores, speed_limit_mps,
+    CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Trajectories,
+    displacement, min_ttc_s, off_road_report, over_speed,
 };
 use ccdiff_sim::scene::{Elevations, Map};
 use ccdiff_sim::state::Footprint;
@@ -20,11 +19,7 @@ const SLOT_M: f32 = 0.5;
 
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<NativeMotion>()?;
-    module.add_function(wrap_pyfunction!(metrics_scores, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_generational_distance, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_comfort_distance, module)?)?;
-    module.add_function(wrap_pyfunction!(metrics_speed_limit, module)?)
+    module.add_class::<NativeMotion>()
 }
 
 type PyF32<'py> = PyReadonlyArray2<'py, f32>;
@@ -187,7 +182,7 @@ impl NativeMotion {
         };
         let motion = self.view().map_err(from_sim)?;
         let found = ComfortHistograms::from_motion(&motion, axes, stride).map_err(from_sim)?;
-        histogram_array(py, &found)
+        PyArray1::from_vec(py, found.rows.as_flattened().to_vec()).reshape([3, HISTOGRAM_BINS])
     }
 
     fn min_ttc(&self, py: Python<'_>) -> PyResult<Vec<f32>> {
@@ -202,69 +197,4 @@ impl NativeMotion {
     ) -> PyResult<Vec<bool>> {
         Ok(over_speed(&self.view().map_err(from_sim)?, limit_mps, at_least_s, &flags(&counted)?))
     }
-}
-
-fn histogram_array<'py>(
-    py: Python<'py>,
-    histograms: &ComfortHistograms,
-) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    PyArray1::from_vec(py, histograms.rows.as_flattened().to_vec()).reshape([3, HISTOGRAM_BINS])
-}
-
-fn histograms(flat: &[f64]) -> ComfortHistograms {
-    let mut rows = [[0.0; HISTOGRAM_BINS]; 3];
-    rows.as_flattened_mut().iter_mut().zip(flat).for_each(|(to, from)| *to = *from);
-    ComfortHistograms { rows }
-}
-
-/// Earth mover's distances of the three rows of [3, 20], and their mean.
-#[pyfunction]
-fn metrics_comfort_distance(
-    one: PyReadonlyArray2<'_, f64>,
-    other: PyReadonlyArray2<'_, f64>,
-) -> PyResult<([f32; 3], f32)> {
-    let found = comfort_distance(&histograms(one.as_slice()?), &histograms(other.as_slice()?));
-    Ok((found.rows, found.mean))
-}
-
-type Range = (f64, f64);
-
-/// CS and RS of flat arrays; bounds in the order SCR, ORR, FDE, CFD.
-#[pyfunction]
-#[pyo3(signature = (scr, orr, fde, cfd, bounds))]
-fn metrics_scores(
-    scr: PyReadonlyArray1<'_, f64>,
-    orr: PyReadonlyArray1<'_, f64>,
-    fde: PyReadonlyArray1<'_, f64>,
-    cfd: PyReadonlyArray1<'_, f64>,
-    bounds: Option<[Option<Range>; 4]>,
-) -> PyResult<(Vec<f64>, Vec<f64>)> {
-    let (scr, orr, fde, cfd) = (scr.as_slice()?, orr.as_slice()?, fde.as_slice()?, cfd.as_slice()?);
-    let bounds = bounds.map(|given| {
-        let one = |range: Option<Range>, values: &[f64]| {
-            range.map_or_else(|| Bounds::of(values), |(min, max)| Bounds { min, max })
-        };
-        ScoreBounds {
-            scr: one(given[0], scr),
-            orr: one(given[1], orr),
-            fde: one(given[2], fde),
-            cfd: one(given[3], cfd),
-        }
-    });
-    scores(scr, orr, fde, cfd, bounds).map_err(from_sim)
-}
-
-/// GD and IGD per method of arrays [methods, columns].
-#[pyfunction]
-fn metrics_generational_distance(
-    cs: PyReadonlyArray2<'_, f64>,
-    rs: PyReadonlyArray2<'_, f64>,
-) -> PyResult<(Vec<f64>, Vec<f64>)> {
-    generational_distance(cs.shape()[0], cs.as_slice()?, rs.as_slice()?).map_err(from_sim)
-}
-
-/// Upper quartile of the speeds above 1 m/s; None where nobody moves.
-#[pyfunction]
-fn metrics_speed_limit(speeds: PyReadonlyArray1<'_, f32>) -> PyResult<Option<f32>> {
-    Ok(speed_limit_mps(speeds.as_slice()?))
 }

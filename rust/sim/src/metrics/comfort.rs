@@ -2,7 +2,7 @@
 
 use super::Trajectories;
 use crate::error::{Result, SimError};
-use crate::geom::{Real, Vector2, math};
+use crate::geom::{Vector2, math};
 
 /// Bins of every histogram.
 pub const HISTOGRAM_BINS: usize = 20;
@@ -108,36 +108,4 @@ fn bin_of(value: f64, limit: f64) -> Option<usize> {
     }
     let bin = ((value + limit) / (2.0 * limit) * HISTOGRAM_BINS as f64) as usize;
     Some(bin.min(HISTOGRAM_BINS - 1))
-}
-
-/// Distances of two sets of histograms.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ComfortDistance {
-    /// Earth mover's distances of longitudinal acceleration, lateral acceleration (m/s2) and jerk (m/s3).
-    pub rows: [Real; 3],
-    /// Their mean: the CFD, not scaled. (The paper's figures are near 100 times this.)
-    pub mean: Real,
-}
-
-/// Earth mover's distances between histograms, each scaled to a sum of 1 first.
-///
-/// In one dimension that is the sum of the differences of the cumulative shares times the width of a bin. A row
-/// without any mass is infinitely far from everything.
-pub fn comfort_distance(one: &ComfortHistograms, other: &ComfortHistograms) -> ComfortDistance {
-    let mut rows = [0.0; 3];
-    for (k, distance) in rows.iter_mut().enumerate() {
-        let (a, b) = (&one.rows[k], &other.rows[k]);
-        let (total_a, total_b) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());
-        if total_a <= 0.0 || total_b <= 0.0 {
-            *distance = f64::INFINITY;
-            continue;
-        }
-        let width = 2.0 * LIMITS[k] / HISTOGRAM_BINS as f64;
-        let mut ahead = 0.0;
-        for bin in 0..HISTOGRAM_BINS {
-            ahead += a[bin] / total_a - b[bin] / total_b;
-            *distance += ahead.abs() * width;
-        }
-    }
-    ComfortDistance { rows: rows.map(|d| d as Real), mean: (rows.iter().sum::<f64>() / 3.0) as Real }
 }

@@ -5,9 +5,6 @@ use crate::causal::measures::TTC_CAP_S;
 use crate::geom::Real;
 use crate::state::AgentStates;
 
-/// Slower agents do not count towards the speed limit, metres per second.
-const MOVING_MPS: Real = 1.0;
-
 fn counts(mask: &[bool], agent_idx: usize) -> bool {
     mask.get(agent_idx).copied().unwrap_or(true)
 }
@@ -61,16 +58,4 @@ pub fn over_speed(
         })
     };
     (0..motion.num_agents()).map(|agent| counts(counted, agent) && of_agent(agent)).collect()
-}
-
-/// Speed limit taken from traffic: the 0.75 quantile of all speeds above 1 m/s, metres per second.
-///
-/// Linear between order statistics, as numpy does. `None` where nobody moves.
-pub fn speed_limit_mps(speeds_mps: &[Real]) -> Option<Real> {
-    let mut moving: Vec<Real> = speeds_mps.iter().copied().filter(|v| *v > MOVING_MPS).collect();
-    moving.sort_by(Real::total_cmp);
-    let at = 0.75 * moving.len().checked_sub(1)? as f64;
-    let (below, above) = (at.floor() as usize, at.ceil() as usize);
-    let share = (at - at.floor()) as Real;
-    Some(moving[below] + share * (moving[above] - moving[below]))
 }

@@ -9,41 +9,34 @@ use ccdiff_sim::Result;
 use ccdiff_sim::policy::TrafficPolicy;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::scene::synthetic::GridCity;
-use ccdiff_sim::world::{Autoreset, NUM_COLUMNS, ResetRequest, StepBuffers, VecWorld, WorldConfig};
+use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::sync::Arc;
 
-pub(crate) struct Batch {
-    pub(crate) world: VecWorld,
-    pub(crate) obs: Vec<f32>,
-    pub(crate) reward: Vec<f32>,
-    pub(crate) terminated: Vec<bool>,
-    pub(crate) truncated: Vec<bool>,
-    pub(crate) alive: Vec<bool>,
-    pub(crate) columns: Vec<f32>,
-    pub(crate) done: Vec<bool>,
-    pub(crate) was_reset: Vec<bool>,
-    pub(crate) final_obs: Vec<f32>,
-    pub(crate) bev: Vec<u8>,
-    pub(crate) final_bev: Vec<u8>,
-}
+macro_rules! batch {
+    ($($name:ident: $type:ty),+) => {
+        pub(crate) struct Batch {
+            pub(crate) world: VecWorld,
+            $(pub(crate) $name: Vec<$type>,)+
+        }
 
-macro_rules! buffers {
-    ($b:expr) => {
-        StepBuffers {
-            obs: &mut $b.obs,
-            reward: &mut $b.reward,
-            terminated: &mut $b.terminated,
-            truncated: &mut $b.truncated,
-            alive: &mut $b.alive,
-            columns: &mut $b.columns,
-            done: &mut $b.done,
-            was_reset: &mut $b.was_reset,
-            final_obs: &mut $b.final_obs,
-            bev: &mut $b.bev,
-            final_bev: &mut $b.final_bev,
+        impl Batch {
+            fn around(world: VecWorld) -> Self {
+                let arrays = world.extent().arrays(world.num_worlds());
+                let size = |name: &str| {
+                    let array = arrays.iter().find(|array| array.name == name).unwrap();
+                    if array.shape.is_empty() { 0 } else { array.shape.iter().product() }
+                };
+                Self { $($name: vec![Default::default(); size(stringify!($name))],)+ world }
+            }
+
+            fn with<T>(&mut self, call: impl FnOnce(&mut VecWorld, StepBuffers<'_>) -> T) -> T {
+                call(&mut self.world, StepBuffers { $($name: &mut self.$name),+ })
+            }
         }
     };
 }
+
+ccdiff_sim::with_step_arrays!(batch);
 
 pub(crate) fn city(num_agents: usize) -> Arc<Scene> {
     Arc::new(GridCity { num_agents, ..GridCity::default() }.scene().validated().unwrap())
@@ -61,41 +54,12 @@ impl Batch {
         threads: usize,
         policies: Vec<(String, Box<dyn TrafficPolicy>)>,
     ) -> Self {
-        Self::of(scenes, config, envs, threads, policies).unwrap()
-    }
-
-    /// As [`Batch::with_policies`], for scenes and configurations that may not go together.
-    pub(crate) fn of(
-        scenes: Vec<Arc<Scene>>,
-        config: WorldConfig,
-        envs: usize,
-        threads: usize,
-        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
-    ) -> Result<Self> {
-        let slots = envs * config.num_slots;
-        let same_step = config.autoreset == Autoreset::SameStep;
-        let world = VecWorld::new(scenes, config, envs, threads, policies)?;
-        let row = world.layout().size;
-        let rasters = slots * world.extent().raster.iter().product::<usize>();
-        Ok(Self {
-            obs: vec![0.0; slots * row],
-            reward: vec![0.0; slots],
-            terminated: vec![false; slots],
-            truncated: vec![false; slots],
-            alive: vec![false; slots],
-            columns: vec![0.0; slots * NUM_COLUMNS],
-            done: vec![false; envs],
-            was_reset: vec![false; envs],
-            final_obs: vec![0.0; if same_step { slots * row } else { 0 }],
-            bev: vec![0; rasters],
-            final_bev: vec![0; if same_step { rasters } else { 0 }],
-            world,
-        })
+        Self::around(VecWorld::new(scenes, config, envs, threads, policies).unwrap())
     }
 
     pub(crate) fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {
         let request = ResetRequest { seeds, scenes, ..ResetRequest::default() };
-        self.world.reset(&request, buffers!(self))
+        self.with(|world, out| world.reset(&request, out))
     }
 
     pub(crate) fn reset_all(&mut self, seed: u64) {
@@ -112,15 +76,15 @@ impl Batch {
             mask: Some(mask),
             ..ResetRequest::default()
         };
-        self.world.reset(&request, buffers!(self))
+        self.with(|world, out| world.reset(&request, out))
     }
 
     pub(crate) fn step(&mut self, actions: &[f32]) -> Result<()> {
-        self.world.step(actions, None, buffers!(self))
+        self.with(|world, out| world.step(actions, None, out))
     }
 
     pub(crate) fn step_some(&mut self, actions: &[f32], active: &[bool]) -> Result<()> {
-        self.world.step(actions, Some(active), buffers!(self))
+        self.with(|world, out| world.step(actions, Some(active), out))
     }
 
     /// All bits that a step gives out.
