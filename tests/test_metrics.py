@@ -155,6 +155,17 @@ def test_off_road_flags_are_those_of_shapely(seed):
     assert got.reference_impl_rate <= 1
 
 
+def test_who_vanishes_between_plans_counts_as_off_the_road_as_released():
+    # the centre leaves at the third step, a corner at the second; gone from the fourth on
+    x = np.array([[5.0, 9.0, 11.0, 0.0, 0.0, 0.0], [5.0] * 6])
+    motion = Motion(np.stack([x, 0 * x + 5], -1), 0 * x, [[4, 2]] * 2, x > 0)
+    square = [([(0, 0), (10, 0), (10, 10), (0, 10)], [])]
+    got = motion.off_road(square)
+    rates = (got.centroid_rate, got.box_rate, got.reference_impl_rate)
+    assert rates == (1 / 9, 2 / 9, 3 / 11)
+    assert motion.off_road(square, counted=[False, True]).reference_impl_rate == 0
+
+
 def test_displacement_is_over_steps_that_both_have():
     position, heading, size, valid = random_motion(5)
     other = position + np.array([3.0, 4.0]) * np.arange(4)[:, None]

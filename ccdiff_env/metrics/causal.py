@@ -224,10 +224,12 @@ def graph(
         raise ShapeError(
             f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] both"
         )
-    adjacency, sparsity = _native.causal_graph(
-        seconds, metres, max_ttc_s, max_distance_m, symmetric
-    )
-    return Graph(adjacency=adjacency, sparsity=sparsity)
+    joined = _native.causal_graph(seconds, metres, max_ttc_s, max_distance_m)
+    if symmetric:
+        joined |= joined.T
+    pairs = joined.size - len(joined)
+    share = np.float32(joined.sum() - len(joined)) / np.float32(max(pairs, 1))
+    return Graph(adjacency=joined, sparsity=float(np.float32(1.0) - share))
 
 
 def rank_greedy(

@@ -144,6 +144,7 @@ class Motion:
             raise SceneError("size has negative or unknown lengths, expected metres")
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
+        self._points = points.copy()
         heights = None if elevation_m is None else _states("elevation_m", elevation_m, shape)
         self.elevation_m: npt.NDArray[np.float32] | None = heights
         self._native = _native.Trajectories(
@@ -172,17 +173,31 @@ class Motion:
             controlled: bool [A], agents driven by the method under test; none if absent.
             log: the recorded traffic of the same agents and steps, for the variants "new".
         """
-        rows, with_controlled, new, kinds, agents, rates = self._native.collisions(
-            self._mask("controlled", controlled, False), None if log is None else log._native
-        )
+        numbers = np.array([self.num_agents**2, self.num_agents, 1])
+        found, first_kind = self._native.contacts()
+        rows = found.astype(np.int64)
+        driven = self._mask("controlled", controlled, False)[rows[:, 1:]].any(axis=1)
+        pairs = rows[:, 1:] @ numbers[1:]
+        new = ~np.isin(pairs, pairs[rows[:, 0] == 0])
+        if log is not None:
+            self._check_same(log)
+            new &= ~np.isin(rows @ numbers, log._native.contacts()[0] @ numbers)
+        everyone, present = np.arange(self.num_agents), max(self.valid.any(axis=1).sum(), 1)
+        counts = (np.ones(len(rows), dtype=bool), driven, new, driven & new)
+        agents = [np.isin(everyone, rows[mask, 1:]) for mask in counts]
+        rates = [float(hit.sum() / present) for hit in agents]
         return Collisions(
-            contacts=np.asarray(rows, dtype=np.int64).reshape(-1, 3),
-            controlled=np.asarray(with_controlled, dtype=bool),
-            new=np.asarray(new, dtype=bool),
-            first_kind=kinds,
-            agents={v: np.asarray(a, dtype=bool) for v, a in zip(VARIANTS, agents, strict=True)},
+            contacts=rows,
+            controlled=driven,
+            new=new,
+            first_kind=first_kind,
+            agents=dict(zip(VARIANTS, agents, strict=True)),
             agent_rate=dict(zip(VARIANTS, rates, strict=True)),
         )
+
+    def _check_same(self, log: Motion) -> None:
+        if log.valid.shape != self.valid.shape:
+            raise ShapeError(f"log is of {log.valid.shape}, expected {self.valid.shape}")
 
     def off_road(
         self,
@@ -213,15 +228,33 @@ class Motion:
         polygons = [(ring(outer), [ring(hole) for hole in holes]) for outer, holes in drivable]
         shape = (len(polygons), 2)
         heights = [] if elevation_m is None else _states("elevation_m", elevation_m, shape).tolist()
-        centroid, box, rates = self._native.off_road(
-            polygons, heights, self._mask("counted", counted, True), replan_steps
+        centroid, box = self._native.off_road(polygons, heights)
+        mask = self._mask("counted", counted, True)
+        plan = np.arange(self.num_steps) // max(replan_steps, 1) * max(replan_steps, 1)
+        present = self.valid[mask].sum()
+        vanished = (~self.valid & self.valid[:, plan])[mask].sum()
+        outside, reaching = centroid[mask].sum(), box[mask].sum()
+        return OffRoad(
+            centroid,
+            box,
+            centroid_rate=float(outside / max(present, 1)),
+            box_rate=float(reaching / max(present, 1)),
+            reference_impl_rate=float((outside + vanished) / max(present + vanished, 1)),
         )
-        return OffRoad(centroid, box, *rates)
 
     def displacement(self, log: Motion) -> Displacement:
         """Compare with the log of the same agents and steps."""
-        ade, fde = self._native.displacement(log._native)
-        return Displacement(ade=np.asarray(ade), fde=np.asarray(fde))
+        self._check_same(log)
+        both = self.valid & log.valid
+        with np.errstate(invalid="ignore", over="ignore"):
+            x, y = np.moveaxis(self._points - log._points, -1, 0)
+            errors = np.sqrt(x * x + y * y)
+        total, last = np.zeros(self.num_agents), np.full(self.num_agents, np.nan)
+        for there, error in zip(both.T, errors.T, strict=True):
+            total[there] += error[there]
+            last[there] = error[there]
+        steps = both.sum(axis=1)
+        return Displacement(ade=np.where(steps, total / np.maximum(steps, 1), np.nan), fde=last)
 
     def comfort(
         self, *, axes: Literal["body", "reference_impl"] = "body", stride: int = 5

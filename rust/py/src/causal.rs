@@ -102,7 +102,7 @@ fn causal_distance<'py>(
     PyArray1::from_vec(py, out).reshape([x.shape()[0], num_agents, num_agents])
 }
 
-/// The decision causal graph [M, M] and its sparsity.
+/// The decision causal graph [M, M].
 #[pyfunction]
 fn causal_graph<'py>(
     py: Python<'py>,
@@ -110,18 +110,12 @@ fn causal_graph<'py>(
     distance_m: PyReadonlyArray2<'py, f32>,
     max_ttc_s: f32,
     max_distance_m: f32,
-    symmetric: bool,
-) -> PyResult<(Bound<'py, PyArray2<bool>>, f32)> {
+) -> PyResult<Bound<'py, PyArray2<bool>>> {
     let num_agents = square("ttc_s", ttc_s.shape())?;
     let thresholds = GraphThresholds { ttc_s: max_ttc_s, distance_m: max_distance_m };
-    let mut graph =
-        CausalGraph::from_measures(num_agents, ttc_s.as_slice()?, distance_m.as_slice()?, thresholds)
-            .map_err(from_sim)?;
-    if symmetric {
-        graph = graph.symmetrised();
-    }
-    let matrix = PyArray1::from_slice(py, graph.as_slice()).reshape([num_agents, num_agents])?;
-    Ok((matrix, graph.sparsity()))
+    let graph = CausalGraph::from_measures(num_agents, ttc_s.as_slice()?, distance_m.as_slice()?, thresholds)
+        .map_err(from_sim)?;
+    PyArray1::from_slice(py, graph.as_slice()).reshape([num_agents, num_agents])
 }
 
 /// Agents, their counts, cliques counted, and whether every search was completed.

@@ -5,8 +5,8 @@ use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
 use ccdiff_sim::SimError;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use ccdiff_sim::metrics::{
-    CollisionReport, CollisionVariant, ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Trajectories,
-    displacement, min_ttc_s, off_road_report, over_speed,
+    ComfortAxes, ComfortHistograms, HISTOGRAM_BINS, Trajectories, contacts, min_ttc_s, off_road_flags,
+    over_speed,
 };
 use ccdiff_sim::scene::{Elevations, Map};
 use ccdiff_sim::state::Footprint;
@@ -45,13 +45,11 @@ impl NativeMotion {
     }
 }
 
-/// Contacts [N, 3] of step and agents; whether controlled, whether new [N]; name of the first kind per agent; per
-/// variant whether every agent collides and the rate of agents.
-type CollisionParts<'py> =
-    (Bound<'py, PyArray2<u32>>, Vec<bool>, Vec<bool>, Vec<Option<&'static str>>, Vec<Vec<bool>>, Vec<f64>);
+/// Contacts [N, 3] of step and agents, and the name of the first kind per agent.
+type Contacts<'py> = (Bound<'py, PyArray2<u32>>, Vec<Option<&'static str>>);
 
-/// Flags [A, T] of centre and box, then the rates of centre, box and the reference implementation.
-type OffRoadParts<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>, [f64; 3]);
+/// Flags [A, T] of centre and box.
+type OffRoadFlags<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>);
 
 #[pymethods]
 impl NativeMotion {
@@ -87,29 +85,11 @@ impl NativeMotion {
         Ok(motion)
     }
 
-    fn collisions<'py>(
-        &self,
-        py: Python<'py>,
-        controlled: PyReadonlyArray1<'_, bool>,
-        log: Option<&Self>,
-    ) -> PyResult<CollisionParts<'py>> {
-        let mask = &flags(&controlled)?;
-        let report = py
-            .detach(|| {
-                let log = log.map(Self::view).transpose()?;
-                CollisionReport::new(&self.view()?, mask, log.as_ref())
-            })
-            .map_err(from_sim)?;
-        let contacts = &report.contacts;
-        let rows = contacts.iter().flat_map(|c| [c.step_idx, c.agents.0, c.agents.1]).collect();
-        Ok((
-            PyArray1::from_vec(py, rows).reshape([contacts.len(), 3])?,
-            contacts.iter().map(|c| c.controlled).collect(),
-            contacts.iter().map(|c| c.new).collect(),
-            report.first_kind.iter().map(|kind| kind.map(|k| k.name())).collect(),
-            CollisionVariant::ALL.iter().map(|v| report.agents(*v)).collect(),
-            CollisionVariant::ALL.iter().map(|v| report.agent_rate(*v)).collect(),
-        ))
+    fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Contacts<'py>> {
+        let (rows, kinds) = py.detach(|| Ok(contacts(&self.view()?))).map_err(from_sim)?;
+        let shape = [rows.len(), 3];
+        let rows = PyArray1::from_vec(py, rows.into_iter().flatten().collect()).reshape(shape)?;
+        Ok((rows, kinds.iter().map(|kind| kind.map(|k| k.name())).collect()))
     }
 
     fn off_road<'py>(
@@ -117,9 +97,7 @@ impl NativeMotion {
         py: Python<'py>,
         drivable: Vec<Rings>,
         elevations: Vec<[f32; 2]>,
-        counted: PyReadonlyArray1<'_, bool>,
-        replan_steps: usize,
-    ) -> PyResult<OffRoadParts<'py>> {
+    ) -> PyResult<OffRoadFlags<'py>> {
         let points = |ring: Vec<[f32; 2]>| ring.into_iter().map(Point2::from).collect();
         let polygons: Vec<Polygon> = drivable
             .into_iter()
@@ -146,23 +124,11 @@ impl NativeMotion {
             Some(z) => levels.get(&slot(z)).and_then(Option::as_ref),
             None => Some(&region),
         };
-        let report = off_road_report(&motion, region_of, &flags(&counted)?, replan_steps);
+        let flags = off_road_flags(&motion, region_of);
         let shape = [self.footprints.len(), self.num_steps];
-        let centroid = report.flags.iter().map(|f| f.centroid).collect();
-        let corner = report.flags.iter().map(|f| f.corner).collect();
-        Ok((
-            PyArray1::from_vec(py, centroid).reshape(shape)?,
-            PyArray1::from_vec(py, corner).reshape(shape)?,
-            [report.centroid_rate, report.box_rate, report.reference_impl_rate],
-        ))
-    }
-
-    /// ADE and FDE of every agent, metres; not a number where there is none.
-    fn displacement(&self, log: &Self) -> PyResult<(Vec<f64>, Vec<f64>)> {
-        let (motion, log) = (self.view().map_err(from_sim)?, log.view().map_err(from_sim)?);
-        let result = displacement(&motion, &log).map_err(from_sim)?;
-        let filled = |errors: Vec<Option<f64>>| errors.into_iter().map(|e| e.unwrap_or(f64::NAN)).collect();
-        Ok((filled(result.ade_m), filled(result.fde_m)))
+        let centroid = flags.iter().map(|f| f.centroid).collect();
+        let corner = flags.iter().map(|f| f.corner).collect();
+        Ok((PyArray1::from_vec(py, centroid).reshape(shape)?, PyArray1::from_vec(py, corner).reshape(shape)?))
     }
 
     /// Histograms [3, 20] of one scene.

@@ -17,12 +17,6 @@ impl GraphThresholds {
     pub const PAPER: Self = Self { ttc_s: 3.0, distance_m: 50.0 };
 }
 
-impl Default for GraphThresholds {
-    fn default() -> Self {
-        Self::PAPER
-    }
-}
-
 /// A directed graph over M agents with all self loops; entry (i, j) says that j may influence i.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CausalGraph {
@@ -82,23 +76,5 @@ impl CausalGraph {
     /// Whether j may influence i; false for indices out of range.
     pub fn contains(&self, i: usize, j: usize) -> bool {
         j < self.num_agents && self.is_edge.get(i * self.num_agents + j).copied().unwrap_or(false)
-    }
-
-    /// The graph that joins a pair in both directions if this one joins it in either.
-    #[must_use]
-    pub fn symmetrised(&self) -> Self {
-        let m = self.num_agents;
-        let is_edge = (0..m * m).map(|k| self.is_edge[k] || self.is_edge[(k % m) * m + k / m]).collect();
-        Self { num_agents: m, is_edge }
-    }
-
-    /// Share of ordered pairs of different agents that are not joined, in [0, 1]; 1 for fewer than two agents.
-    pub fn sparsity(&self) -> Real {
-        let pairs = self.num_agents * self.num_agents.saturating_sub(1);
-        if pairs == 0 {
-            return 1.0;
-        }
-        let edges = self.is_edge.iter().filter(|&&e| e).count() - self.num_agents;
-        1.0 - edges as Real / pairs as Real
     }
 }

@@ -161,14 +161,4 @@ impl<'a> Trajectories<'a> {
             }
         }
     }
-
-    /// Checks that another rollout has the same agents and steps, and a mask the same agents.
-    pub(super) fn check_same(&self, other: Option<&Trajectories<'_>>, controlled: &[bool]) -> Result<()> {
-        check_length("mask of controlled agents", controlled.len(), self.num_agents())?;
-        if let Some(other) = other {
-            check_length("agents of the log", other.num_agents(), self.num_agents())?;
-            check_length("steps of the log", other.num_steps, self.num_steps)?;
-        }
-        Ok(())
-    }
 }
