@@ -1,8 +1,8 @@
 """Evaluation metrics of recorded rollouts, and the paper's scores.
 
 A recorded scene is a :class:`Motion`: states of A agents over T steps. Rates over scenes are
-means of what its methods give per scene. Everything is computed by the Rust code that the running
-world uses; docs/evaluation.md defines each number and says where it differs from the paper.
+means of what its methods give per scene. Geometry is that of the running
+world's Rust code; docs/evaluation.md defines each number and says where it differs from the paper.
 """
 
 from __future__ import annotations

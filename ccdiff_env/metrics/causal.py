@@ -1,8 +1,8 @@
 """Which agents matter to which: times to contact, the decision causal graph, rankings of key
 agents.
 
-Matrices have shape [M, M] (or [T, M, M] over a history), row i belongs to agent i. Everything is
-computed by the Rust code that the running world and the training features use.
+Matrices have shape [M, M] (or [T, M, M] over a history), row i belongs to agent i. Measures
+and rankings are computed by the Rust code that the running world and the training features use.
 """
 
 from __future__ import annotations
