@@ -3,6 +3,7 @@
 use crate::drivers;
 use crate::python_policy::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_sim::observe::{BEV_CHANNELS, Layout, ObservationConfig, all_columns};
 use ccdiff_sim::options::{Table, check_table};
 use ccdiff_sim::planner::EgosConfig;
 use ccdiff_sim::policy::{self, PLAN_FIELDS};
@@ -15,6 +16,7 @@ pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(config_tables, module)?)?;
     module.add_function(wrap_pyfunction!(check_options, module)?)?;
     module.add_function(wrap_pyfunction!(columns_json, module)?)?;
+    module.add_function(wrap_pyfunction!(observation_json, module)?)?;
     module.add_function(wrap_pyfunction!(metrics_json, module)?)?;
     module.add_function(wrap_pyfunction!(plan_fields_json, module)?)?;
     module.add_function(wrap_pyfunction!(candidate_features_json, module)?)
@@ -56,6 +58,13 @@ fn default_world_config() -> PyResult<String> {
 #[pyfunction]
 fn columns_json() -> PyResult<String> {
     to_json(&COLUMNS)
+}
+
+/// The default layout of observations, all columns by entry and the channels of rasters, as JSON.
+#[pyfunction]
+fn observation_json() -> PyResult<String> {
+    let layout = Layout::new(&ObservationConfig::default()).map_err(from_sim)?;
+    to_json(&(layout, all_columns(), BEV_CHANNELS))
 }
 
 /// The schema of the metrics of an episode as JSON.

@@ -197,14 +197,6 @@ fn map_segments_cover_their_lines_and_the_cut_is_left_out() {
     assert!(distance(near[0]) <= best + 5.7);
 }
 
-#[test]
-fn the_observation_page_is_up_to_date() {
-    let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/observation.md");
-    let text = std::fs::read_to_string(page).unwrap();
-    let layout = Layout::new(&ObservationConfig::default()).unwrap();
-    assert!(text == layout.to_markdown(), "run: cargo run -p ccdiff-sim --example observation_page");
-}
-
 /// Observations of all agents of a city after a few steps.
 fn observed(observation: ObservationConfig, num_agents: usize) -> (Layout, Vec<f32>) {
     let config = WorldConfig {

@@ -9,7 +9,6 @@ use crate::geom::Real;
 use crate::options;
 use crate::options::within;
 use serde::Serialize;
-use std::fmt::Write as _;
 
 options! {
     /// Choice of rows and columns of the observation.
@@ -194,73 +193,9 @@ impl Layout {
     pub fn entry(&self, name: &str) -> Option<&Entry> {
         self.entries.iter().find(|e| e.name == name)
     }
-
-    /// The page `docs/observation.md`.
-    pub fn to_markdown(&self) -> String {
-        let mut text = String::from(
-            "# Observation\n\n<!-- written by `cargo run -p ccdiff-sim --example observation_page` from the layout; do not edit -->\n\n\
-             Everything is in the frame of the observing agent: x ahead, y to the left, metres. Each number is\n\
-             the quantity over its scale, clipped to the range. Rows for what is not there are zero, and their mask is 0.\n\
-             In the flat form the entries follow one another; in the dictionary form each is an array of its own.\n",
-        );
-        // writing to a String cannot fail
-        let _ = writeln!(text, "\nDefault configuration: {} floats.", self.size);
-        for entry in &self.entries {
-            let _ = writeln!(text, "\n## `{}` {:?}, from float {}\n", entry.name, entry.shape, entry.offset);
-            if entry.kind == EntryKind::Mask {
-                let _ = writeln!(text, "1 where the row is there, else 0.");
-                continue;
-            }
-            text += "| column | scale | range | what |\n|---|---:|---|---|\n";
-            for c in &entry.columns {
-                let _ = writeln!(text, "| {}", cells(c));
-            }
-        }
-        text + &requested_markdown() + &bev_markdown()
-    }
 }
 
-/// Name, scale, range and meaning of a column, as cells.
-fn cells(c: &ObservationColumn) -> String {
-    let low = if c.low < 0.0 { "±" } else { "0–" };
-    format!("{} | {} {} | {low}{} | {} |", c.name, c.scale, c.unit, c.high, c.doc).replace("  ", " ")
-}
-
-/// The part of `docs/observation.md` about columns that are not in the default rows.
-fn requested_markdown() -> String {
-    let mut text = String::from(
-        "\n## Columns on request\n\nRows have these where `ego_columns`, `agent_columns` or `map_columns` names them, those of `map` wherever\n\
-         `num_map_segments` is above 0. What tells one scene from another is left out by default: policies that see it\n\
-         learn slower, and learn scenes by heart.\n\n\
-         | entry | column | scale | range | what |\n|---|---|---:|---|---|\n",
-    );
-    for (entry, columns) in
-        [("ego", columns_of(EGO)), ("agents", columns_of(AGENTS)), ("map", columns_of(MAP))]
-    {
-        for c in columns.iter().filter(|c| !c.in_default || entry == "map") {
-            // writing to a String cannot fail
-            let _ = writeln!(text, "| `{entry}` | {}", cells(c));
-        }
-    }
-    text
-}
-
-/// The part of `docs/observation.md` about the raster.
-fn bev_markdown() -> String {
-    let BevConfig { size_px, metres_per_px, behind_share } = BevConfig::default();
-    let mut text = format!(
-        "\n## `bev` uint8 [{}, S, S], off by default\n\n\
-         A bird's-eye raster round the agent: its heading points up, its left is left. `bev={{}}` asks for it with\n\
-         S = `size_px` = {size_px} rows and columns of `metres_per_px` = {metres_per_px} m, `behind_share` = \
-         {behind_share} of the rows\n\
-         behind the agent's centre. In the dictionary form it is one more entry; the form `observation=\"bev\"` is the\n\
-         raster alone. A single raster shows no speeds: stack frames, or take the dictionary.\n\n\
-         | channel | name | bytes |\n|---:|---|---|\n",
-        BEV_CHANNELS.len(),
-    );
-    for (i, c) in BEV_CHANNELS.iter().enumerate() {
-        // writing to a String cannot fail
-        let _ = writeln!(text, "| {i} | {} | {} |", c.name, c.doc);
-    }
-    text
+/// All columns of `ego`, `agents` and `map`, those on request included.
+pub fn all_columns() -> [(&'static str, Vec<ObservationColumn>); 3] {
+    [("ego", columns_of(EGO)), ("agents", columns_of(AGENTS)), ("map", columns_of(MAP))]
 }

@@ -20,7 +20,7 @@ mod view;
 
 pub use bev::{BEV_CHANNELS, BevChannel, BevConfig};
 pub use column::ObservationColumn;
-pub use layout::{Entry, EntryKind, Layout, ObservationConfig};
+pub use layout::{Entry, EntryKind, Layout, ObservationConfig, all_columns};
 pub use map_segments::{MapSegments, Segment, SegmentKind};
 pub use observer::Observer;
 pub use view::{EgoFacts, RoutePlace, View};
