@@ -15,8 +15,7 @@ use ccdiff_render::{Frame, Shown, Trails};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
-    ArraySpec, CANDIDATE_FEATURES, COMPONENTS, Drawn, NUM_METRICS, ResetRequest, VecWorld, Wanted,
-    WorldConfig,
+    ArraySpec, CANDIDATE_FEATURES, COMPONENTS, NUM_METRICS, ResetRequest, Slot, VecWorld, Wanted, WorldConfig,
 };
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
@@ -329,9 +328,9 @@ impl PyVecWorld {
     /// Metrics [C, K] of a world's present episode so far.
     fn metrics<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let me = self.lock()?;
-        let metrics = me.world.metrics(world_idx).map_err(from_sim)?;
-        let shape = [metrics.len(), NUM_METRICS];
-        PyArray1::from_vec(py, metrics.into_iter().flatten().collect()).reshape(shape)
+        let slots = me.world.slots(world_idx).map_err(from_sim)?;
+        let metrics = slots.iter().flat_map(|slot| slot.metrics()).collect();
+        PyArray1::from_vec(py, metrics).reshape([slots.len(), NUM_METRICS])
     }
 
     /// Puts a driver into vehicles of a world.
@@ -415,8 +414,8 @@ impl PyVecWorld {
     fn drawn<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let me = self.lock()?;
         let style = &me.world.config().style;
-        let slots = me.world.drawn(world_idx).map_err(from_sim)?;
-        let dict = |drawn: &Drawn| {
+        let slots = me.world.slots(world_idx).map_err(from_sim)?;
+        let dict = |Slot { drawn, .. }: &Slot| {
             let factors =
                 COMPONENTS.into_iter().zip(drawn.style).filter(|(name, _)| style.contains_key(*name));
             let slot = PyDict::new(py);
@@ -427,12 +426,13 @@ impl PyVecWorld {
             slot.set_item("style", factors.into_py_dict(py)?)?;
             Ok(slot)
         };
-        slots.into_iter().map(dict).collect()
+        slots.iter().map(dict).collect()
     }
 
     /// Whether each slot's agent goes on.
     fn slot_alive(&self, world_idx: usize) -> PyResult<Vec<bool>> {
-        self.lock()?.world.slot_alive(world_idx).map_err(from_sim)
+        let me = self.lock()?;
+        Ok(me.world.slots(world_idx).map_err(from_sim)?.iter().map(|slot| slot.alive).collect())
     }
 
     /// Route [P, 2] of a slot's agent and its goal [2].

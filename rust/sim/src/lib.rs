@@ -6,6 +6,7 @@ pub mod error;
 pub mod events;
 pub mod geom;
 pub mod metrics;
+mod named;
 pub mod observe;
 pub mod options;
 mod pdm;

@@ -5,6 +5,7 @@
 
 use super::fault::is_at_fault;
 use crate::geom::{OrientedBox, Real};
+use crate::named::named;
 use crate::scene::AgentKind;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::{AgentStates, Footprint};
@@ -16,22 +17,16 @@ const JOINT_FROM_AGENTS: usize = 4;
 /// Agents tested at once.
 const LANES: usize = 8;
 
-/// Side of an agent's own box that another agent hits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum ContactKind {
-    /// The front edge.
-    Front = 0,
-    /// The rear edge.
-    Rear = 1,
-    /// One of the long edges.
-    Side = 2,
-}
-
-impl ContactKind {
-    /// The name used in Python.
-    pub fn name(self) -> &'static str {
-        ["front", "rear", "side"][self as usize]
+named! {
+    /// Side of an agent's own box that another agent hits.
+    #[derive(Hash)]
+    pub enum ContactKind {
+        /// The front edge.
+        Front = "front",
+        /// The rear edge.
+        Rear = "rear",
+        /// One of the long edges.
+        Side = "side",
     }
 }
 

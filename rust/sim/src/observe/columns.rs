@@ -115,6 +115,12 @@ pub(super) const ROUTE: [Entry<()>; 4] = [
     entry("sin", "", 1.0, SIGNED, "sine of the direction", ()),
 ];
 
+macro_rules! of_kind {
+    ($name:literal, $kind:ident) => {
+        entry($name, "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::$kind)))
+    };
+}
+
 pub(super) static AGENTS: &[Entry<OfAgent>] = &[
     entry("x", "m", 60.0, SIGNED, "centre, ahead", Place(Axis::X)),
     entry("y", "m", 60.0, SIGNED, "centre, to the left", Place(Axis::Y)),
@@ -154,39 +160,11 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
             });
         }),
     ),
-    entry("is_vehicle", "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::Vehicle))),
-    on_request(entry(
-        "is_pedestrian",
-        "",
-        1.0,
-        POSITIVE,
-        "kind",
-        Fixed(|_, kind| flag(kind == AgentKind::Pedestrian)),
-    )),
-    on_request(entry(
-        "is_cyclist",
-        "",
-        1.0,
-        POSITIVE,
-        "kind",
-        Fixed(|_, kind| flag(kind == AgentKind::Cyclist)),
-    )),
-    on_request(entry(
-        "is_motorcycle",
-        "",
-        1.0,
-        POSITIVE,
-        "kind",
-        Fixed(|_, kind| flag(kind == AgentKind::Motorcycle)),
-    )),
-    on_request(entry(
-        "is_static",
-        "",
-        1.0,
-        POSITIVE,
-        "kind",
-        Fixed(|_, kind| flag(kind == AgentKind::Static)),
-    )),
+    of_kind!("is_vehicle", Vehicle),
+    on_request(of_kind!("is_pedestrian", Pedestrian)),
+    on_request(of_kind!("is_cyclist", Cyclist)),
+    on_request(of_kind!("is_motorcycle", Motorcycle)),
+    on_request(of_kind!("is_static", Static)),
     entry(
         "route_position",
         "m",

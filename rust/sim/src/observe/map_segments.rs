@@ -2,6 +2,7 @@
 
 use super::frame::F32x8;
 use crate::geom::{Point2, Polygon, Real, Region, Vector2, bounds, math};
+use crate::named::named;
 use crate::scene::{LaneKind, Map};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -20,53 +21,25 @@ const MAX_CELLS: Real = 65_536.0;
 /// Most segments that a place knows.
 pub(crate) const MAX_SEGMENTS: usize = 256;
 
-/// What a segment belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[repr(u8)]
-pub enum SegmentKind {
-    /// Centre line of a lane.
-    Lane = 0,
-    /// Centre line of a lane connector.
-    Connector = 1,
-    /// Line between directions.
-    RoadDivider = 2,
-    /// Line between lanes.
-    LaneDivider = 3,
-    /// Edge of the drivable area.
-    RoadEdge = 4,
-    /// Edge of a pedestrian crossing.
-    Crossing = 5,
-    /// Edge of a stop line area.
-    StopLine = 6,
-    /// Edge of a walkway.
-    Walkway = 7,
-}
-
-impl SegmentKind {
-    /// All kinds in order.
-    pub const ALL: [Self; 8] = [
-        Self::Lane,
-        Self::Connector,
-        Self::RoadDivider,
-        Self::LaneDivider,
-        Self::RoadEdge,
-        Self::Crossing,
-        Self::StopLine,
-        Self::Walkway,
-    ];
-
-    /// Name, as observations have it after `is_`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Lane => "lane",
-            Self::Connector => "connector",
-            Self::RoadDivider => "road_divider",
-            Self::LaneDivider => "lane_divider",
-            Self::RoadEdge => "road_edge",
-            Self::Crossing => "crossing",
-            Self::StopLine => "stop_line",
-            Self::Walkway => "walkway",
-        }
+named! {
+    /// What a segment belongs to; its name stands after `is_` in observations.
+    pub enum SegmentKind {
+        /// Centre line of a lane.
+        Lane = "lane",
+        /// Centre line of a lane connector.
+        Connector = "connector",
+        /// Line between directions.
+        RoadDivider = "road_divider",
+        /// Line between lanes.
+        LaneDivider = "lane_divider",
+        /// Edge of the drivable area.
+        RoadEdge = "road_edge",
+        /// Edge of a pedestrian crossing.
+        Crossing = "crossing",
+        /// Edge of a stop line area.
+        StopLine = "stop_line",
+        /// Edge of a walkway.
+        Walkway = "walkway",
     }
 }
 

@@ -26,6 +26,7 @@ pub use road_blocks::progress_along_log;
 
 use crate::error::{Result, SimError};
 use crate::geom::{Point2, Real, Vector2};
+use crate::named::named;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -37,31 +38,21 @@ const LONGEST_M: f64 = 5e6;
 /// Largest length and width of an agent, metres.
 const LARGEST_M: Real = 1e3;
 
-/// Kind of an agent, coarse enough to be the same for every data set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[repr(u8)]
-pub enum AgentKind {
-    /// Cars, trucks, buses, trailers, construction and emergency vehicles.
-    Vehicle = 0,
-    /// People on foot, in wheelchairs, with strollers or personal mobility devices.
-    Pedestrian = 1,
-    /// Bicycles.
-    Cyclist = 2,
-    /// Motorcycles.
-    Motorcycle = 3,
-    /// Barriers, cones, debris, racks: obstacles that never move by themselves.
-    Static = 4,
-}
-
-impl AgentKind {
-    /// All kinds, in the order of their numbers.
-    pub const ALL: [Self; 5] =
-        [Self::Vehicle, Self::Pedestrian, Self::Cyclist, Self::Motorcycle, Self::Static];
-
-    /// The name used in Python and in files.
-    pub fn name(self) -> &'static str {
-        ["vehicle", "pedestrian", "cyclist", "motorcycle", "static"][self as usize]
+named! {
+    /// Kind of an agent, coarse enough to be the same for every data set.
+    #[derive(PartialOrd, Ord, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum AgentKind {
+        /// Cars, trucks, buses, trailers, construction and emergency vehicles.
+        Vehicle = "vehicle",
+        /// People on foot, in wheelchairs, with strollers or personal mobility devices.
+        Pedestrian = "pedestrian",
+        /// Bicycles.
+        Cyclist = "cyclist",
+        /// Motorcycles.
+        Motorcycle = "motorcycle",
+        /// Barriers, cones, debris, racks: obstacles that never move by themselves.
+        Static = "static",
     }
 }
 

@@ -11,7 +11,7 @@ use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Height};
 use crate::world::config::{Controlled, VehicleRanking, WorldConfig};
 use crate::world::differences::Drawn;
-use crate::world::episode_statistics::EpisodeStatistics;
+use crate::world::episode_statistics::{EpisodeStatistics, Metrics};
 use crate::world::policies::Policies;
 use crate::world::progress::Progress;
 use crate::world::ranked::ranked_vehicles;
@@ -33,9 +33,10 @@ pub(crate) enum Phase {
 
 /// A controlled agent's own account.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Slot {
+pub struct Slot {
     pub(crate) agent_idx: Option<usize>,
-    pub(crate) alive: bool,
+    /// Whether its agent goes on in the present episode.
+    pub alive: bool,
     /// Elapsed steps at which the agent's episode ended.
     pub(crate) ended_at: Option<usize>,
     /// Stands still whatever its action.
@@ -54,7 +55,8 @@ pub(crate) struct Slot {
     pub(crate) off_road_centroid: bool,
     pub(crate) place: RoutePlace,
     pub(crate) statistics: EpisodeStatistics,
-    pub(crate) drawn: Drawn,
+    /// What was drawn for it.
+    pub drawn: Drawn,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -377,6 +379,11 @@ impl Episode {
 }
 
 impl Slot {
+    /// Metrics of its agent in the present episode so far.
+    pub fn metrics(&self) -> Metrics {
+        self.statistics.metrics()
+    }
+
     /// Whether all numbers are such that an episode can go on with them.
     fn is_sound(&self) -> bool {
         let found = [

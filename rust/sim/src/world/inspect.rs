@@ -1,6 +1,6 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Drawn, Extent, Metrics, VecWorld, WorldConfig};
+use super::{ActionDecoder, Extent, Metrics, Slot, VecWorld, WorldConfig};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError, check_length};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
@@ -245,23 +245,15 @@ impl VecWorld {
     /// # Errors
     /// As [`VecWorld::status`].
     pub fn slot_agents(&self, world_idx: usize) -> Result<Vec<Option<usize>>> {
-        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.agent_idx).collect())
+        Ok(self.slots(world_idx)?.iter().map(|slot| slot.agent_idx).collect())
     }
 
-    /// What was drawn for each slot of a world.
+    /// The slots of a world.
     ///
     /// # Errors
     /// As [`VecWorld::status`].
-    pub fn drawn(&self, world_idx: usize) -> Result<Vec<&Drawn>> {
-        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| &s.drawn).collect())
-    }
-
-    /// Whether each slot's agent goes on in the present episode.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn slot_alive(&self, world_idx: usize) -> Result<Vec<bool>> {
-        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.alive).collect())
+    pub fn slots(&self, world_idx: usize) -> Result<&[Slot]> {
+        Ok(&self.begun(world_idx)?.episode.slots)
     }
 
     /// Route of a slot's agent, points about a metre apart, and the goal: the logged place at the end of the episode.
@@ -341,14 +333,6 @@ impl VecWorld {
             Some(self.decoder.encode(&physical))
         };
         Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())
-    }
-
-    /// Metrics of a world's slots in its present episode so far.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn metrics(&self, world_idx: usize) -> Result<Vec<Metrics>> {
-        Ok(self.begun(world_idx)?.episode.slots.iter().map(|s| s.statistics.metrics()).collect())
     }
 
     /// Metrics of a world's slots in its last episode that ended; empty before.

@@ -50,6 +50,7 @@ pub use config::{
     VehicleRanking, WorldConfig,
 };
 pub use differences::{Drawn, Randomization};
+pub use episode::Slot;
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use inspect::WorldStatus;
 pub use map_queries::{LaneAhead, NearPiece};

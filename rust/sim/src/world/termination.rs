@@ -103,7 +103,7 @@ impl World {
     pub(super) fn end(&mut self) {
         self.episode.phase = Phase::Ended;
         self.ended.clear();
-        self.ended.extend(self.episode.slots.iter().map(|s| s.statistics.metrics()));
+        self.ended.extend(self.episode.slots.iter().map(|s| s.metrics()));
     }
 }
 
