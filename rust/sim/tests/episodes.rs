@@ -43,6 +43,34 @@ fn swerving_off_the_road_ends_ignores_stops_or_removes_as_configured() {
 }
 
 #[test]
+fn every_agent_of_a_game_ends_for_itself() {
+    let config = WorldConfig { controlled: Controlled::Vehicles, num_slots: 6, horizon_steps: 60, ..base() };
+    let mut batch = Batch::new(vec![city(4)], config, 1, 1);
+    batch.reset_all(0);
+    assert_eq!(batch.alive, [true, true, true, true, false, false]);
+    let mut ended = [0usize; 6];
+    for t in 0..60 {
+        // agent 1 leaves the road, the others go straight on
+        let mut a = vec![0.0; 12];
+        a[3] = 0.5;
+        batch.step(&a).unwrap();
+        for c in 0..6 {
+            ended[c] += usize::from(batch.terminated[c] || batch.truncated[c]);
+            if !(batch.alive[c] || batch.terminated[c] || batch.truncated[c]) {
+                assert_eq!(batch.reward[c], 0.0);
+                let row = batch.world.layout().size;
+                assert!(batch.obs[c * row..(c + 1) * row].iter().all(|x| *x == 0.0), "slot {c} step {t}");
+            }
+        }
+        if batch.done[0] {
+            break;
+        }
+    }
+    assert!(batch.done[0]);
+    assert_eq!(ended, [1, 1, 1, 1, 0, 0]);
+}
+
+#[test]
 fn slots_can_be_chosen_for_each_scene_by_its_name() {
     let scene = |name: &str| {
         let mut scene = city(4).as_ref().clone();

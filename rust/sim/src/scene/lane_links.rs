@@ -75,6 +75,23 @@ mod tests {
     }
 
     #[test]
+    fn lanes_follow_where_one_ends_and_another_begins() {
+        let mut lanes = [
+            lane(&[(0.0, 0.0), (10.0, 0.0)]),
+            lane(&[(10.3, 0.2), (20.0, 0.0)]),  // ahead
+            lane(&[(10.0, 0.0), (15.0, 5.0)]),  // bends off
+            lane(&[(10.0, 0.0), (0.0, 3.0)]),   // the other way
+            lane(&[(10.6, 0.0), (30.0, 0.0)]),  // too far
+            lane(&[(-9.0, 0.0), (-0.2, -0.3)]), // behind
+        ];
+        link_lanes(&mut lanes);
+        let links: Vec<_> = lanes.iter().map(|l| (l.successors.clone(), l.predecessors.clone())).collect();
+        assert_eq!(links[0], (vec![1, 2], vec![5]));
+        assert_eq!((&links[1].1, &links[2].1, &links[5].0), (&vec![0], &vec![0], &vec![0]));
+        assert_eq!((&links[3], &links[4]), (&(vec![], vec![]), &(vec![], vec![])));
+    }
+
+    #[test]
     fn links_that_a_file_has_stay() {
         let mut lanes = [lane(&[(0.0, 0.0), (10.0, 0.0)]), lane(&[(10.0, 0.0), (20.0, 0.0)])];
         lanes[1].predecessors = vec![1];
