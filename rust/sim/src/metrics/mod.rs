@@ -2,8 +2,8 @@
 //!
 //! [`Trajectories`] is a view of the states of one recorded scene, agents by steps. From it come contacts, leaving the
 //! road, comfort histograms and surrogate safety measures. Per-step facts are those of [`crate::events`], so a number
-//! computed after the fact is the one that the running world saw. Rates, scores and definitions, with what differs from
-//! the paper, are in `ccdiff_env.metrics` and docs/evaluation.md.
+//! computed after the fact is the one that the running world saw. Rates and scores are made of it in Python.
+//! Definitions, with what differs from the paper, are in docs/evaluation.md.
 
 mod collision;
 mod comfort;

@@ -69,6 +69,7 @@ fn what_is_wrong_is_named_with_its_path_and_its_rule() {
     ] {
         assert_eq!(read::<Whole>("", json).unwrap_err().to_string(), message);
     }
+    assert_eq!(Way::Plain.name(), "plain");
     let bad = Whole { speed_mps: Real::NAN, ..Whole::default() };
     assert_eq!(
         check("a.b", &bad).unwrap_err().to_string(),

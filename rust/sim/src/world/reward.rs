@@ -1,11 +1,11 @@
 //! Reward of a step: what the entries of the table in [`reward_columns`] are made from.
 
-use crate::events::{Contact, limits};
+use crate::events::limits;
 use crate::geom::Real;
 use crate::state::AgentStates;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
-use crate::world::reward_columns::{self, RewardForm, Step};
+use crate::world::reward_columns::{self, RewardForm, Step, StepFacts};
 
 /// Scale of accelerations in the discomfort, m/s².
 const COMFORT_MPS2: Real = 4.0;
@@ -15,21 +15,6 @@ const COMFORT_MPS3: Real = 10.0;
 const MAX_DISCOMFORT: Real = 3.0;
 /// Speed above the limit at which progress is worth nothing, m/s.
 const SPEEDING_MPS: Real = 5.0;
-
-/// What happened to a slot's agent in a step.
-pub(crate) struct StepFacts {
-    pub(crate) contact: Option<Contact>,
-    pub(crate) ttc_s: Real,
-    pub(crate) log_distance_m: Real,
-    /// New progress.
-    pub(crate) progress_m: Real,
-    pub(crate) reached: bool,
-    pub(crate) route_s_m: Real,
-    /// What happened in this step ends the episode.
-    pub(crate) terminated: bool,
-    /// The horizon or the log ends the episode in this step.
-    pub(crate) timed_out: bool,
-}
 
 /// How uncomfortable a step is, 0 to 3, from acceleration and lateral acceleration (m/s²) and jerk (m/s³).
 pub(crate) fn discomfort(acceleration: Real, lateral: Real, jerk: Real) -> Real {

@@ -4,12 +4,11 @@
 //! made from it.
 
 use crate::choices;
-use crate::events::ContactKind;
+use crate::events::{Contact, ContactKind};
 use crate::geom::Real;
 use crate::observe::RoutePlace;
 use crate::options;
 use crate::options::WEIGHT;
-use crate::world::reward::StepFacts;
 use serde::Serialize;
 
 /// A column of `info`, or a metric of an episode.
@@ -33,6 +32,21 @@ choices! {
         /// et al., 2025); collisions count where they are the agent's fault. The weights of the factors are unused.
         Product = "product",
     }
+}
+
+/// What happened to a slot's agent in a step.
+pub(crate) struct StepFacts {
+    pub(crate) contact: Option<Contact>,
+    pub(crate) ttc_s: Real,
+    pub(crate) log_distance_m: Real,
+    /// New progress.
+    pub(crate) progress_m: Real,
+    pub(crate) reached: bool,
+    pub(crate) route_s_m: Real,
+    /// What happened in this step ends the episode.
+    pub(crate) terminated: bool,
+    /// The horizon or the log ends the episode in this step.
+    pub(crate) timed_out: bool,
 }
 
 /// What the rewards and info columns of a slot's step are made from.

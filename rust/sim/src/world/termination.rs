@@ -3,8 +3,8 @@
 use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
 use crate::world::episode::Phase;
-use crate::world::reward::{self, StepFacts};
-use crate::world::reward_columns::{Earlier, NUM_COLUMNS, TTC_HORIZON_S};
+use crate::world::reward;
+use crate::world::reward_columns::{Earlier, NUM_COLUMNS, StepFacts, TTC_HORIZON_S};
 use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
 use crate::world::tow;
