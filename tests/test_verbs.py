@@ -75,8 +75,6 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         (["--traffic", "imd"], "--traffic is 'imd'"),
         (["--traffic", "bank"], "go together"),
         (["--resume"], "there is no checkpoint in"),
-        (["--forks", "2", "--traffic", "idm"], "share of episodes, 0 to 1"),
-        (["--forks", "0.5"], "--forks"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
         (["--style", "comfort", "0", "much"], "two factors"),
