@@ -121,5 +121,5 @@ class DrawnWorld:
     def close(self) -> None:
         """Close the window."""
         if self._window is not None:
-            self._window.close()
+            self._window.close()  # type: ignore[no-untyped-call]
             self._window = None

@@ -4,7 +4,7 @@ use super::world::Batch;
 use super::{DataSet, VERSION};
 use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load, load_gpudrive};
 use ccdiff_sim::scene::Scene;
-use ccdiff_sim::world::{Controlled, SceneOrder, TrafficCollision, WorldConfig};
+use ccdiff_sim::world::{Controlled, SceneOrder, TrafficCollision, VecWorld, WorldConfig};
 use serde_json::json;
 use std::sync::{Arc, OnceLock};
 
@@ -123,7 +123,7 @@ pub(crate) fn restore_damaged(input: &[u8]) {
         on_traffic_collision: TrafficCollision::Stop,
         ..WorldConfig::default()
     };
-    let mut batch = Batch::of(scenes.clone(), config, 1, 1, Vec::new()).unwrap();
+    let mut batch = Batch::new(scenes.clone(), config, 1, 1);
     batch.reset_all(0);
     let step = |batch: &mut Batch| {
         batch.step(&[0.5, 0.1].repeat(4)).unwrap();
@@ -155,7 +155,8 @@ fn play(scene: Arc<Scene>) {
         traffic: "idm".into(),
         ..WorldConfig::default()
     };
-    let Ok(mut batch) = Batch::of(vec![scene], config, 1, 1, Vec::new()) else { return };
+    let Ok(world) = VecWorld::new(vec![scene], config, 1, 1, Vec::new()) else { return };
+    let mut batch = Batch::around(world);
     batch.reset_all(0);
     for _ in 0..3 {
         batch.step(&[0.5, 0.1].repeat(4)).unwrap();

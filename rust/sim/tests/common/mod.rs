@@ -20,7 +20,7 @@ macro_rules! batch {
         }
 
         impl Batch {
-            fn around(world: VecWorld) -> Self {
+            pub(crate) fn around(world: VecWorld) -> Self {
                 let arrays = world.extent().arrays(world.num_worlds());
                 let size = |name: &str| {
                     let array = arrays.iter().find(|array| array.name == name).unwrap();
