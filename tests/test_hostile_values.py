@@ -400,14 +400,6 @@ CASES = {
         lambda m: motion(m).comfort("body", 1),
         np.ascontiguousarray(VALID.T),
     ),
-    "Trajectories.collisions.controlled": (
-        lambda m: motion(VALID.T.copy()).collisions(m, None),
-        SOME,
-    ),
-    "Trajectories.off_road.counted": (
-        lambda m: motion(VALID.T.copy()).off_road(AREA, [], m, 5),
-        SOME,
-    ),
     "Trajectories.over_speed.counted": (
         lambda m: motion(VALID.T.copy()).over_speed(1.0, 0.1, m),
         SOME,

@@ -325,3 +325,22 @@ def test_bad_input_is_refused_with_the_offending_part():
     ):
         with pytest.raises(error, match=named):
             call()
+
+
+def test_any_byte_but_zero_is_true_in_masks():
+    position = np.array([[[0.0, 0.0], [0.0, 0.0]], [[1.0, 0.0], [9.0, 0.0]], [[50.0, 0.0]] * 2])
+    bytes_, size = np.array([2, 0, 4], np.uint8), np.full((3, 2), 4.0)
+
+    def figures(mask):
+        valid = np.stack([mask, mask], axis=1)
+        log = metrics.Motion(position + 1.0, np.zeros((3, 2)), size=size, dt_s=0.1, valid=valid)
+        every = metrics.Motion(position, np.zeros((3, 2)), size=size, dt_s=0.1)
+        area = [([[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]], [])]
+        return (
+            log.valid.tolist(),
+            every.collisions(controlled=mask).agent_rate,
+            every.off_road(area, counted=mask).centroid_rate,
+            every.displacement(every).mean(mask),
+        )
+
+    assert figures(bytes_.view(bool)) == figures(bytes_ != 0)

@@ -316,6 +316,17 @@ class AdversarySelectionVectorEnv(AsVector):
             self.candidates[e], self.obs[e] = self.worlds.native.candidates(e, self.max_candidates)
 
 
+class SingleOptions(SelectionOptions, total=False):
+    """Options of :class:`AdversarySelectionVectorEnv`."""
+
+    ego: Ego
+    max_candidates: int
+    strengths: Sequence[float]
+    num_adversaries: int
+    counts: Counts
+    shift_cost: float
+
+
 class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
 
@@ -325,7 +336,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     metadata = EgoEnv.metadata
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options: Unpack[SingleOptions]) -> None:
         self.render_mode = options.get("render_mode")
         if self.render_mode == "human":
             options["render_mode"] = "rgb_array"

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ShapeError, expect_shape
+from ccdiff_env.metrics.motion import booleans
 
 TTC_CAP_S = 20.0  #: Times to contact are capped here, seconds.
 DISTANCE_CAP_M = 20.0  #: Distances beyond this are 0 in the normalised form, metres.
@@ -54,7 +55,7 @@ def _states(
         raise ShapeError(f"position has shape {points.shape}, expected [..., M, 2]")
     there = np.isfinite(points).all(axis=-1)
     if valid is not None:
-        given = np.asarray(valid, dtype=bool)
+        given = booleans(valid)
         if given.shape not in (there.shape, there.shape[1:]):
             raise ShapeError(f"valid has shape {given.shape}, expected {there.shape} or [M]")
         there = there & given
@@ -317,7 +318,7 @@ def rank(
         >>> found.agents, found.num_named
         ([1, 3, 0], 2)
     """
-    there = np.ascontiguousarray(valid, dtype=bool)
+    there = booleans(valid)
 
     def pairs(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float32] | None:
         if values is None:

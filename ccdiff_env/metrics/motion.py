@@ -80,10 +80,16 @@ class Displacement:
         """
         mask = np.isfinite(self.ade)
         if counted is not None:
-            mask &= np.asarray(counted, dtype=bool)
+            mask &= booleans(counted)
         if not mask.any():
             return float("nan"), float("nan")
         return float(self.ade[mask].mean()), float(self.fde[mask].mean())
+
+
+def booleans(mask: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    """A mask in which every byte but zero is true, as bytes of other programs may be."""
+    found: npt.NDArray[np.bool_] = np.ascontiguousarray(mask, dtype=bool).view(np.uint8) != 0
+    return found
 
 
 def _states(name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
@@ -136,7 +142,7 @@ class Motion:
         headings = _states("heading", heading, shape)
         there = np.isfinite(points).all(axis=-1) & np.isfinite(headings)
         if valid is not None:
-            given = np.asarray(valid, dtype=bool)
+            given = booleans(valid)
             expect_shape("valid", given, shape)
             there &= given
         sizes = _states("size", size, (shape[0], 2))
@@ -160,7 +166,7 @@ class Motion:
     def _mask(self, name: str, mask: npt.ArrayLike | None, default: bool) -> npt.NDArray[np.bool_]:
         if mask is None:
             return np.full(self.num_agents, default)
-        array = np.ascontiguousarray(mask, dtype=bool)
+        array = booleans(mask)
         expect_shape(name, array, (self.num_agents,))
         return array
 
