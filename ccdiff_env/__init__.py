@@ -25,7 +25,6 @@ from ccdiff_env.envs import (
     aec_env,
     make_vec,
     parallel_env,
-    register,
 )
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.metrics import causal
@@ -39,7 +38,7 @@ from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.gpudrive import load_gpudrive
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.version import __version__
-from ccdiff_env.view import notebook
+from ccdiff_env.view import notebook as notebook
 
 __all__ = [
     "AdversarySelectionEnv", "AdversarySelectionVectorEnv", "AgentVectorEnv", "Certificate",
@@ -49,6 +48,3 @@ __all__ = [
     "load_scenarionet", "make_vec", "map_queries", "metrics", "parallel_env", "record_bank",
     "replay",
 ]  # fmt: skip
-
-register()
-notebook.install()

@@ -14,7 +14,7 @@ from ccdiff_env.errors import MissingFeatureError
 
 __all__ = [
     "EGO_ID", "SELECTION_ID", "AdversarySelectionEnv", "AdversarySelectionVectorEnv",
-    "AgentVectorEnv", "EgoEnv", "EgoVectorEnv", "aec_env", "make_vec", "parallel_env", "register",
+    "AgentVectorEnv", "EgoEnv", "EgoVectorEnv", "aec_env", "make_vec", "parallel_env",
 ]  # fmt: skip
 
 EGO_ID = "ccdiff_env/Ego-v0"  #: Id of the ego environment in Gymnasium's registry.
@@ -22,16 +22,16 @@ EGO_ID = "ccdiff_env/Ego-v0"  #: Id of the ego environment in Gymnasium's regist
 SELECTION_ID = "ccdiff_env/AdversarySelection-v0"
 
 
-def register() -> None:
-    """Enter the environments in Gymnasium's registry."""
-    for name, *entries in (
-        (EGO_ID, "single:EgoEnv", "vector:EgoVectorEnv"),
-        (SELECTION_ID, "selection:AdversarySelectionEnv", "selection:AdversarySelectionVectorEnv"),
-    ):
-        if name not in gymnasium.registry:
-            single, vector = (f"ccdiff_env.envs.{entry}" for entry in entries)
-            gymnasium.register(name, entry_point=single, vector_entry_point=vector)
-
+for _id, _single, _vector in (
+    (EGO_ID, "single:EgoEnv", "vector:EgoVectorEnv"),
+    (SELECTION_ID, "selection:AdversarySelectionEnv", "selection:AdversarySelectionVectorEnv"),
+):
+    if _id not in gymnasium.registry:
+        gymnasium.register(
+            _id,
+            entry_point=f"{__name__}.{_single}",
+            vector_entry_point=f"{__name__}.{_vector}",
+        )
 
 make_vec = EgoVectorEnv  #: The vector environment, by the name of Gymnasium's function.
 

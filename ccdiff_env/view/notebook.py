@@ -15,13 +15,6 @@ HEADS = ("scene", "location", "seconds", "agents", "vehicles")  #: Of tables of 
 ROWS = 30  #: Scenes of a set that are listed, at most.
 
 
-def install() -> None:
-    """Give the classes their ``_repr_html_``."""
-    Rollout._repr_html_ = rollout_html  # type: ignore[attr-defined]
-    Scene._repr_html_ = scene_html  # type: ignore[attr-defined]
-    SceneSet._repr_html_ = scene_set_html  # type: ignore[attr-defined]
-
-
 def rollout_html(rollout: Rollout) -> str:
     """Return the replay page in a frame that can do nothing but run its own scripts."""
     # imported here: most programs show no notebook
@@ -63,3 +56,8 @@ def scene_row(scene: Scene) -> tuple[str, ...]:
     seconds = f"{(scene.num_steps - 1) * scene.dt:.1f}"
     vehicles = scene.agent_types.count("vehicle")
     return scene.name, scene.location, seconds, str(scene.num_agents), str(vehicles)
+
+
+Rollout._repr_html_ = rollout_html  # type: ignore[attr-defined]
+Scene._repr_html_ = scene_html  # type: ignore[attr-defined]
+SceneSet._repr_html_ = scene_set_html  # type: ignore[attr-defined]
