@@ -136,21 +136,48 @@ def strings_of(file: Path) -> set[str]:
     return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
 
 
+@functools.cache
+def strings() -> dict[str, set[str]]:
+    """Strings of every file of code, by its path without ``rust`` and ``src``."""
+    files = [*(ROOT / "rust").glob("*/src/**/*.rs"), *(ROOT / "ccdiff_env").rglob("*.py")]
+    return {
+        re.sub("^rust/(.*)/src/", r"\1/", file.relative_to(ROOT).as_posix()): strings_of(file)
+        for file in files
+    }
+
+
+def naming(name: str) -> list[str]:
+    """Files in whose code a string is."""
+    return sorted(file for file, found in strings().items() if name in found)
+
+
+@pytest.mark.parametrize(
+    ("entry", "files"),
+    [
+        ("leader_gap", ["sim/observe/columns.rs"]),  # a column of observations
+        ("log_distance", ["sim/world/reward_columns.rs"]),  # a column of infos
+        ("gpudrive", ["ccdiff_env/scenes/sources.py", "nuscenes/gpudrive.rs"]),  # a data source
+        ("ccdiff_released", ["ccdiff_env/bench/methods.py"]),  # a method of benchmarks
+        # planners: where one is made, and its title
+        ("diffusion", ["ccdiff_env/planners/rules.py", "ccdiff_env/view/captions.py"]),
+        ("arbiter", ["ccdiff_env/planners/built_in.py", "ccdiff_env/view/captions.py"]),
+    ],
+)
+def test_an_entry_of_a_table_is_named_there_alone(entry, files):
+    assert naming(entry) == files
+
+
 def test_a_driver_is_named_where_it_is_declared():
     """A network in one file of each crate of networks.
 
     Its own methods may be in the benchmark, and the playground says whom it offers.
     """
-    files = [*(ROOT / "rust").glob("*/src/**/*.rs"), *(ROOT / "ccdiff_env").rglob("*.py")]
-    strings = {file.relative_to(ROOT).as_posix(): strings_of(file) for file in files}
     for name in sorted(set(NETWORKS) - {"ccdiff"}):
-        named = sorted(file for file, found in strings.items() if name in found)
-        named = [
-            file for file in named if not file.endswith(("/methods.py", "/link.py", "/tests.rs"))
-        ]
+        elsewhere = ("/methods.py", "/link.py", "/tests.rs")
+        named = [file for file in naming(name) if not file.endswith(elsewhere)]
         crates = ["nets"] if KINDS[name].distilled else ["models", "nets"]
-        assert [file.split("/")[1] for file in named] == crates, (name, named)
-        assert [f for f, found in strings.items() if KINDS[name].title in found] == [named[-1]]
+        assert [file.split("/")[0] for file in named] == crates, (name, named)
+        assert naming(KINDS[name].title) == [named[-1]]
 
 
 def test_no_crate_knows_its_siblings():
@@ -169,16 +196,24 @@ EXTENSIONS = ("_native", "_models")  #: Compiled modules of the package.
 
 
 @functools.cache
-def python_graph() -> dict[str, set[str]]:
-    """Imports between the modules of the package, those in functions and for types included."""
-    modules = {}
+def trees() -> dict[str, ast.Module]:
+    """The modules of the package, by their names."""
+    found = {}
     for file in (ROOT / "ccdiff_env").rglob("*.py"):
         parts = file.relative_to(ROOT).with_suffix("").parts
-        modules[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name] = ast.parse(file.read_text(encoding="utf-8"), str(file))
+    return found
+
+
+@functools.cache
+def python_graph() -> dict[str, set[str]]:
+    """Imports between the modules of the package, those in functions and for types included."""
+    modules = trees()
     graph: dict[str, set[str]] = {}
-    for module, file in modules.items():
+    for module, tree in modules.items():
         used = set()
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 used |= {name.name for name in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module is not None:
@@ -193,6 +228,15 @@ def python_graph() -> dict[str, set[str]]:
 def test_no_python_module_is_in_a_circle():
     found = circles(python_graph())
     assert [sorted(c) for c in found] == []
+
+
+def test_classes_are_in_files_of_their_own_and_the_face_is_a_table_of_names():
+    faces = [file.parent for file in (ROOT / "ccdiff_env").rglob("__init__.py")]
+    names = [".".join(folder.relative_to(ROOT).parts) for folder in faces]
+    kinds = {name: {type(node) for node in trees()[name].body} for name in names}
+    assert [name for name in names if ast.ClassDef in kinds[name]] == []
+    # a docstring; imports, those of the extension with what to do where it is missing; __all__
+    assert kinds["ccdiff_env"] == {ast.Expr, ast.ImportFrom, ast.Try, ast.Assign}
 
 
 #: Rooms of the package; each may use those before it. The face, ``__init__``, is not one of them.
