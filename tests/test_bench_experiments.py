@@ -63,7 +63,7 @@ def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
         episodes(scenes_of(VAL, NAMES), METHODS["ccdiff"], num_controlled=2, explain=True),
         strict=True,
     ):
-        assert one.position.tobytes() == other.position.tobytes()
+        assert one.motion.position.tobytes() == other.motion.position.tobytes()
         for plan, told in zip(one.plans, other.plans, strict=True):
             assert plan.realism_cosine is None
             assert plan.conflict_share is None

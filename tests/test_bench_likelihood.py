@@ -123,8 +123,7 @@ def test_the_single_figure_is_the_weighted_mean_and_samples_rank_themselves():
 
 def test_times_to_contact_are_those_of_the_causal_graph():
     episode = episodes(scenes_of(VAL, NAMES[:1]), METHODS["replay"], num_controlled=0)[0]
-    states = (episode.position, episode.heading)
-    found = _features(episode, episode.motion, states)
+    found = _features(episode, episode.motion)
     look = 4
     step = STRIDE * (look + 1)
     tracks = episode.scene.tracks()

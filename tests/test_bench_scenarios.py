@@ -10,35 +10,26 @@ import pytest
 from view_rollouts import planned_rollout
 
 from ccdiff_env import cli
-from ccdiff_env.bench.cross_evaluation import (
+from ccdiff_env.bench.planners import TRAFFIC, drive, play
+from ccdiff_env.bench.scenarios import (
     cross_jobs,
+    ego_collisions,
     evaluate_in_set,
+    generate,
     generation_jobs,
+    realism,
     set_folders,
 )
-from ccdiff_env.bench.cross_report import cross_rows, figures_table, sets_table, tables
-from ccdiff_env.bench.planners import TRAFFIC, drive, play
-from ccdiff_env.bench.scenario_sets import (
-    Scenario,
-    ScenarioSet,
-    ego_collisions,
-    generate,
-    load_scenario_set,
-    realism,
-    write_manifest,
-)
+from ccdiff_env.bench.scenarios_report import cross_rows, figures_table, sets_table, tables
 from ccdiff_env.bench.scenes import scene_names, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.record.rollout import RolloutEvent, as_scene
+from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
 from ccdiff_env.system.table import document
-from ccdiff_env.system.version import __version__
 
 VAL = "embedded/val"
 #: IDM collides in the first two, unavoidably in the first, and not in the last.
 NAMES = ["cut-in-04", "double-left-03", "left-turn-05"]
 CRITICAL = "ccdiff-2"
-#: Of the set of these scenes against IDM, on any machine.
-DIGEST = "6e2db17a8260203c207a8da331d732c41838e76a7f51b713cca86d3c234eef65"
 
 
 def make(folder, generator="idm"):
@@ -48,22 +39,11 @@ def make(folder, generator="idm"):
     )  # fmt: skip
 
 
-def manifest(folder, entries):
-    return write_manifest(
-        ScenarioSet(
-            folder=folder, generator="idm", traffic=CRITICAL, seed=17, weights="w", source=VAL,
-            settings={}, scenarios=tuple(Scenario(**entry["scenario"]) for entry in entries),
-        )
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A set against IDM, and what its maker said."""
+    """Folder and rows of a set against IDM."""
     folder = tmp_path_factory.mktemp("set")
-    entries = make(folder)
-    manifest(folder, entries)
-    return load_scenario_set(folder), entries
+    return folder, make(folder)
 
 
 def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
@@ -74,45 +54,38 @@ def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
 
 
 def test_the_same_set_is_made_twice(tmp_path, made):
-    entries = make(tmp_path)
-    assert entries == made[1]
-    manifest(tmp_path, entries)
-    found = load_scenario_set(tmp_path).digest
-    assert found == made[0].digest == DIGEST
-    other = replace(made[0], scenarios=made[0].scenarios[:-1])
-    assert other.digest != made[0].digest
+    assert make(tmp_path) == made[1]
 
 
-def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(made, tmp_path):
+def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(tmp_path):
     for generator in ("idm", "replay", "pdm"):
-        folder = tmp_path / generator
-        entries = make(folder, generator)
-        manifest(folder, entries)
-        found = load_scenario_set(folder)
-        scenes = [found.scene(name) for name in NAMES]
-        rows, again = drive(scenes, generator, TRAFFIC["replay"], record=NAMES)
-        for name, row in zip(NAMES, rows, strict=True):
-            scenario = found.find(name)
-            assert row["collision"] == scenario.collision
-            assert 1.0 - row["no_at_fault_collision"] == scenario.at_fault
-            then, now = ego_collisions(found.rollout(name)), ego_collisions(again[name])
+        rows = make(tmp_path / generator, generator)
+        found = [Rollout.load(tmp_path / generator / row["file"]) for row in rows]
+        scenes = [as_scene(rollout) for rollout in found]
+        driven, again = drive(scenes, generator, TRAFFIC["replay"], record=NAMES)
+        for scenario, rollout, row in zip(rows, found, driven, strict=True):
+            assert row["collision"] == scenario["collision"]
+            assert 1.0 - row["no_at_fault_collision"] == scenario["at_fault"]
+            then, now = ego_collisions(rollout), ego_collisions(again[row["scene"]])
             assert [(e.step, e.partner_id, e.kind) for e in now] == [
                 (e.step, e.partner_id, e.kind) for e in then
             ]
 
 
 def test_sets_hold_collisions_that_can_and_that_cannot_be_avoided(made):
-    found = [made[0].find(name) for name in NAMES]
-    assert [s.collision for s in found] == [True, True, False]
-    assert [s.avoidable for s in found] == [False, True, True]
-    for scenario in found:
-        assert 0.0 < scenario.realism_cost < 1.0
-        assert scenario.fde_m > 0.0
-        assert (scenario.time_s is None) == (not scenario.collision)
+    rows = made[1]
+    assert [row["scene"] for row in rows] == NAMES
+    assert [row["collision"] for row in rows] == [True, True, False]
+    assert [row["avoidable"] for row in rows] == [False, True, True]
+    for row in rows:
+        assert 0.0 < row["realism_cost"] < 1.0
+        assert row["fde_m"] > 0.0
+        assert (row["time_s"] is None) == (not row["collision"])
 
 
 def test_in_a_scene_of_a_set_the_others_do_as_recorded_and_the_ego_has_its_log(made):
-    rollout, scene = made[0].rollout(NAMES[0]), made[0].scene(NAMES[0])
+    rollout = Rollout.load(made[0] / made[1][0]["file"])
+    scene = as_scene(rollout)
     logged, tracks = rollout.scene.tracks(), scene.tracks()
     span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     for row, name in enumerate(scene.agent_ids):
@@ -146,33 +119,6 @@ def test_realism_is_that_of_the_vehicles_that_follow_plans():
     json.dumps([found, alone], allow_nan=False)
 
 
-def test_files_that_are_not_those_of_the_manifest_are_refused(tmp_path, made):
-    entries = make(tmp_path)
-    path = manifest(tmp_path, entries)
-    assert load_scenario_set(path).scenarios == load_scenario_set(tmp_path).scenarios
-    text = path.read_text(encoding="utf-8")
-    file = tmp_path / entries[0]["scenario"]["file"]
-    content = file.read_bytes()
-
-    file.write_bytes(content[:-1])
-    with pytest.raises(DatasetError, match="SHA-256"):
-        load_scenario_set(tmp_path)
-    with pytest.raises(DatasetError, match="SHA-256"):
-        replace(made[0], folder=tmp_path).rollout(NAMES[0])
-    file.unlink()
-    with pytest.raises(DatasetNotFoundError, match=file.name):
-        load_scenario_set(tmp_path)
-    file.write_bytes(content)
-
-    path.write_text(text.replace("scenarios 1", "scenarios 0"), encoding="utf-8")
-    with pytest.raises(DatasetError, match="format 'ccdiff-env scenarios 0'"):
-        load_scenario_set(tmp_path)
-    with pytest.raises(DatasetNotFoundError, match="no scenario set"):
-        load_scenario_set(tmp_path / "nowhere")
-    with pytest.raises(UnknownNameError, match="no scenario of scene 'queue-03'"):
-        made[0].find("queue-03")
-
-
 def test_sets_of_two_generators_need_two_names(tmp_path):
     with pytest.raises(ConfigError, match="two of the same name"):
         set_folders(["a/ego.zip", "b/ego.zip"], tmp_path)
@@ -182,31 +128,19 @@ def test_sets_of_two_generators_need_two_names(tmp_path):
         generation_jobs(VAL, folders, traffic="ctg-9")
 
 
-def scenario(scene, *, collision, avoidable):
-    return Scenario(
-        scene=scene, token="", file=f"{scene}.npz", sha256="", collision=collision, kind=None,
-        partner=None, time_s=None, at_fault=False, avoidable=avoidable, realism_cost=0.5,
-        fde_m=1.0, shift_sigmas=1.5,
-    )  # fmt: skip
-
-
 def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
-    scenarios = (
-        scenario("a", collision=True, avoidable=False),
-        scenario("b", collision=True, avoidable=True),
-        scenario("c", collision=False, avoidable=True),
-    )
-    made = ScenarioSet(
-        folder=tmp_path, generator="idm", traffic="ccdiff-1", seed=0, weights="", source=VAL,
-        settings={}, scenarios=scenarios,
-    )  # fmt: skip
+    figures = {"at_fault": False, "realism_cost": 0.5, "fde_m": 1.0, "shift_sigmas": 1.5}
+    scenarios = [
+        {"scene": scene, "collision": hit, "avoidable": avoidable, **figures}
+        for scene, hit, avoidable in (("a", True, False), ("b", True, True), ("c", False, True))
+    ]
 
     def rows(generator, planner, *hits):
         return [
             {
                 "generator": generator,
                 "planner": planner,
-                "scene": s.scene,
+                "scene": s["scene"],
                 "collision": float(h),
                 "no_at_fault_collision": 1.0,
                 "score": 1.0 - h,
@@ -216,7 +150,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
 
     episodes = [*rows("idm", "idm", 1, 1, 0), *rows("idm", "pdm", 1, 0, 0)]
     episodes += [*rows(None, "idm", 1, 1, 0), *rows(None, "pdm", 0, 0, 0)]
-    sets = {"idm": made}
+    sets = {"idm": scenarios}
     crossed = cross_rows(sets, episodes)
     figures_table(crossed).write_csv(tmp_path / "figures.csv")
     with (tmp_path / "figures.csv").open(encoding="utf-8") as file:
@@ -237,7 +171,7 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
     }
     figures = ["idm", 3, 2, 0, 1, 0.5, 1.5, 1.0]
     assert sets_table(sets).rows == [figures]
-    text = document(*tables(sets, crossed))
+    text = document(*tables(sets, crossed, "what"))
     assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 |" in text
 
 
@@ -261,7 +195,7 @@ def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):
     assert command("one") == 0
     assert {path.name: path.stat().st_mtime_ns for path in raw.iterdir()} == first
     assert command("two") == 0
-    for name in ("table.md", "figures.csv", "sets/idm/manifest.json", "sets/replay/manifest.json"):
+    for name in ("table.md", "figures.csv", "sets.csv"):
         one, two = ((tmp_path / f / name).read_bytes() for f in ("one", "two"))
         assert one == two
     capsys.readouterr()
@@ -276,12 +210,6 @@ def one_command(folder, capsys, scenes):
     assert cli.main(["bench", "scenarios", "--scenes", scenes, *names, *out]) == 0
     (said,) = re.findall(r"set against lane_idm: (\w+)", capsys.readouterr().out)
     assert json.loads((folder / "run.json").read_text())["digests"] == {"lane_idm": said}
-    found = load_scenario_set(folder / "sets" / "lane_idm")
-    assert found.digest == said
-    assert found.version == __version__
-    (folder / "sets" / "lane_idm" / found.scenarios[0].file).write_bytes(b"other")
-    with pytest.raises(DatasetError, match="the manifest says"):
-        load_scenario_set(folder / "sets" / "lane_idm")
     return said
 
 
@@ -299,10 +227,18 @@ def test_sets_of_nuscenes_are_made_by_one_command_and_checked_by_digest(
     assert one_command(tmp_path, capsys, f"nuscenes:{data_root}/nuscenes/val") == digest
 
 
-def test_a_job_refuses_a_set_that_changed(tmp_path, made):
-    job = cross_jobs({"idm": made[0]}, ["idm"])[0]
-    wrong = {**job.arguments, "files": dict.fromkeys(job.arguments["files"], "0")}
-    with pytest.raises(ConfigError, match="not the one"):
-        evaluate_in_set(**wrong)
-    rollout = made[0].rollout(NAMES[0])
-    assert as_scene(rollout).hash == made[0].scene(NAMES[0]).hash
+def test_a_job_refuses_an_episode_that_changed_or_is_lost(tmp_path, made):
+    (tmp_path / "set").mkdir()
+    for row in made[1]:
+        (tmp_path / "set" / row["file"]).write_bytes((made[0] / row["file"]).read_bytes())
+    (making,) = generation_jobs(VAL + "?limit=3", {"idm": tmp_path / "set"}, traffic=CRITICAL)
+    job = cross_jobs({"idm": made[1]}, {"idm": making}, ["constant_velocity"])[0]
+    rows, _ = evaluate_in_set(**job.arguments)
+    assert [row["scene"] for row in rows] == NAMES
+    file = tmp_path / "set" / made[1][0]["file"]
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(DatasetError, match="has changed.*" + file.name):
+        evaluate_in_set(**job.arguments)
+    file.unlink()
+    with pytest.raises(DatasetNotFoundError, match=file.name):
+        evaluate_in_set(**job.arguments)

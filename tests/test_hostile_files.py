@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import dataclasses
 import json
 import os
 import pickle
@@ -21,7 +20,6 @@ from array_scenes import agent, array_scene
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, planners
-from ccdiff_env.bench import scenario_sets
 from ccdiff_env.bench.cli import add_run_arguments
 from ccdiff_env.bench.jobs import Job, results
 from ccdiff_env.bench.leaderboard import write_leaderboard
@@ -87,7 +85,6 @@ DOORS = {
     "certificate": (Certificate.load, "a.json"),
     "configuration": (lambda path: WorldConfig.from_json(path.read_text()), "a.json"),
     "ranking": (read_ranking, "a.json"),
-    "scenario set": (scenario_sets.load_scenario_set, "manifest.json"),
     "leaderboard": (board, "run.json"),
     "result": (lambda path: results([Job("a", "", {})], path.parent), "a.json"),
     "settings of a run": (run_in, "run.json"),
@@ -455,58 +452,6 @@ def test_recordings_with_changed_bytes_that_unpack_to_gibibytes_or_are_locked(tm
             archive.writestr(f"{name}.npy", bytes(2**28))
     with pytest.raises(errors.DatasetError, match="unpacked"):
         Rollout.load(path)
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """A set of two scenes and its manifest."""
-    folder = tmp_path_factory.mktemp("set")
-    source, names = "embedded/val", list(ccdiff_env.embedded_scenes("val").names[:2])
-    rows = scenario_sets.generate(
-        source=source, names=names, generator="idm", traffic="replay", seed=0,
-        folder=str(folder), num_plans=1,
-    )  # fmt: skip
-    scenarios = tuple(scenario_sets.Scenario(**row["scenario"]) for row in rows)
-    path = scenario_sets.write_manifest(
-        scenario_sets.ScenarioSet(
-            folder=folder, generator="idm", traffic="replay", seed=0, weights="", source=source,
-            settings={}, scenarios=scenarios,
-        )
-    )  # fmt: skip
-    return folder, json.loads(path.read_text())
-
-
-FIELDS = [field.name for field in dataclasses.fields(scenario_sets.Scenario)]
-MANIFESTS = [
-    *({"scenarios": 0, name: value} for name in FIELDS for value in ([], {}, float("nan"))),
-    *({"scenarios": 0, "file": value} for value in (3, "../x", "a" * 3000)),
-    *({name: 3} for name in ("scenarios", "source")),
-    *({"seed": value} for value in ("0", True)),
-    {"generator": None},
-    {"settings": []},
-    *({"source": value} for value in ({}, {"embedded": "val"}, "embedded/val?limit=0")),
-]
-
-
-@pytest.mark.parametrize("change", MANIFESTS, ids=str)
-def test_manifests_hold_what_they_say(made, change):
-    folder, fields = made
-    fields = json.loads(json.dumps(fields))
-    (fields["scenarios"][change.pop("scenarios")] if len(change) > 1 else fields).update(change)
-    (folder / "manifest.json").write_text(json.dumps(fields))
-    with pytest.raises(errors.CcdiffError):
-        scenario_sets.load_scenario_set(folder)
-
-
-def test_episodes_are_of_the_scene_that_the_manifest_names(made):
-    folder, fields = made
-    fields = json.loads(json.dumps(fields))
-    first = fields["scenarios"][0]
-    for change, words in (({"scene": "another"}, "another"), (fields["scenarios"][1], "two scen")):
-        changed = {**fields, "scenarios": [{**first, **change}, fields["scenarios"][1]]}
-        (folder / "manifest.json").write_text(json.dumps(changed))
-        with pytest.raises(errors.DatasetError, match=words):
-            scenario_sets.load_scenario_set(folder).rollout("another")
 
 
 @pytest.mark.timeout(30)

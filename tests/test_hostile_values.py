@@ -21,7 +21,7 @@ from array_scenes import STEPS, agent, array_scene
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Scene, WorldConfig, _native, errors
-from ccdiff_env.bench import scenario_sets
+from ccdiff_env.bench import scenarios
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import write_replay
 from ccdiff_env.cli import main
@@ -65,9 +65,8 @@ def test_names_of_scenes_are_no_paths(tmp_path, monkeypatch):
         assert main(["view", "evil.npz"]) == 0
         page = deep / "replays" / files.file_name(f"x-{name}", ".html")
         write_replay(log_rollout(scene), page)
-        monkeypatch.setattr(scenario_sets, "scenes_of", lambda *_, scene=scene: [scene])
-        monkeypatch.setattr(scenario_sets, "scene_hashes", lambda *_, name=name: {name: "0"})
-        scenario_sets.generate(
+        monkeypatch.setattr(scenarios, "scenes_of", lambda *_, scene=scene: [scene])
+        scenarios.generate(
             source="embedded/val", names=[name], generator="replay", traffic="replay", seed=0,
             folder="set", num_plans=1,
         )  # fmt: skip

@@ -274,15 +274,11 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _scenarios(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench import cross_report as report
-    from ccdiff_env.bench.cross_evaluation import (
-        cross_jobs,
-        generation_jobs,
-        set_folders,
-        write_sets,
-    )
+    from ccdiff_env.bench import scenarios_report as report
     from ccdiff_env.bench.intervals import grouped
     from ccdiff_env.bench.planner_report import worst_scenes, worst_table
+    from ccdiff_env.bench.scenarios import cross_jobs, generation_jobs, set_digest, set_folders
+    from ccdiff_env.bench.scenes import source_title
 
     generators, planners = args.generators.split(","), args.planners.split(",")
     run = Run(
@@ -297,24 +293,29 @@ def _scenarios(args: argparse.Namespace) -> int:
     making = generation_jobs(
         run.source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
     )
-    made = run.results(making)
-    sets = write_sets(making, made, weights=run.weights)
-    run.note(digests={generator: found.digest for generator, found in sets.items()})
-    for generator, found in sets.items():
-        say(f"set against {generator}: {found.digest}")
-    driving = cross_jobs(sets, planners, seed=args.seed)
+    made = {job.arguments["generator"]: job for job in making}
+    by_set = grouped(run.episodes(making, "generator"), "generator")
+    sets = {generator: rows for (generator,), rows in by_set.items()}
+    digests = {generator: set_digest(made[generator], rows) for generator, rows in sets.items()}
+    run.note(digests=digests)
+    for generator, digest in digests.items():
+        say(f"set against {generator}: {digest}")
+    driving = cross_jobs(sets, made, planners)
     rows = report.cross_rows(sets, run.episodes(driving, "generator", "planner"))
     avoidable = grouped((row for row in rows if row["avoidable"]), "planner", "generator")
     worst = (worst_scenes(avoidable, planner, args.replays) for planner in planners)
     pages = run.replays(row for of in worst for _, row in of)
+    what = f"Scenes: {source_title(run.source)}. Traffic: {args.traffic}, seed {args.seed}."
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {
-            "Cross matrix": report.tables(sets, rows),
+            "Cross matrix": report.tables(sets, rows, what),
             "Worst scenarios that can be avoided": worst_table(
                 avoidable, max(args.replays, 10), pages, "made against"
             ),
-            "Collisions in the sets": report.collisions_tables(sets, run.folder, args.replays),
+            "Collisions in the sets": report.collisions_tables(
+                sets, folders, run.folder, args.replays
+            ),
         },
         rows,
         {

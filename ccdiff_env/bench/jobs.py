@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
@@ -62,6 +63,14 @@ class Job:
         """Do the work."""
         found = self.call()
         return found[0] if isinstance(found, tuple) else found
+
+
+def chunk_jobs(name: str, function: str, source: str, size: int, **arguments: Any) -> list[Job]:
+    """Return a job for each chunk of the scenes of a source; it gets their ``names``."""
+    return [
+        Job(f"{name}-{i:03d}", function, {"source": source, "names": part, **arguments})
+        for i, part in enumerate(chunks(scene_names(source), size))
+    ]
 
 
 def _run(job: Job) -> tuple[str, Any, float]:

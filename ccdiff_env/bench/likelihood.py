@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, on_device
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, Episode, episodes, off_road
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.planners.planning import overlap
 from ccdiff_env.scenes.map_queries import road_distance
@@ -143,9 +143,9 @@ def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.N
     return np.asarray(gaps, np.float64)
 
 
-def _features(episode: Episode, motion: Motion, states: tuple[Any, Any]) -> dict[str, F64]:
+def _features(episode: Episode, motion: Motion) -> dict[str, F64]:
     """Features of the vehicles of an episode: [A, T'] or, of the whole episode, [A, 1]."""
-    position, heading = states
+    position, heading = motion.position, motion.heading
     valid, dt_s, heights = motion.valid, episode.scene.dt, motion.elevation_m
     found = motion_features(position, heading, valid, dt_s)
     coarse = motion_features(
@@ -260,11 +260,8 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
         num_samples: As many as it stands for.
     """
     first = played[0]
-    tracks = first.scene.tracks()
-    span = slice(first.start_step, first.start_step + first.position.shape[1])
-    logged = (tracks["position"][first.agents, span], tracks["heading"][first.agents, span])
-    log = _features(first, first.log, logged)
-    samples = [_features(e, e.motion, (e.position, e.heading)) for e in played]
+    log = _features(first, first.log)
+    samples = [_features(e, e.motion) for e in played]
     found: dict[str, Any] = _score(samples, log, num_samples / len(played))
     own = [
         _score([*samples[:k], *samples[k + 1 :]], samples[k], num_samples / (len(played) - 1))
@@ -306,24 +303,14 @@ def likelihood_jobs(
     if num_samples < 1:
         raise ConfigError(f"samples is {num_samples}, expected at least 1")
     for name in methods:
-        if name not in METHODS:
-            raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
-    parts = chunks(scene_names(source), CHUNK)
+        METHODS[name]  # refuses a name that does not exist
+    given: dict[str, Any] = {"num_samples": num_samples, "seed": seed}
+    given |= {"weights": dict(weights)} if weights else {}
+    function = f"{__name__}:evaluate"
     return [
-        Job(
-            f"{file_name(method)}-{i:03d}",
-            f"{__name__}:evaluate",
-            {
-                "source": source,
-                "names": names,
-                "method": method,
-                "num_samples": num_samples,
-                "seed": seed,
-                **({"weights": dict(weights)} if weights else {}),
-            },
-        )
+        job
         for method in methods
-        for i, names in enumerate(parts)
+        for job in chunk_jobs(file_name(method), function, source, CHUNK, method=method, **given)
     ]
 
 

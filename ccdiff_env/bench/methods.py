@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
@@ -67,19 +68,22 @@ OWN_RANKINGS = ("greedy", "gradient")  #: Rankings that only a planning network 
 class NamedDrivers(dict[str, _T]):
     """Entries by name; a custom model by its path, ``module:Class?option=value``.
 
-    ``kind`` makes the entry of such a path from its label and the path.
+    ``kind`` makes the entry of such a path from its label and the path; ``what`` is what errors
+    call an entry.
     """
 
-    def __init__(self, kind: Callable[[str, str], _T], entries: Mapping[str, _T]) -> None:
+    def __init__(
+        self, what: str, kind: Callable[[str, str], _T], entries: Mapping[str, _T]
+    ) -> None:
         super().__init__(entries)
-        self._kind = kind
+        self._what, self._kind = what, kind
 
     def __contains__(self, name: object) -> bool:
         return super().__contains__(name) or ":" in str(name)
 
     def __missing__(self, name: str) -> _T:
         if ":" not in name:
-            raise KeyError(name)
+            raise UnknownNameError(f"no {self._what} {name!r}, there are {', '.join(self)}")
         return self._kind(name.partition(":")[2], name)
 
 
@@ -118,6 +122,7 @@ _RANKINGS = (
 
 #: The methods by name. More may be added: a driver is all that one needs.
 METHODS: dict[str, Method] = NamedDrivers(
+    "method",
     Method,
     {
         "replay": Method("Log replay", "replay"),

@@ -23,7 +23,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
 from ccdiff_env.bench.tape import Tape
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, recorders_of
 from ccdiff_env.record.episode import play as played
@@ -85,6 +85,7 @@ def _chosen_by(policy: str) -> Traffic:
 
 
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
+    "traffic",
     _named,
     {
         "replay": Traffic("Log replay", "replay"),
@@ -160,8 +161,7 @@ def planner_jobs(
             :mod:`ccdiff_env.bench.nuplan_score`.
     """
     for name in traffic:
-        if name not in TRAFFIC:
-            raise UnknownNameError(f"no traffic {name!r}, there are {', '.join(TRAFFIC)}")
+        TRAFFIC[name]  # refuses a name that does not exist
     for planner in planners:
         PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
     privileged = {planner: is_privileged(planner) for planner in planners}

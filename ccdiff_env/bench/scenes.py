@@ -6,10 +6,13 @@ import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from multiprocessing import parent_process
+from typing import TypeVar
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.sources import Place, load, parse, title
+
+T = TypeVar("T")
 
 
 def place_of(source: object) -> Place:
@@ -50,6 +53,6 @@ def scene_names(source: str) -> list[str]:
     return [scene.name for scene in scenes_of(source)]
 
 
-def chunks(names: Sequence[str], size: int) -> list[list[str]]:
-    """Return names in chunks. Chunks decide which scenes share a batch of the network."""
-    return [list(names[i : i + size]) for i in range(0, len(names), size)]
+def chunks(scenes: Sequence[T], size: int) -> list[list[T]]:
+    """Return names or rows of scenes in chunks, which share a batch of the network."""
+    return [list(scenes[i : i + size]) for i in range(0, len(scenes), size)]

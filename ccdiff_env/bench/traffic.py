@@ -20,14 +20,12 @@ from urllib.parse import quote
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
 from ccdiff_env.record.episode import begin, play
-from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
@@ -66,10 +64,6 @@ def traffic_jobs(
     Raises:
         UnknownNameError: For a method that does not exist.
     """
-    for name in methods:
-        if name not in METHODS:
-            raise UnknownNameError(f"no method {name!r}, there are {', '.join(METHODS)}")
-    names = scene_names(source)
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
         for k in num_controlled:
@@ -77,30 +71,23 @@ def traffic_jobs(
                 continue
             every = METHODS[method].driver in _PLANNERS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
+    given = {"seed": seed, **({"weights": dict(weights)} if weights else {})}
     return [
-        Job(
-            f"{quote(method, safe=':')}-K{'Full' if k is None else k}-T{n}-{i:03d}",
-            f"{__name__}:evaluate",
-            {
-                "source": source,
-                "names": part,
-                "method": method,
-                "num_controlled": k,
-                "replan_steps": n,
-                "seed": seed,
-                **({"weights": dict(weights)} if weights else {}),
-            },
-        )
+        job
         for method, k, n in conditions
-        for i, part in enumerate(chunks(names, CHUNK))
-    ]
+        for job in chunk_jobs(
+            f"{quote(method, safe=':')}-K{'Full' if k is None else k}-T{n}",
+            f"{__name__}:evaluate",
+            source, CHUNK, method=method, num_controlled=k, replan_steps=n, **given,
+        )
+    ]  # fmt: skip
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     """Vehicles that are there, and on the road, at the start; the ego in any case (as released)."""
     there = scene.tracks()["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
-    start = logged(scene, agents, slice(START_STEP, START_STEP + 1))
+    start = motion_of(scene, scene.tracks(), agents, slice(START_STEP, START_STEP + 1))
     road = off_road(scene, start)
     if road is None:
         return agents
@@ -214,8 +201,8 @@ def _episode(
     scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[TrafficPlan]
 ) -> Episode:
     agents = _vehicles(scene)
-    stacked = {
-        name: np.stack([s[name] for s in states], axis=1)[agents]
+    tracks = {
+        {"active": "valid"}.get(name, name): np.stack([s[name] for s in states], axis=1)
         for name in ("position", "heading", "active", "elevation_m")
         if name in states[0]
     }
@@ -224,18 +211,8 @@ def _episode(
         agents=agents,
         chosen=list(chosen),
         controlled=np.isin(agents, chosen),
-        start_step=START_STEP,
-        motion=Motion(
-            stacked["position"],
-            stacked["heading"],
-            scene.sizes[agents][:, :2],
-            stacked["active"],
-            dt_s=scene.dt,
-            elevation_m=stacked.get("elevation_m"),
-        ),
-        log=logged(scene, agents, slice(START_STEP, START_STEP + len(states))),
-        position=stacked["position"],
-        heading=stacked["heading"],
+        motion=motion_of(scene, tracks, agents),
+        log=motion_of(scene, scene.tracks(), agents, slice(START_STEP, START_STEP + len(states))),
         plans=plans,
     )
 
@@ -295,37 +272,24 @@ class Episode:
     controlled: npt.NDArray[np.bool_]  #: Whether each of the A vehicles is in it.
     motion: Motion
     log: Motion
-    position: npt.NDArray[np.float32]
-    heading: npt.NDArray[np.float32]
     plans: list[TrafficPlan]
-    start_step: int  #: Step of the log at which it starts.
 
 
-def logged(scene: Scene, agents: npt.NDArray[np.int64], steps: slice) -> Motion:
-    """Return the logged motion of agents over some steps."""
-    tracks = scene.tracks()
-    position, heading, valid = (
-        tracks[name][agents, steps] for name in ("position", "heading", "valid")
-    )
+def motion_of(
+    scene: Scene,
+    tracks: Mapping[str, Any],
+    agents: npt.NDArray[np.int64],
+    steps: slice = slice(None),
+) -> Motion:
+    """Return the motion of agents over some steps of tracks: those of the scene, or recorded."""
+    some = {name: array[agents, steps] for name, array in tracks.items()}
     return Motion(
-        position,
-        heading,
+        some["position"],
+        some["heading"],
         scene.sizes[agents][:, :2],
-        valid,
+        some["valid"],
         dt_s=scene.dt,
-        elevation_m=tracks["elevation_m"][agents, steps] if "elevation_m" in tracks else None,
-    )
-
-
-def driven(rollout: Rollout, agents: npt.NDArray[np.int64]) -> Motion:
-    """Return the recorded motion of agents."""
-    return Motion(
-        rollout.position[agents],
-        rollout.heading[agents],
-        rollout.scene.sizes[agents][:, :2],
-        rollout.valid[agents],
-        dt_s=rollout.dt_s,
-        elevation_m=None if rollout.elevation_m is None else rollout.elevation_m[agents],
+        elevation_m=some.get("elevation_m"),
     )
 
 

@@ -150,7 +150,9 @@ class Motion:
             raise SceneError("size has negative or unknown lengths, expected metres")
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
-        self._points = points.copy()
+        #: Positions [A, T, 2], metres, and headings [A, T], radians, as given.
+        self.position: npt.NDArray[np.float32] = points.copy()
+        self.heading: npt.NDArray[np.float32] = headings.copy()
         heights = None if elevation_m is None else _states("elevation_m", elevation_m, shape)
         self.elevation_m: npt.NDArray[np.float32] | None = heights
         self._native = _native.Trajectories(
@@ -253,7 +255,7 @@ class Motion:
         self._check_same(log)
         both = self.valid & log.valid
         with np.errstate(invalid="ignore", over="ignore"):
-            x, y = np.moveaxis(self._points - log._points, -1, 0)
+            x, y = np.moveaxis(self.position - log.position, -1, 0)
             errors = np.sqrt(x * x + y * y)
         total, last = np.zeros(self.num_agents), np.full(self.num_agents, np.nan)
         for there, error in zip(both.T, errors.T, strict=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,12 @@ import numpy as np
 from ccdiff_env.bench.intervals import LEAST_SCENES, figures, grouped, mean_interval
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.replays import write_replay
-from ccdiff_env.bench.scenario_sets import ScenarioSet
-from ccdiff_env.bench.scenes import source_title
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
 Row = Mapping[str, Any]
-Sets = Mapping[str, ScenarioSet]
+Sets = Mapping[str, Sequence[Row]]  #: Rows of :func:`.scenarios.generate` by generator.
 #: How episodes and files name traffic that reacts to the planner, and how tables do.
 REACTING, REACTING_TITLE = "reacting", "the planner tested (traffic reacts)"
 #: Figures of a cell: column of the rows, title.
@@ -41,7 +39,7 @@ def cross_rows(sets: Sets, episodes: Iterable[Row]) -> list[dict[str, Any]]:
 
     Rows have ``planner`` and ``generator``, which is ``None`` where the traffic reacted.
     """
-    avoidable = {(g, s.scene): s.avoidable for g, made in sets.items() for s in made.scenarios}
+    avoidable = {(g, s["scene"]): s["avoidable"] for g, made in sets.items() for s in made}
     return [
         {
             **row,
@@ -64,13 +62,12 @@ def figures_table(rows: Sequence[Row]) -> Table:
     return figures(tidy, ("generator", "planner", "scenarios"), tuple(_FIGURES))
 
 
-def tables(sets: Sets, rows: Sequence[Row]) -> list[Block]:
-    """Return the sets, and a matrix of sets and planners for each figure."""
-    first, parts, counted = next(iter(sets.values())), _subsets(rows), sets_table(sets)
-    what = f"Scenes: {source_title(first.source)}. Traffic: {first.traffic}, seed {first.seed}."
+def tables(sets: Sets, rows: Sequence[Row], what: str) -> list[Block]:
+    """Return the sets, ``what`` they were made of, and a matrix of planners for each figure."""
+    counted = sets_table(sets)
     shown = [[short_name(str(generator)), *row] for generator, *row in counted.rows]
     blocks: list[Block] = [Table(counted.heads, shown), what]
-    for name, part in parts.items():
+    for name, part in _subsets(rows).items():
         scope = "all scenarios" if name == "all" else "avoidable scenarios only"
         blocks += [_matrix(part, f, f"{title}: {scope}") for f, title in _FIGURES.items()]
     foot = (
@@ -85,11 +82,10 @@ def sets_table(sets: Sets) -> Table:
     """Return what there is in the sets."""
     rows: TableRows = []
     for generator, made in sets.items():
-        hit = [s for s in made.scenarios if s.collision]
-        counts = [len(hit), sum(s.at_fault for s in hit), sum(s.avoidable for s in hit)]
-        all_of = [asdict(s) for s in made.scenarios]
-        means = [mean_interval(all_of, c.name)[0] for c in _REALISM]
-        rows.append([generator, len(all_of), *counts, *means])
+        hit = [s for s in made if s["collision"]]
+        counts = [len(hit), *(sum(s[name] for s in hit) for name in ("at_fault", "avoidable"))]
+        means = [mean_interval(made, c.name)[0] for c in _REALISM]
+        rows.append([generator, len(made), *counts, *means])
     columns: list[Column | str] = [Column("generator", "made against"), "scenarios"]
     columns += [Column("collision"), Column("at_fault", "of them at fault")]
     columns += [Column("avoidable", "of them avoidable"), *_REALISM]
@@ -117,8 +113,10 @@ def _matrix(part: Sequence[Row], name: str, title: str) -> Table:
     return Table(["made against", "scenarios", *heads], lines, title)
 
 
-def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
-    """Return the collisions of the egos that the sets were made against.
+def collisions_tables(
+    sets: Sets, folders: Mapping[str, Path], folder: Path, replays: int
+) -> list[Block]:
+    """Return the collisions of the egos that the sets, in ``folders``, were made against.
 
     The first ``replays`` of each set get a replay page in the run ``folder``.
     """
@@ -126,15 +124,15 @@ def collisions_tables(sets: Sets, folder: Path, replays: int) -> list[Block]:
     found: list[Block] = []
     for generator, made in sets.items():
         rows: TableRows = []
-        for i, s in enumerate(s for s in made.scenarios if s.collision):
-            scene = s.scene
+        for i, s in enumerate(s for s in made if s["collision"]):
+            scene, place = s["scene"], folders[generator]
             if i < replays:
-                page = file_name(f"set-{made.folder.name}-{scene}", ".html")
-                path = folder / "replays" / page
-                scene = f"[{scene}]({write_replay(made.rollout(scene), path)})"
-            verdicts = ["yes" if so else "no" for so in (s.at_fault, s.avoidable)]
-            kind = str(s.kind).removeprefix("collision_")
-            figures = (s.realism_cost, s.shift_sigmas, s.fde_m)
-            rows.append([scene, kind, f"{s.time_s:.1f}", *verdicts, *figures])
+                page = file_name(f"set-{place.name}-{scene}", ".html")
+                address = write_replay(Rollout.load(place / s["file"]), folder / "replays" / page)
+                scene = f"[{scene}]({address})"
+            verdicts = ["yes" if s[name] else "no" for name in ("at_fault", "avoidable")]
+            kind = s["kind"].removeprefix("collision_")
+            figures = (s[c.name] for c in _REALISM)
+            rows.append([scene, kind, f"{s['time_s']:.1f}", *verdicts, *figures])
         found.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
     return found

@@ -1,0 +1,242 @@
+"""Scenario sets: episodes that critical traffic made against one ego, and every planner in them.
+
+A set is a folder of recorded episodes (:class:`~ccdiff_env.Rollout`) of one ego, the generator. In
+it the others do as recorded, whatever the planner does; beside that, every planner meets traffic
+that reacts to it, with the same scenes and seed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.bench.jobs import Job, chunk_jobs
+from ccdiff_env.bench.methods import on_device
+from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
+from ccdiff_env.bench.provenance import sha256_of
+from ccdiff_env.bench.scenes import chunks, scenes_of
+from ccdiff_env.bench.traffic import motion_of
+from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.record.counterfactual import rollout_avoidability
+from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.system.files import file_name, reading
+
+RECORDED = Traffic("as recorded", "replay")  #: Traffic that does as recorded in a set.
+#: Episodes go on to the end of the horizon, so that slower egos meet the same traffic.
+OPTIONS: Mapping[str, Any] = {"terminate_at_goal": False}
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
+    """Return the folder of the set of each generator.
+
+    Raises:
+        ConfigError: If two generators would share one.
+    """
+    stems = [Path(g).stem if g.endswith(".zip") else g for g in generators]
+    names = [re.sub(r"[^\w.-]+", "-", stem) for stem in stems]
+    if len(set(names)) != len(names):
+        raise ConfigError(f"generators {', '.join(generators)}: two of the same name")
+    return {g: (folder / n).resolve() for g, n in zip(generators, names, strict=True)}
+
+
+def generation_jobs(
+    source: str,
+    folders: Mapping[str, Path],
+    *,
+    traffic: str = "ccdiff-1",
+    seed: int = 0,
+    num_plans: int = 128,
+) -> list[Job]:
+    """Return the jobs that make scenario sets: generators x chunks of the scenes.
+
+    ``folders`` are those of the generators' sets, on a disc that all workers see.
+    """
+    given = {"traffic": traffic, "seed": seed, "num_plans": num_plans}
+    TRAFFIC[traffic]  # refuses a name that does not exist
+    if window_of(source) is not None:
+        raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
+    function = f"{__name__}:generate"
+    return [
+        job
+        for g, (generator, folder) in enumerate(folders.items())
+        for job in chunk_jobs(
+            f"make-{g:02d}", function, source, CHUNK,
+            generator=generator, folder=str(folder), **given,
+        )
+    ]  # fmt: skip
+
+
+def generate(
+    *,
+    source: str,
+    names: Sequence[str],
+    generator: str,
+    traffic: str,
+    seed: int,
+    folder: str,
+    num_plans: int,
+    device: str = "cpu",
+) -> list[dict[str, Any]]:
+    """Record episodes of a generator and save them: a row per scene.
+
+    ``num_plans`` ego plans are tried to avoid a collision.
+
+    Returns:
+        list of dict: Scene and the hash of its content; file of the episode in the folder, its
+            SHA-256, and that of who was where, which does not depend on who compressed it. Whether
+            the generator collides before its goal; side, partner, time and fault of that collision;
+            whether some plan avoids it, the others doing as recorded. Mean distance from the log of
+            the vehicles that follow plans, and what guidance cost, see :func:`realism`.
+    """
+    drivers, scenes = on_device(TRAFFIC[traffic], device), scenes_of(source, names)
+    _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    found = []
+    for scene in scenes:
+        rollout, file = rollouts[scene.name], file_name(scene.name, ".npz")
+        rollout.save(place / file)
+        hits = ego_collisions(rollout)
+        verdict = rollout_avoidability(rollout, num_samples=num_plans) if hits else None
+        first = hits[0] if hits else None
+        found.append(
+            {
+                "scene": scene.name,
+                "scene_hash": scene.hash,
+                "motion_hash": _motion_hash(rollout),
+                "file": file,
+                "sha256": sha256_of(place / file),
+                "collision": bool(hits),
+                "kind": first and first.kind,
+                "partner": first and first.partner_id,
+                "time_s": first and round(first.step * rollout.dt_s, 3),
+                "at_fault": any(event.at_fault for event in hits),
+                "avoidable": verdict is None or verdict.avoidable,
+                **realism(rollout),
+            }
+        )
+    return found
+
+
+def _motion_hash(rollout: Rollout) -> str:
+    arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
+
+
+def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
+    """Return the collisions of the ego before it reaches its goal, as the ego sees them."""
+    goal = next((e.step for e in rollout.events if e.kind == "goal"), rollout.num_steps)
+    return tuple(event for event in rollout.collisions("ego") if event.step <= goal)
+
+
+def realism(rollout: Rollout) -> dict[str, float | None]:
+    """Return how far the vehicles that follow plans are from the log, and what guidance cost.
+
+    ``realism_cost``: mean total variation of the guided plans, the paper's C(tau); ``shift_sigmas``
+    the same in standard deviations; ``fde_m``: mean distance from the log at the last common step.
+    """
+    moved = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
+    agents = np.array([i for i in sorted(moved) if rollout.agent_ids[i] != "ego"], np.int64)
+    guided = [plan for plan in rollout.plans if plan.guided.any()]
+
+    def mean(name: str) -> float | None:
+        values = [getattr(plan, name)[plan.guided] for plan in guided]
+        found = np.concatenate(values).mean() if values else np.nan
+        return float(found) if np.isfinite(found) else None
+
+    scene, start = rollout.scene, rollout.start_step
+    log = motion_of(scene, scene.tracks(), agents, slice(start, start + rollout.num_steps))
+    fde = motion_of(scene, rollout.tracks(), agents).displacement(log).mean()[1]
+    return {
+        "realism_cost": mean("realism_cost"),
+        "shift_sigmas": mean("shift_sigmas"),
+        "fde_m": fde if np.isfinite(fde) else None,
+    }
+
+
+def set_digest(made: Job, rows: Rows) -> str:
+    """Return the SHA-256 of settings and episodes: that of equal sets, on any machine.
+
+    ``made`` is one of the :func:`generation_jobs` of the set, ``rows`` what all of them returned.
+    """
+    given = made.arguments
+    settings = {
+        "ccdiff": dict(TRAFFIC[given["traffic"]].ccdiff),
+        **{"num_plans": given["num_plans"], "draws": 1, **OPTIONS},
+    }
+    episodes = [[row[name] for name in ("scene", "scene_hash", "motion_hash")] for row in rows]
+    head = [given["generator"], given["traffic"], given["seed"], settings]
+    return hashlib.sha256(json.dumps([*head, episodes], sort_keys=True).encode()).hexdigest()
+
+
+def cross_jobs(
+    sets: Mapping[str, Rows], made: Mapping[str, Job], planners: Sequence[str]
+) -> list[Job]:
+    """Return the jobs that drive every planner in every set and in traffic that reacts to it.
+
+    ``sets`` are what the jobs ``made``, of which one per generator is enough, returned. Traffic
+    that reacts is played by :func:`~ccdiff_env.bench.planners.planner_jobs`.
+    """
+    recorded = [
+        Job(
+            f"set-{g:02d}-{p:02d}-{i:03d}",
+            f"{__name__}:evaluate_in_set",
+            {
+                "folder": made[generator].arguments["folder"],
+                "files": {row["file"]: row["sha256"] for row in part},
+                "generator": generator,
+                "planner": planner,
+                "seed": made[generator].arguments["seed"],
+            },
+        )
+        for g, (generator, rows) in enumerate(sets.items())
+        for p, planner in enumerate(planners)
+        for i, part in enumerate(chunks(rows, CHUNK))
+    ]
+    first = next(iter(made.values())).arguments
+    return recorded + planner_jobs(
+        first["source"], planners, [first["traffic"]], seed=first["seed"]
+    )
+
+
+def evaluate_in_set(
+    *,
+    folder: str,
+    files: Mapping[str, str],
+    generator: str,
+    planner: str,
+    seed: int,
+    device: str = "cpu",
+    record: Collection[str] = (),
+) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
+    """Drive scenarios of a set with a planner, and record some.
+
+    The ego's own log stays in the scenes, so that route, goal and progress are the same in every
+    set.
+
+    Args:
+        folder, files, generator: Folder of the set, SHA-256 of its episodes by file, the ego that
+            it was made against.
+        planner, seed, record: As in :func:`ccdiff_env.bench.planners.drive`, whose results follow.
+        device: Not used, as no network drives; benchmarks pass it to all jobs.
+
+    Raises:
+        DatasetError, DatasetNotFoundError: If an episode is missing or has changed.
+    """
+    scenes = []
+    for file, sha256 in files.items():
+        path = Path(folder) / file
+        with reading("episode of a scenario set", path):
+            if sha256_of(path) != sha256:
+                raise DatasetError("it has changed since the set was made")
+        scenes.append(as_scene(Rollout.load(path)))
+    return drive(SceneSet(scenes), planner, RECORDED, seed=seed, record=record)
