@@ -108,8 +108,8 @@ def shown_events(run: Rollout) -> list[dict]:
         # both sides of a collision are one event
         ([(9, 4, 2, "rear"), (9, 2, 4, "front")], [("collision", "guided", 2, 4)]),
         ([(9, 1, 5, "rear")], [("collision", "others", 1, 5)]),
-        # two agents that follow the log overlap but do not collide
-        ([(5, 3, 4, "side")], [("overlap", "others", 3, 4)]),
+        # boxes of two agents that follow the log are not exact
+        ([(5, 3, 4, "side")], []),
         ([(6, 1, 4, "side")], [("collision", "others", 1, 4)]),
     ],
 )

@@ -7,11 +7,15 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ccdiff_env import _native
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.view.render import LOOK
 
 #: Titles of drivers, in the order of the legend; names are those of images.
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
@@ -64,6 +68,19 @@ def guided_agents(rollout: Rollout) -> set[str]:
         for plan in rollout.plans
         for agent in plan.agents[plan.guided & plan.follows_plan]
     }
+
+
+def still(rollout: Rollout) -> npt.NDArray[np.bool_]:
+    """Return which agents [A] never leave the place at which they are first; never the ego."""
+    reach = [
+        reach_m(way[there]) for way, there in zip(rollout.position, rollout.valid, strict=True)
+    ]
+    return (np.array(reach) <= LOOK["PARKED_M"]) & (np.array(rollout.agent_ids) != "ego")
+
+
+def reach_m(way: npt.NDArray[np.float32]) -> float:
+    """Return how far points [T, 2] are from the first of them, at most, metres."""
+    return float(np.linalg.norm(way - way[:1], axis=-1).max(initial=0.0))
 
 
 def agent_titles(scene: Scene) -> list[tuple[str, str]]:

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.metrics import causal
-from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Rollout
 
 TTC_CAP_S = 10.0  #: Pairs that meet later than this are left out.
-MOVING_MPS = 0.5
 
 
 def contacts(
@@ -43,25 +42,3 @@ def contacts(
         )
         a, b = np.nonzero((seconds <= TTC_CAP_S) & upper)
         yield a, b, seconds[a, b]
-
-
-def overlaps(rollout: Rollout) -> tuple[RolloutEvent, ...]:
-    """Return events ``"overlap"`` where boxes begin to overlap while one of them moves.
-
-    In a log this is mostly noise of the annotations.
-    """
-    moving = np.linalg.norm(rollout.velocity, axis=-1) > MOVING_MPS
-    ids = rollout.agent_ids
-    events: list[RolloutEvent] = []
-    before: set[tuple[int, int]] | None = None
-    for step, (a, b, seconds) in enumerate(contacts(rollout)):
-        meet = seconds <= 0.0
-        touching = set(zip(a[meet].tolist(), b[meet].tolist(), strict=True))
-        began = [] if before is None else sorted(touching - before)
-        events += [
-            RolloutEvent(step, ids[i], ids[j], "overlap")
-            for i, j in began
-            if moving[i, step] or moving[j, step]
-        ]
-        before = touching
-    return tuple(events)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.metrics import Motion
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
-from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log
+from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log, reach_m
 
 Lane = Literal["ego", "guided", "others"]
 Tone = Literal["bad", "good", "plain"]
@@ -48,9 +48,8 @@ class Happening:
     """One thing that happened at a recorded step to an agent and a partner (indices, -1 for none).
 
     Both sides of a collision are one. ``lane`` says whose it is: the ego's, that of a guided
-    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"overlap"`` (both follow the log,
-    whose boxes are not exact, or one does and meets another that stands), ``"off_road"``,
-    ``"goal"`` or ``"time_limit"``.
+    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"off_road"``, ``"goal"`` or
+    ``"time_limit"``.
     """
 
     step: int
@@ -94,8 +93,9 @@ class Outcome:
 def happenings(rollout: Rollout) -> list[Happening]:
     """Return what happened, by step.
 
-    Left out: pairs of walkers; the road left by vehicles that are parked in the log, that appear
-    at this moment, or whose log leaves it here, too.
+    Left out: boxes of two that follow the log, and of one that does and another that stands; the
+    road left by vehicles that are parked in the log, that appear at this moment, or whose log
+    leaves it here, too.
     """
     return sorted(_happenings(rollout), key=lambda h: (h.step, h.lane != "ego", h.agent))
 
@@ -145,8 +145,8 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
     for event in rollout.events:
         agent = number[event.agent_id]
         if event.partner_id is not None:
-            pair = frozenset((agent, number[event.partner_id]))
-            if not all(kinds[i] == "pedestrian" for i in pair) or is_collision(rollout, event):
+            if is_collision(rollout, event):
+                pair = frozenset((agent, number[event.partner_id]))
                 sides.setdefault((event.step, pair), []).append(event)
         elif event.kind != "off_road" or not dull(agent, event.step):
             words = _WORDS.get(event.kind, event.kind.replace("_", " "))
@@ -157,17 +157,15 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
     for (step, _), events in sides.items():
         first = min(events, key=_importance)
         agent, partner = number[first.agent_id], number[str(first.partner_id)]
-        crash = is_collision(rollout, first)
         stood = standing[:, max(step - 1, 0)]
-        text = f"boxes of {names[agent]} and {names[partner]} overlap in the log"
-        if crash:
-            went = GOES.get(kinds[agent], "drove")
-            text = _collision(first, bool(stood[agent]), names[agent], names[partner], went)
+        lane = _lane(guided, first.agent_id, str(first.partner_id))
         # the log walks and drives through what stands where nobody stood
         blind = any(replays[i] and stood[j] for i, j in ((agent, partner), (partner, agent)))
-        crash &= not blind or "ego" in (first.agent_id, first.partner_id)
-        lane = _lane(guided, first.agent_id, str(first.partner_id)) if crash else "others"
-        yield Happening(step, agent, partner, lane, "collision" if crash else "overlap", text)
+        if blind and lane != "ego":
+            continue
+        went = GOES.get(kinds[agent], "drove")
+        text = _collision(first, bool(stood[agent]), names[agent], names[partner], went)
+        yield Happening(step, agent, partner, lane, "collision", text)
 
 
 _WORDS = {"off_road": "left the road", "goal": "reached its goal"}
@@ -177,12 +175,9 @@ def _late(rollout: Rollout, agent: int) -> str:
     """What is said of an agent whose time has run out."""
     log = rollout.scene.tracks()
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
-    ways = (
-        rollout.position[agent, rollout.valid[agent]],
-        log["position"][agent, steps][log["valid"][agent, steps]],
-    )
-    reaches_m = [np.linalg.norm(way - way[:1], axis=-1).max(initial=0.0) for way in ways]
-    if max(reaches_m) < WAITED_M:
+    own = rollout.position[agent, rollout.valid[agent]]
+    logged = log["position"][agent, steps][log["valid"][agent, steps]]
+    if max(reach_m(own), reach_m(logged)) < WAITED_M:
         return "waited, as in its log"
     return f"not at its goal in {(rollout.num_steps - 1) * rollout.dt_s:.1f} s"
 

@@ -28,10 +28,10 @@ from ccdiff_env.view.captions import (
     driver_of,
     driver_title,
     ego_title,
-    is_log,
+    still,
     subtitle,
 )
-from ccdiff_env.view.contacts import TTC_CAP_S, contacts
+from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.outcome import happenings, outcome
 
 LENGTH_STEP_M = 0.01
@@ -108,6 +108,7 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     scene = rollout.scene
     kinds, ids = scene.agent_types, rollout.agent_ids
     sizes = scene.sizes.astype(float).round(2).tolist()
+    standing = still(rollout).tolist()
     agents = [
         {
             "id": ids[i],
@@ -118,8 +119,9 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
             "width": sizes[i][1],
             "driver": driver_of(rollout, i),
             "drivenBy": ego_title(rollout) if ids[i] == "ego" else driver_title(rollout, i),
+            "still": stays,
         }
-        for i, (label, long) in enumerate(agent_titles(scene))
+        for i, ((label, long), stays) in enumerate(zip(agent_titles(scene), standing, strict=True))
     ]
     fate = outcome(rollout)
     return {
@@ -129,8 +131,6 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         "dt": rollout.dt_s,
         "startStep": rollout.start_step,
         "numSteps": rollout.num_steps,
-        "isLog": is_log(rollout),
-        "ttcCap": TTC_CAP_S,
         "graphTtc": GRAPH_TTC_S,
         "graphDistance": GRAPH_DISTANCE_M,
         "agents": agents,

@@ -23,7 +23,7 @@ from ccdiff_env.view.pack import pack
 #: Scripts in the order in which they run.
 SCRIPTS = (
     "data.js", "camera.js", "ground.js", "actors.js", "timeline.js", "panels.js", "player.js",
-    "save.js", "theme.js", "main.js",
+    "shared.js", "main.js",
 )  # fmt: skip
 
 

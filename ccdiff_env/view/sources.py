@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from ccdiff_env.record.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS, SWIFT
-from ccdiff_env.view.contacts import overlaps
 from ccdiff_env.view.link import is_drive, play_drive
 
 SAMPLES = 8  #: Samples per plan of CCDiff in episodes that are played for a page.
@@ -32,7 +30,7 @@ def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:
     start = like.start_step if like is not None else 0
     end = start + like.num_steps if like is not None else scene.num_steps
     window = slice(start, min(end, scene.num_steps))
-    rollout = Rollout(
+    return Rollout(
         scene=scene,
         start_step=start,
         dt_s=scene.dt,
@@ -44,7 +42,6 @@ def log_rollout(scene: Scene, *, like: Rollout | None = None) -> Rollout:
         drivers=np.full(scene.num_agents, DRIVER_NAMES.index("replay"), np.int64),
         meta={"traffic": "replay", "planner": "log"},
     )
-    return replace(rollout, events=overlaps(rollout))
 
 
 def play_scene(

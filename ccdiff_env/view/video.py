@@ -13,7 +13,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view import render
-from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision
+from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision, still
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.render import LOOK
 
@@ -54,7 +54,8 @@ class Video:
         self._graph, self._captions, self.theme = graph, captions, theme
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
-        self._parked = parked(rollout)
+        vehicles = np.array(rollout.scene.agent_types) == "vehicle"
+        self._parked = still(rollout) & vehicles
         self._there = _there(rollout)
         self._centres = _centres(rollout, self._middle)
         if centre_m is not None:
@@ -201,18 +202,6 @@ class Video:
         place = {int(agent): row for row, agent in enumerate(there)}
         drawn = [edge for edge in leading if edge[0] in place and edge[1] in place]
         return [(place[j], place[i], weight) for j, i, weight in drawn]
-
-
-def parked(rollout: Rollout) -> npt.NDArray[np.bool_]:
-    """Return which vehicles [A] never leave the place at which they are first; never the ego."""
-    found = []
-    for i, (name, kind) in enumerate(
-        zip(rollout.agent_ids, rollout.scene.agent_types, strict=True)
-    ):
-        way = rollout.position[i, rollout.valid[i]]
-        far = np.linalg.norm(way - way[:1], axis=1).max(initial=0.0)
-        found.append(kind == "vehicle" and name != "ego" and far <= LOOK["PARKED_M"])
-    return np.array(found, bool)
 
 
 def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:

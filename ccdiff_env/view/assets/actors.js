@@ -12,7 +12,7 @@ class Actors {
     return COLOURS[theme][kind === "static" ? "static obstacle" : driver];
   }
 
-  /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), picked agents. */
+  /** Everything, in order; options hold layers, theme, pixel (metres a CSS pixel), the agent in focus. */
   draw(context, at, options) {
     const { layers, theme, pixel } = options;
     const step = Math.floor(at + 1e-6);
@@ -26,10 +26,8 @@ class Actors {
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
     }
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
-    for (const agent of [options.focus, options.hover]) {
-      const plain = agent === options.focus && this.run.agents[agent]?.driver === "ego";
-      if (agent >= 0 && !plain && poses[agent]) this.ring(context, agent, poses[agent], theme, pixel);
-    }
+    const focus = poses[options.focus];
+    if (focus && this.run.agents[options.focus].driver !== "ego") this.ring(context, options.focus, focus, theme, pixel);
     this.marks(context, step, poses, theme, pixel);
   }
 
@@ -128,7 +126,7 @@ class Actors {
   }
 
   body(context, agent, pose, { theme, pixel, hit, arrived }) {
-    const { kind, length, width } = this.run.agents[agent];
+    const { kind, length, width, still } = this.run.agents[agent];
     const colours = COLOURS[theme], colour = this.colour(agent, theme);
     context.save();
     context.translate(pose.x, pose.y);
@@ -140,7 +138,7 @@ class Actors {
     context.lineWidth = hit || arrived ? Math.max(0.3, 2.2 * pixel) : Math.max(0.08, 0.8 * pixel);
     context.strokeStyle = hit ? colours.collision : arrived ? colours.goal : colours.outline;
     context.fillStyle = colour;
-    const hollow = kind === "vehicle" && this.run.still[agent];
+    const hollow = kind === "vehicle" && still;
     if (hollow && !hit) context.strokeStyle = colour;
     shape(context, this.run.agents[agent], pixel);
     if (kind === "vehicle" && !hollow && theme === "light" && pixel < 0.25) {

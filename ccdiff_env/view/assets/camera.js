@@ -63,7 +63,7 @@ class Camera {
 
 /**
  * Mouse, touch and wheel on a canvas.
- * handlers: zoom(factor, x, y) and, if wanted, drag(dx, dy), hover(x, y) or hover(null), tap(x, y).
+ * handlers: zoom(factor, x, y) and, if wanted, drag(dx, dy), tap(x, y).
  */
 function listenToGestures(canvas, handlers) {
   const pointers = new Map();
@@ -88,10 +88,7 @@ function listenToGestures(canvas, handlers) {
 
   canvas.addEventListener("pointermove", (event) => {
     const now = place(event), before = pointers.get(event.pointerId);
-    if (!before) {
-      if (event.pointerType === "mouse") handlers.hover?.(now.x, now.y);
-      return;
-    }
+    if (!before) return;
     const dx = now.x - before.x, dy = now.y - before.y;
     pointers.set(event.pointerId, now);
     moved += Math.abs(dx) + Math.abs(dy);
@@ -113,7 +110,6 @@ function listenToGestures(canvas, handlers) {
   };
   canvas.addEventListener("pointerup", release);
   canvas.addEventListener("pointercancel", release);
-  canvas.addEventListener("pointerleave", () => handlers.hover?.(null));
 
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();

@@ -47,7 +47,6 @@ class Run {
     Object.assign(this, header.run);
     this.numAgents = this.agents.length;
     this.a = arrays;
-    this.still = this.agents.map((agent, index) => agent.driver !== "ego" && !this.moves(index));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
     this.plans = header.plans.map((plan, i) => ({ ...plan, x: arrays[`plan${i}x`], y: arrays[`plan${i}y`] }));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
@@ -78,18 +77,6 @@ class Run {
     return kind === "static" ? 0 : driver === "replay" ? 1 : kind === "vehicle" ? 2 : 3;
   }
 
-  /** Whether an agent ever is half a metre away from where it was first. */
-  moves(agent) {
-    const base = agent * this.numSteps, { x, y, valid } = this.a;
-    let first = -1;
-    for (let i = base; i < base + this.numSteps; i++) {
-      if (!valid[i]) continue;
-      if (first < 0) first = i;
-      if (Math.hypot(x[i] - x[first], y[i] - y[first]) > LOOK.PARKED_M) return true;
-    }
-    return false;
-  }
-
   /** Whether the ego has reached its goal: it is drawn where it left the scene. */
   arrived(agent, step) {
     return this.goal?.agent === agent && step >= this.goal.step;
@@ -106,36 +93,6 @@ class Run {
     const mix = (values) => values[i] + t * (values[i + 1] - values[i]);
     const turn = wrap(heading[i + 1] - heading[i]);
     return { x: mix(x), y: mix(y), heading: heading[i] + t * turn, vx: mix(vx), vy: mix(vy) };
-  }
-
-  /** Speed over all steps of an agent, m/s; NaN where it is absent. */
-  speeds(agent) {
-    return this.series(agent, (i) => Math.hypot(this.a.vx[i], this.a.vy[i]));
-  }
-
-  /** Change of speed along the heading, m/s², between neighbouring steps. */
-  accelerations(agent) {
-    const { vx, vy, heading } = this.a;
-    const along = (i, h) => vx[i] * Math.cos(h) + vy[i] * Math.sin(h);
-    return this.series(agent, (i, step) => {
-      const other = step > 0 && this.valid(agent, step - 1) ? i - 1 : i + 1;
-      if (step + 1 >= this.numSteps && other > i) return NaN;
-      if (!this.valid(agent, step + other - i)) return NaN;
-      const change = along(i, heading[i]) - along(other, heading[other]);
-      return change / ((i - other) * this.dt);
-    });
-  }
-
-  /** Least time to contact with anyone, seconds; the cap where nobody is met. */
-  leastTtc(agent) {
-    return this.series(agent, (_, step) => Math.min(this.meeting(agent, step)?.[2] ?? Infinity, this.ttcCap));
-  }
-
-  series(agent, value) {
-    const out = new Float32Array(this.numSteps);
-    for (let step = 0; step < this.numSteps; step++)
-      out[step] = this.valid(agent, step) ? value(agent * this.numSteps + step, step) : NaN;
-    return out;
   }
 
   /** Pairs that meet at constant velocities: [a, b, seconds] at a whole step. */

@@ -7,11 +7,6 @@ const DRIVE_KEYS = {
   ArrowUp: "gas", w: "gas", ArrowDown: "brake", s: "brake",
   ArrowLeft: "left", a: "left", ArrowRight: "right", d: "right",
 };
-const HELP = [
-  ["↑ W", "accelerate"], ["↓ S", "brake"], ["← → A D", "steer"], ["R", "begin again"],
-  ["N", "next scene"], ["P, space", "pause"], ["H", "heading up"], ["G", "outlines of the recording"],
-  ["+ −", "zoom"], ["T", "dark or light"], ["?", "this help"],
-];
 const KEYS = ["gas", "brake", "left", "right"];
 const RIVALS = { idm: "IDM", trained: "trained ego" };
 const SIDES = ["", "collision_front", "collision_rear", "collision_side"];
@@ -92,22 +87,16 @@ class Way extends Ground {
 }
 
 /** State of the page. It has what a pane and the legend ask a player for. */
-class Drive {
+class Drive extends View {
   constructor(engine, rivals) {
+    super({ plans: false });
     Object.assign(this, { engine, rivals, settings: SETTINGS });
-    this.camera = new Camera();
-    this.theme = "light";
-    this.layers = { trails: true, plans: false, graph: false, labels: true, lanes: true, ghost: false };
     this.headingUp = !matchMedia("(prefers-reduced-motion)").matches;
     this.focus = "ego";
-    this.hover = null;
     this.held = new Set();
     this.panes = this.runs = [];
-    this.time = this.before = 0;
-    requestAnimationFrame((now) => this.frame(now));
+    this.time = 0;
   }
-
-  touch() { this.dirty = true; }
 
   /** Take a scene and begin. */
   async open(name) {
@@ -168,7 +157,6 @@ class Drive {
     run.a.pairStart.fill(0);
     run.events = [];
     run.goal = null;
-    run.isLog = false;
     for (const agent of run.agents) agent.attacks = false;
     this.steps = 0;
     this.steer = 0;
@@ -234,7 +222,6 @@ class Drive {
   async advance(action) {
     const turn = this.turn, seen = await this.engine.ask("step", action);
     if (turn !== this.turn) return;
-    this.slowest = Math.max(this.slowest || 0, seen.ms);
     this.steps += 1;
     this.put(seen);
     if (this.done) this.finish();
@@ -331,9 +318,7 @@ class Drive {
     if (this.script && this.steps >= this.script.length && !this.outcome) this.going = false;
   }
 
-  frame(now) {
-    const elapsed = Math.min((now - this.before) / 1000, 0.1);
-    this.before = now;
+  move(elapsed) {
     if (this.going) {
       this.owed = Math.min(this.owed + elapsed, 3 * STEP_SECONDS);
       if (this.owed >= STEP_SECONDS && !this.asked) {
@@ -343,19 +328,14 @@ class Drive {
       // drawn one step late, so that there is a state before and one after
       const run = this.runs[0];
       if (this.going) this.time = run.start + Math.max(this.steps - 1 + Math.min(this.owed / STEP_SECONDS, 1), 0) * run.dt;
-      this.dirty = true;
+      this.touch();
     }
     if (this.outcome && this.slow !== null) { // the end again, slowly, as often as one likes
       this.slow += elapsed * REPLAY_RATE;
       if (this.slow > this.ended + 0.7) this.slow = Math.max(this.ended - REPLAY_SECONDS, this.runs[0].start);
       this.time = Math.min(this.slow, this.ended);
-      this.dirty = true;
+      this.touch();
     }
-    if (this.dirty && this.panes.length && this.info) {
-      this.dirty = false;
-      this.draw();
-    }
-    requestAnimationFrame((next) => this.frame(next));
   }
 
   /** An arrow at the edge where the ring is out of sight. */
@@ -375,6 +355,7 @@ class Drive {
   }
 
   draw() {
+    if (!this.info) return; // no scene is open
     const run = this.runs[0], pane = this.panes[0], pose = run.pose(0, run.stepAt(this.time));
     if (pose) {
       this.camera.right = this.headingUp ? pose.heading - Math.PI / 2 : 0;
@@ -432,35 +413,24 @@ function wire(drive) {
     $("copy").textContent = said;
     setTimeout(() => { $("copy").textContent = "Share this drive"; }, 2000);
   });
-  const zoomed = (factor) => () => drive.camera.zoom(factor, 0, 0, 0, 0, true);
-  const actions = {
-    r: () => drive.begin(),
-    n: () => {
+  wireKeys(drive, [
+    ["↑ W", "accelerate"], ["↓ S", "brake"], ["← → A D", "steer"],
+    ["R", "begin again", { r: () => drive.begin() }],
+    ["N", "next scene", { n: () => {
       $("scene").selectedIndex = ($("scene").selectedIndex + 1) % names.length;
       opened();
-    },
-    p: () => drive.pause(), " ": () => drive.pause(),
-    h: () => { drive.headingUp = !drive.headingUp; },
-    g: () => { drive.layers.ghost = !drive.layers.ghost; },
-    t: () => setTheme(drive),
-    "+": zoomed(1.25), "=": zoomed(1.25), "-": zoomed(0.8),
-    "?": () => $("help").showModal(),
-  };
-  for (const button of document.querySelectorAll("[id][data-key]"))
-    button.addEventListener("click", (event) => {
-      actions[button.dataset.key]();
-      drive.touch();
-      if (event.detail > 0 && !$("help").open) document.activeElement.blur();
-    });
+    } }],
+    ["P, space", "pause", { p: () => drive.pause(), " ": () => drive.pause() }],
+    ["H", "heading up", { h: () => { drive.headingUp = !drive.headingUp; } }],
+    ["G", "outlines of the recording", { g: () => { drive.layers.ghost = !drive.layers.ghost; } }],
+    ["T", "dark or light", { t: () => setTheme(drive) }],
+    ...SHARED_KEYS,
+  ]);
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
-    if (!event.target.matches("body, .map, #help *")) return;
-    const key = plainKey(event), driven = DRIVE_KEYS[key];
-    if (!driven && !actions[key]) return;
+    const driven = DRIVE_KEYS[plainKey(event)];
+    if (!driven || !forMap(event)) return;
     event.preventDefault();
-    if (driven) drive.hold(driven, true);
-    else if (!event.repeat) actions[key]();
-    drive.touch();
+    drive.hold(driven, true);
   });
   addEventListener("keyup", (event) => {
     const driven = DRIVE_KEYS[plainKey(event)];
@@ -478,7 +448,6 @@ function wire(drive) {
     button.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") set(true)(event); });
     button.addEventListener("keyup", set(false));
   }
-  listKeys(HELP);
   new ResizeObserver(() => drive.touch()).observe($("app"));
   const script = asked.has("drive") ? read(asked.get("drive")) : null;
   return opened().then(() => script && drive.begin(script));
@@ -494,12 +463,6 @@ async function main() {
   setTheme(drive, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   await wire(drive);
   window.drive = drive; // for the curious, and for tests
-  document.body.dataset.ready = "yes";
 }
 
-main().catch((error) => {
-  document.body.dataset.ready = "failed";
-  $("failure").hidden = false;
-  $("failure").textContent = `The playground cannot run here: the browser is too old, or blocks WebAssembly (${error.message}).`;
-  throw error;
-});
+start(main, (why) => `The playground cannot run here: the browser is too old, or blocks WebAssembly (${why}).`);

@@ -15,9 +15,8 @@ function check(failed) {
 const floats = (at, length) => new Float32Array(calls.memory.buffer, at, length);
 
 /** States [A, 8], see rust/wasm, figures of the step, and whether it was the last. */
-function now(before) {
-  const ms = performance.now() - before;
-  return { states: floats(calls.states(), calls.num_agents() * STATE).slice(), info: floats(calls.columns(), columns).slice(), done: calls.done() === 1, ms };
+function now() {
+  return { states: floats(calls.states(), calls.num_agents() * STATE).slice(), info: floats(calls.columns(), columns).slice(), done: calls.done() === 1 };
 }
 
 const tasks = {
@@ -33,15 +32,13 @@ const tasks = {
   },
   load(bytes) { give(bytes); check(calls.load()); },
   reset(config) {
-    const before = performance.now();
     give(new TextEncoder().encode(config));
     check(calls.reset(0));
-    return now(before);
+    return now();
   },
   step(action) {
-    const before = performance.now();
     check(calls.step(...action));
-    return now(before);
+    return now();
   },
   /** What a rival does in the scene: states of the ego [T, 8] and the last figures. */
   rival({ config, held }) {

@@ -6,8 +6,7 @@ function chromeOf({ theme }) {
   const style = getComputedStyle(document.documentElement), of = (name) => style.getPropertyValue(`--${name}`);
   const { collision, goal, ink, "road divider": off_road } = COLOURS[theme];
   return CHROME[theme] ??= {
-    track: of("line"), accent: of("accent"), panel: of("panel"), faint: of("quiet"), text: of("text"),
-    runs: [0, 1, 2, 3].map((run) => of(`run-${run}`)),
+    track: of("line"), accent: of("accent"), panel: of("panel"), faint: of("quiet"),
     flags: { collision, goal, off_road, plan: goal, other: ink },
   };
 }
@@ -18,7 +17,6 @@ const LAYER_TITLES = {
   lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
 };
 const second = (player) => Math.round(1 / player.step);
-const zoomed = (factor) => (p) => { p.camera.zoom(factor, 0, 0, 0, 0, true); p.touch(); };
 const layer = (name) => (p) => p.toggle(name);
 /** What the help says of keys, and what each does with the player and the event. */
 const KEYS = [
@@ -27,42 +25,31 @@ const KEYS = [
     ArrowLeft: (p, e) => p.stepBy(e.shiftKey ? -second(p) : -1), ArrowRight: (p, e) => p.stepBy(e.shiftKey ? second(p) : 1) }],
   ["shift ← →", "one second back, on", {}],
   ["home, end", "first, last step", { Home: (p) => p.seek(p.start), End: (p) => p.seek(p.end) }],
-  ["[ ]", "slower, faster", { "[": (p) => p.changeRate(-1), "]": (p) => p.changeRate(1) }],
   [", .", "event before, next event", { ",": (p) => p.nextEvent(-1), ".": (p) => p.nextEvent(1) }],
-  ["N", "follow the next agent (shift: the one before)", { n: (p, e) => p.followNext(e.shiftKey ? -1 : 1) }],
   ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
   ["F", "show all, follow nobody", { f: (p) => p.fit() }],
   ["H", "heading up", { h: (p) => p.headUp(!p.headingUp) }],
-  ["+ −", "zoom", { "+": zoomed(1.25), "=": zoomed(1.25), "-": zoomed(0.8) }],
   ["T P G", "trails, plans, causal graph", { t: layer("trails"), p: layer("plans"), g: layer("graph") }],
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
   ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
-  ["R", "loop", { r: (p) => { p.loop = !p.loop; p.touch(); } }],
-  ["I", "save a picture", { i: (p) => savePicture(p) }],
   ["D", "dark or light", { d: (p) => setTheme(p) }],
-  ["S", "panels", { s: (p) => { document.body.classList.toggle("bare"); p.touch(); } }],
-  ["?", "this help", { "?": () => $("help").showModal() }],
+  ["S", "panels", { s: () => document.body.classList.toggle("bare") }],
+  ...SHARED_KEYS,
 ];
 
 async function main() {
   const runs = [];
   for (const node of document.querySelectorAll("script.run")) runs.push(await readRun(node));
 
-  let figures = null;
   const player = new Player(runs, $("stage"), () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
   const timeline = new Timeline($("timeline"), runs, seek);
-  /** Fill the panels: with what all runs, or one of them, have to tell. */
-  const fill = (told) => {
-    for (const id of ["events", "figures"]) $(id).replaceChildren();
-    timeline.runs = told;
-    player.told = told;
-    new EventsPanel($("events"), told, (run, event) => player.goTo(run, event));
-    figures = new FiguresPanel($("figures"), told, seek);
+  player.showing = () => {
+    timeline.runs = player.told;
+    showEvents($("events"), player.told, (run, event) => player.goTo(run, event));
   };
-  player.showing = fill;
-  fill(runs);
+  player.showing();
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
   document.body.classList.toggle("many", runs.length > 2);
@@ -85,15 +72,18 @@ async function main() {
     shown = now;
     tell(player.time);
     timeline.speak(player.time);
-    figures.showAgent(player.focus);
-    figures.draw(player.time, chrome);
     showFocus(player);
     showControls(player);
     showLegend(player);
   };
   wireControls(player);
   if (SETTINGS.slider) wireSlider(player);
-  wireKeys(player);
+  const alone = {};
+  if (runs.length > 1)
+    player.panes.slice(0, 9).forEach((_, index) => {
+      alone[index + 1] = () => { player.show(index, Boolean(player.slid)); player.slid?.(); };
+    });
+  wireKeys(player, KEYS, alone);
   player.panes.forEach((pane, index) => {
     wirePane(pane, player);
     pane.enlarge.addEventListener("click", () => player.show(index));
@@ -112,13 +102,11 @@ async function main() {
   const sizes = new ResizeObserver(() => player.touch());
   for (const pane of player.panes) sizes.observe(pane.canvas);
   window.replay = player; // for the curious, and for tests
-  document.body.dataset.ready = "yes";
 }
 
 /**
  * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
- * start), also hide=trails, run=2 (that run alone), zoom (pixels a metre), theme=dark, play=1,
- * loop=1, up=heading or up=north, embed=1 (map, time line and verdict alone).
+ * start), also hide=trails, run=2 (that run alone), play=1, up=heading or up=north.
  */
 function readAddress(player) {
   const wishes = new URLSearchParams(location.hash.slice(1));
@@ -128,14 +116,9 @@ function readAddress(player) {
   for (const [word, wanted] of [["show", true], ["hide", false]])
     for (const layer of (wishes.get(word) || "").split(","))
       if (LAYERS.includes(layer)) player.layers[layer] = wanted;
-  const [low, high] = SCALE_LIMITS, zoom = Number(wishes.get("zoom"));
-  if (zoom >= low && zoom <= high) player.camera.scale = zoom;
   const run = Number(wishes.get("run")) - 1; // none: NaN
   if (player.panes[run] && run !== player.alone) { player.show(run); player.slid?.(); }
   if (wishes.has("up")) player.headUp(wishes.get("up") === "heading");
-  if (wishes.has("loop")) player.loop = wishes.get("loop") === "1";
-  document.body.classList.toggle("embed", wishes.get("embed") === "1");
-  if (wishes.get("theme") in COLOURS) setTheme(player, wishes.get("theme"));
   player.touch();
   return wishes;
 }
@@ -150,9 +133,6 @@ function addressOf(player) {
   }
   if (player.alone !== null) wishes.set("run", player.alone + 1);
   wishes.set("up", player.headingUp ? "heading" : "north");
-  if (player.loop) wishes.set("loop", "1");
-  if (document.body.classList.contains("embed")) wishes.set("embed", "1");
-  wishes.set("zoom", player.camera.scale.toFixed(1));
   return `#${wishes.toString().replaceAll("%2C", ",")}`;
 }
 
@@ -164,18 +144,6 @@ function writeAddress(player, known) {
   return hash;
 }
 
-async function copyLink(player) {
-  const link = location.href.split("#")[0] + addressOf(player);
-  try {
-    await navigator.clipboard.writeText(link);
-    $("said").textContent = "link copied";
-    $("link").classList.add("done");
-    setTimeout(() => $("link").classList.remove("done"), 1200);
-  } catch {
-    prompt("Link to this moment", link);
-  }
-}
-
 function wireControls(player) {
   $("event").hidden = player.runs.every((run) => !run.events.length);
   $("events-part").hidden = $("event").hidden;
@@ -185,7 +153,6 @@ function wireControls(player) {
   for (const agent of player.runs[0].agents)
     if (agent.kind !== "static") $("follow").append(new Option(agent.title, agent.id));
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
-  $("link").addEventListener("click", () => copyLink(player));
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
     if (layer === "ghost" && player.runs.length < 2) continue;
@@ -197,7 +164,6 @@ function wireControls(player) {
     chip.addEventListener("click", () => player.toggle(layer));
     $("layers").append(chip);
   }
-  listKeys(KEYS);
 }
 
 /** One run at a time, chosen by a slider while it plays; dots below it are what became of the ego in each. */
@@ -228,7 +194,7 @@ function showControls(player) {
   $("rate").value = player.rate;
   $("follow").value = player.follow === null ? "" : player.follow;
   const layers = LAYERS.map((layer) => [`layer-${layer}`, player.layers[layer]]);
-  for (const [id, on] of [["heading", player.headingUp], ["loop", player.loop], ...layers])
+  for (const [id, on] of [["heading", player.headingUp], ...layers])
     $(id)?.setAttribute("aria-pressed", on);
 }
 
@@ -255,29 +221,15 @@ function showFocus(player) {
 }
 
 function wirePane(pane, player) {
-  const tip = $("tip");
-  const hide = () => { tip.hidden = true; };
   listenToGestures(pane.canvas, {
     drag(dx, dy) {
       player.follow = null;
       player.camera.pan(dx, dy);
-      hide();
       player.touch();
     },
     zoom(factor, x, y) {
       player.camera.zoom(factor, x, y, pane.width, pane.height, player.follow !== null);
       player.touch();
-    },
-    hover(x, y) {
-      const id = x === null ? null : pane.find(player.camera, x, y, player.time, 6);
-      if (id !== player.hover) { player.hover = id; player.touch(); }
-      pane.canvas.style.cursor = id === null ? "" : "pointer";
-      if (id === null) return hide();
-      const agent = pane.run.indexOf.get(id), box = pane.canvas.getBoundingClientRect();
-      showCaptions(tip, pane.run.agents[agent].title, captionsOf(pane.run, agent, pane.run.stepAt(player.time)));
-      tip.hidden = false;
-      tip.style.left = `${Math.min(box.left + x + 16, innerWidth - tip.offsetWidth - 8)}px`;
-      tip.style.top = `${Math.min(box.top + y + 16, innerHeight - tip.offsetHeight - 8)}px`;
     },
     tap(x, y) {
       player.choose(pane.find(player.camera, x, y, player.time, 14));
@@ -285,33 +237,5 @@ function wirePane(pane, player) {
   });
 }
 
-function wireKeys(player) {
-  const actions = Object.assign({}, ...KEYS.map(([, , keys]) => keys));
-  if (player.panes.length > 1)
-    player.panes.slice(0, 9).forEach((_, index) => {
-      actions[index + 1] = () => { player.show(index, Boolean(player.slid)); player.slid?.(); };
-    });
-  for (const button of document.querySelectorAll("[data-key]"))
-    button.addEventListener("click", (event) => actions[button.dataset.key](player, event));
-  addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
-    // a dialog that was just closed keeps the focus until the next frame
-    if (!event.target.matches("body, .map, #timeline, #help *")) return;
-    const action = actions[event.key] || actions[event.key.toLowerCase()];
-    if (!action) return;
-    event.preventDefault();
-    action(player, event);
-  });
-  // a button that is clicked gives the keys back to the map
-  addEventListener("click", (event) => {
-    if (event.detail > 0 && event.target.closest("footer button, header button, .enlarge")) document.activeElement.blur();
-  });
-}
-
-main().catch((error) => {
-  document.body.dataset.ready = "failed";
-  $("failure").hidden = false;
-  $("failure").textContent = "This replay cannot be shown: its data are damaged, or the browser is too old "
-    + `(${error.message}). Write the page again with ccdiff-env view.`;
-  throw error;
-});
+start(main, (why) => `This replay cannot be shown: its data are damaged, or the browser is too old (${why}). `
+  + "Write the page again with ccdiff-env view.");

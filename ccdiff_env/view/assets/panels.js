@@ -1,7 +1,7 @@
-// Everything beside the map: what happened, captions of an agent, figures at the cursor.
+// Everything beside the map: what happened, and captions of an agent.
 
 const KMH = 3.6;
-const RUN_DASHES = [[], [5, 3], [2, 2], [8, 2, 2, 2]];
+const RUN_COLOURS = 4;
 const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
 /** New element with text and class. */
@@ -61,100 +61,9 @@ function showCaptions(list, title, captions, marks = []) {
   }
 }
 
-/** Figures with a value at the cursor for each run and a curve over the run. */
-class FiguresPanel {
-  constructor(container, runs, seek) {
-    Object.assign(this, { container, runs, seek, rows: [] });
-  }
-
-  /** Show the info columns of an agent (by id). */
-  showAgent(agentId) {
-    if (agentId === this.agentId) return;
-    this.agentId = agentId;
-    this.rows = [];
-    this.container.replaceChildren();
-    const of = (name) => this.runs.map((run) => {
-      const agent = run.indexOf.get(agentId);
-      return agent === undefined ? null : run[name](agent);
-    });
-    if (this.runs.every((run) => !run.indexOf.has(agentId))) {
-      this.container.append(element("p", "quiet", "No agent is chosen."));
-      return;
-    }
-    this.row("speed", "m/s", of("speeds"));
-    this.row("acceleration", "m/s²", of("accelerations"));
-    this.row("time to contact", "s", of("leastTtc"), this.runs[0].ttcCap - 1e-3);
-  }
-
-  /** A value from `cap` on is none. */
-  row(name, unit, series, cap = Infinity) {
-    const row = element("div", "figure"), title = element("span", "figure-name", name);
-    const canvas = element("canvas", "figure-curve");
-    canvas.setAttribute("aria-hidden", "true");
-    const values = series.map((_, i) => element("span", `figure-value run-${i % RUN_DASHES.length}`));
-    title.append(element("small", "", ` ${unit}`));
-    row.append(title, canvas, ...values);
-    this.container.append(row);
-    const known = series.filter(Boolean).flatMap((s) => Array.from(s)).filter(Number.isFinite);
-    const low = Math.min(...known, 0), high = Math.max(...known, low + 1e-3);
-    canvas.addEventListener("pointerdown", (event) => {
-      const box = canvas.getBoundingClientRect(), [start, end] = spanOf(this.runs);
-      this.seek(start + (event.clientX - box.left) / box.width * (end - start));
-    });
-    this.rows.push({ canvas, values, series, low, high, cap });
-  }
-
-  draw(time, chrome) {
-    for (const { canvas, values, series, low, high, cap } of this.rows) {
-      drawCurves(canvas, this.runs, series, low, high, time, chrome);
-      series.forEach((s, i) => {
-        const value = s ? s[Math.round(this.runs[i].stepAt(time))] : NaN;
-        values[i].textContent = Number.isFinite(value) && value < cap ? brief(value) : "–";
-      });
-    }
-  }
-}
-
-/** A curve for each run that has a series, over the time of all of them, and a line at the cursor. */
-function drawCurves(canvas, runs, series, low, high, time, chrome) {
-  const { clientWidth: width, clientHeight: height } = canvas;
-  if (!width) return;
-  const context = clearedContext(canvas, width, height), [start, end] = spanOf(runs);
-  const x = (t) => width * (t - start) / Math.max(end - start, 1e-6);
-  const y = (v) => height - 2 - (height - 4) * (v - low) / (high - low);
-  context.fillStyle = chrome.track;
-  context.fillRect(0, y(0) - 0.5, width, 1);
-  context.lineWidth = 1.5;
-  context.lineJoin = "round";
-  series.forEach((values, index) => {
-    const run = runs[index], which = index % RUN_DASHES.length;
-    context.strokeStyle = chrome.runs[which];
-    context.setLineDash(RUN_DASHES[which]);
-    context.beginPath();
-    let open = false;
-    values?.forEach((value, i) => {
-      const [px, py] = [x(run.start + i * run.dt), y(value)];
-      if (open) context.lineTo(px, py);
-      else context.moveTo(px, py);
-      open = Number.isFinite(value);
-    });
-    context.stroke();
-  });
-  context.setLineDash([]);
-  context.fillStyle = chrome.text;
-  context.globalAlpha = 0.5;
-  context.fillRect(x(time) - 0.5, 0, 1, height);
-  context.globalAlpha = 1;
-}
-
-function brief(value) {
-  const size = Math.abs(value);
-  return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : 2);
-}
-
 /** Letter of a run, in its colour. */
 function badge(index) {
-  const mark = element("i", `badge run-${index % RUN_DASHES.length}`, String.fromCharCode(65 + index));
+  const mark = element("i", `badge run-${index % RUN_COLOURS}`, String.fromCharCode(65 + index));
   mark.setAttribute("aria-hidden", "true");
   return mark;
 }
@@ -166,40 +75,33 @@ function verdict({ tone, text, others }) {
   return nodes;
 }
 
-/** What happened, by whose it is; a click goes there. */
-class EventsPanel {
-  /** goTo(run, event) is called with what is clicked. */
-  constructor(container, runs, goTo) {
-    for (const [lane, title] of Object.entries(LANE_TITLES)) {
-      const found = runs.flatMap((run, index) => run.events
-        .filter((event) => event.lane === lane && event.kind !== "overlap").map((event) => ({ run, index, event })));
-      if (!found.length) continue;
-      found.sort((p, q) => p.run.timeOf(p.event) - q.run.timeOf(q.event));
-      const list = element("ul", "events");
-      list.append(...merged(found).map((entry) => this.entry(entry, runs.length > 1, goTo)));
-      container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
+/** Fill a panel with what happened, by whose it is; goTo(run, event) is called with what is clicked. */
+function showEvents(container, runs, goTo) {
+  container.replaceChildren();
+  for (const [lane, title] of Object.entries(LANE_TITLES)) {
+    const found = runs.flatMap((run, index) => run.events
+      .filter((event) => event.lane === lane).map((event) => ({ run, index, event })));
+    if (!found.length) continue;
+    found.sort((p, q) => p.run.timeOf(p.event) - q.run.timeOf(q.event));
+    const told = new Map(); // what happens at one moment in the same words in several runs is told once
+    for (const { run, index, event } of found) {
+      const key = `${run.timeOf(event).toFixed(2)} ${event.text}`;
+      if (told.has(key)) told.get(key).indices.push(index);
+      else told.set(key, { run, indices: [index], event });
     }
-    if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
+    const list = element("ul", "events");
+    list.append(...[...told.values()].map((entry) => eventItem(entry, runs.length > 1, goTo)));
+    container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
   }
-
-  entry({ run, indices, event }, several, goTo) {
-    const item = element("li"), button = element("button", `event ${event.kind}`);
-    button.append(element("span", "event-time", `${(event.step * run.dt).toFixed(1)} s`));
-    if (several) button.append(...indices.map(badge));
-    button.append(element("span", "", event.text));
-    button.addEventListener("click", () => goTo(run, event));
-    item.append(button);
-    return item;
-  }
+  if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
 }
 
-/** What happens at one moment in the same words in several runs is told once. */
-function merged(found) {
-  const told = new Map();
-  for (const { run, index, event } of found) {
-    const key = `${run.timeOf(event).toFixed(2)} ${event.text}`;
-    if (told.has(key)) told.get(key).indices.push(index);
-    else told.set(key, { run, indices: [index], event });
-  }
-  return [...told.values()];
+function eventItem({ run, indices, event }, several, goTo) {
+  const item = element("li"), button = element("button", `event ${event.kind}`);
+  button.append(element("span", "event-time", `${(event.step * run.dt).toFixed(1)} s`));
+  if (several) button.append(...indices.map(badge));
+  button.append(element("span", "", event.text));
+  button.addEventListener("click", () => goTo(run, event));
+  item.append(button);
+  return item;
 }

@@ -1,8 +1,8 @@
 // The player: its state, the panes that show it, and the loop that draws them.
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
-const LAYERS = ["trails", "plans", "graph", "labels", "lanes", "ghost"];
 const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
+const LAYERS = Object.keys(LAYERS_AT_START);
 const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
@@ -44,10 +44,7 @@ class Pane {
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
     const at = this.run.stepAt(player.time);
     if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
-    this.actors.draw(context, at, {
-      layers, theme, pixel,
-      focus: this.index(player.focus), hover: this.index(player.hover),
-    });
+    this.actors.draw(context, at, { layers, theme, pixel, focus: this.index(player.focus) });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
     this.scaleBar(context, camera, width, height, theme);
@@ -88,32 +85,16 @@ class Pane {
   }
 }
 
-/** State of the page and everything that changes it. Times are seconds of the scene. */
-class Player {
-  constructor(runs, stage, changed) {
-    this.runs = runs;
-    this.stage = stage;
-    this.camera = new Camera();
-    this.panes = runs.map((run, index) => new Pane(stage, run, index));
-    [this.start, this.end] = spanOf(runs);
-    this.step = Math.min(...runs.map((run) => run.dt));
-    this.time = this.start + runs[0].opening;
-    this.rate = 1;
-    this.playing = false;
-    this.theme = "light";
-    this.headingUp = false;
-    this.loop = false;
-    this.layers = { ...LAYERS_AT_START };
-    this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
-    this.follow = this.focus;
-    this.alone = null; // index of the run that has the stage to itself
-    this.hover = null;
-    this.told = runs; // those of which the panels speak
-    this.showing = () => {};
-    this.changed = changed;
-    this.dirty = true;
-    this.before = 0;
-    this.show(null);
+/** What panes draw by. Subclasses `move` by seconds that have gone by, and `draw` where something changed. */
+class View {
+  camera = new Camera();
+  theme = "light";
+  headingUp = false;
+  before = 0;
+
+  constructor(layers) {
+    this.layers = { ...LAYERS_AT_START, ...layers };
+    this.touch();
     requestAnimationFrame((now) => this.frame(now));
   }
 
@@ -123,41 +104,58 @@ class Player {
   }
 
   frame(now) {
-    const elapsed = Math.min((now - this.before) / 1000, 0.1);
+    this.move(Math.min((now - this.before) / 1000, 0.1));
     this.before = now;
-    if (this.playing) {
-      this.time = Math.min(this.time + elapsed * this.rate, this.end);
-      if (this.time >= this.end && this.loop) this.time = this.start;
-      else if (this.time >= this.end) this.playing = false;
-      this.dirty = true;
-    }
     if (this.dirty) {
       this.dirty = false;
-      this.track();
-      this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
-      this.changed(this);
+      this.draw();
     }
     requestAnimationFrame((next) => this.frame(next));
+  }
+}
+
+/** State of the page and everything that changes it. Times are seconds of the scene. */
+class Player extends View {
+  constructor(runs, stage, changed) {
+    super();
+    this.runs = runs;
+    this.stage = stage;
+    this.panes = runs.map((run, index) => new Pane(stage, run, index));
+    [this.start, this.end] = spanOf(runs);
+    this.step = Math.min(...runs.map((run) => run.dt));
+    this.time = this.start + runs[0].opening;
+    this.rate = 1;
+    this.playing = false;
+    this.focus = runs[0].agents.length ? runs[0].agents[0].id : null;
+    this.follow = this.focus;
+    this.alone = null; // index of the run that has the stage to itself
+    this.showing = () => {};
+    this.changed = changed;
+    this.show(null);
+  }
+
+  move(elapsed) {
+    if (!this.playing) return;
+    this.time = Math.min(this.time + elapsed * this.rate, this.end);
+    this.playing = this.time < this.end;
+    this.touch();
+  }
+
+  draw() {
+    this.track();
+    this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
+    this.changed(this);
   }
 
   /** Keep the followed agent in the middle. */
   track() {
-    const run = this.runs.find((r) => r.indexOf.has(this.follow));
-    if (!run) return;
-    const agent = run.indexOf.get(this.follow);
-    const pose = run.pose(agent, run.stepAt(this.time)) || this.nearestPose(run, agent);
+    const poses = this.runs.filter((run) => run.indexOf.has(this.follow))
+      .map((run) => run.pose(run.indexOf.get(this.follow), run.stepAt(this.time)));
+    const pose = poses.find(Boolean);
     if (!pose) return;
     this.camera.x = pose.x;
     this.camera.y = pose.y;
     this.camera.right = this.headingUp ? pose.heading - Math.PI / 2 : 0;
-  }
-
-  nearestPose(run, agent) {
-    const at = Math.round(run.stepAt(this.time));
-    for (let gap = 0; gap < run.numSteps; gap++)
-      for (const step of [at - gap, at + gap])
-        if (step >= 0 && step < run.numSteps && run.valid(agent, step)) return run.pose(agent, step);
-    return null;
   }
 
   togglePlay() {
@@ -178,12 +176,6 @@ class Player {
     this.seek(this.start + (at + steps) * this.step);
   }
 
-  changeRate(by) {
-    const at = RATES.indexOf(this.rate) + by;
-    this.rate = RATES[Math.min(Math.max(at, 0), RATES.length - 1)];
-    this.touch();
-  }
-
   toggle(layer) {
     this.layers[layer] = !this.layers[layer];
     this.touch();
@@ -196,13 +188,13 @@ class Player {
     const ego = run.indexOf.get(this.follow), here = ego === undefined ? null : run.pose(ego, at);
     let reach = 0;
     run.agents.forEach((_, agent) => {
-      const pose = here && !run.still[agent] && run.pose(agent, at);
+      const pose = here && !run.agents[agent].still && run.pose(agent, at);
       const far = pose ? Math.hypot(pose.x - here.x, pose.y - here.y) : 0;
       if (far < NEAR_M) reach = Math.max(reach, far);
     });
     reach = Math.max(Math.min(reach + 6, 38), 24);
     this.camera.scale = Math.max(Math.min(width, height) / (2 * reach), 4.5);
-    if (height > 1.2 * width && here && run.moves(ego)) this.headingUp = true;
+    if (height > 1.2 * width && here) this.headingUp = true;
   }
 
   /** Give the stage to one run, or back to all of them; what has it keeps it where it is to stay. */
@@ -215,10 +207,13 @@ class Player {
     const seen = this.alone === null ? this.panes.length : 1;
     this.stage.style.setProperty("--columns", seen < 4 ? seen : Math.ceil(Math.sqrt(seen)));
     document.body.classList.toggle("alone", this.alone !== null);
-    this.showing(this.alone === null ? this.runs : [this.runs[this.alone]]);
+    this.showing();
     if (!stay && this.framed) this.frameNeighbours(); // the pane has another size
     this.touch();
   }
+
+  /** Runs of which the panels speak. */
+  get told() { return this.alone === null ? this.runs : [this.runs[this.alone]]; }
 
   /** The first pane that is seen. */
   get shown() { return this.panes[this.alone ?? 0]; }
@@ -232,17 +227,6 @@ class Player {
     this.follow = id;
     if (id !== null) this.focus = id;
     this.touch();
-  }
-
-  /** Follow the next or the one before among the agents that are there and are not obstacles. */
-  followNext(by) {
-    const run = this.runs[0], step = Math.round(run.stepAt(this.time));
-    const there = run.agents
-      .filter((agent, i) => agent.kind !== "static" && run.valid(i, step))
-      .map((agent) => agent.id);
-    if (!there.length) return;
-    const at = there.indexOf(this.follow);
-    this.followAgent(there[(at + by + there.length) % there.length]);
   }
 
   headUp(wanted) {
