@@ -6,7 +6,7 @@ const MAX_PATH_M: f64 = 1e5;
 const MIN_SPACING_M: f64 = 1e-2;
 
 /// One path of `arcline_path_3`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(serde::Deserialize)]
 pub(crate) struct ArcLinePath {
     /// x, y, yaw in the global frame.
     pub(crate) start_pose: [f64; 3],

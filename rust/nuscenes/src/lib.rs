@@ -5,9 +5,7 @@
 //! quaternions, 2 Hz key frames, node lists) stop here.
 //!
 //! - `stream`: a table as a stream of records, parsed in parallel
-//! - `record`: the fields of one record
-//! - `scan`: where strings and brackets end
-//! - `token`, `index`: tokens as numbers, and how they are looked up
+//! - `token`: tokens, and what is looked up by them
 //! - `tables`: rows, and their join to the logged facts of each scene
 //! - `resample`: key frames to steps, `spline`: smooth curves through them
 //! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
@@ -27,11 +25,9 @@ mod crop;
 mod error;
 mod file;
 mod gpudrive;
-mod index;
 mod load;
 mod map_file;
 mod options;
-mod record;
 mod report;
 mod resample;
 mod spline;

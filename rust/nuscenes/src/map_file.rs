@@ -3,11 +3,9 @@
 use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
-use crate::index::TokenIndex;
-use crate::record::{Record, Source, Text, elements, members, parse, token};
 use crate::report::{MapReport, layer_counts};
-use crate::stream::BYTE_ORDER_MARK;
-use crate::token::Token;
+use crate::stream::{BYTE_ORDER_MARK, parse};
+use crate::token::{Index, Token, index};
 use ccdiff_sim::scene::LaneKind;
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -116,18 +114,24 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
 /// Unreadable files, invalid JSON, references to nodes, polygons or lines that do not exist, damaged centre lines.
 pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
     let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
-    let file = MapText::new(&bytes, path)?;
+    let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&bytes);
+    // serde would take an array for the layers in their order
+    if text.trim_ascii_start().first() != Some(&b'{') {
+        let (path, message) = (path.to_owned(), "expected an object of layers".into());
+        return Err(NuscenesError::Json { path, offset: 0, message });
+    }
+    let file: MapFile = parse(text, path, (bytes.len() - text.len()) as u64)?;
     let assembler = Assembler::new(&file, path)?;
     let mut report = MapReport { location: location.to_owned(), ..MapReport::default() };
-    let lanes = assembler.lanes(&mut report)?;
+    let lanes = assembler.lanes(&file, &mut report)?;
     let map = GlobalMap {
-        drivable_area: assembler.drivable_area(&mut report)?,
-        ped_crossings: assembler.areas("ped_crossing", &mut report)?,
-        walkways: assembler.areas("walkway", &mut report)?,
-        stop_lines: assembler.areas("stop_line", &mut report)?,
-        carpark_areas: assembler.areas("carpark_area", &mut report)?,
-        road_dividers: assembler.dividers("road_divider", &mut report)?,
-        lane_dividers: assembler.dividers("lane_divider", &mut report)?,
+        drivable_area: assembler.drivable_area(&file.drivable_area, &mut report)?,
+        ped_crossings: assembler.areas("ped_crossing", &file.ped_crossing, &mut report)?,
+        walkways: assembler.areas("walkway", &file.walkway, &mut report)?,
+        stop_lines: assembler.areas("stop_line", &file.stop_line, &mut report)?,
+        carpark_areas: assembler.areas("carpark_area", &file.carpark_area, &mut report)?,
+        road_dividers: assembler.dividers("road_divider", &file.road_divider, &mut report)?,
+        lane_dividers: assembler.dividers("lane_divider", &file.lane_divider, &mut report)?,
         lane_bounds: lanes.iter().map(GlobalLane::bounds).collect(),
         lanes,
     };
@@ -135,63 +139,86 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
     Ok((map, report))
 }
 
-/// The layers of a map file as they are written.
-struct MapText<'a> {
-    layers: BTreeMap<String, Text<'a>>,
+/// The layers of a map file as they are written; those that are left out are empty.
+#[derive(Deserialize, Default)]
+#[serde(default)]
+struct MapFile {
+    node: Vec<NodeRow>,
+    polygon: Vec<PolygonRow>,
+    line: Vec<LineRow>,
+    drivable_area: Vec<DrivableAreaRow>,
+    ped_crossing: Vec<AreaRow>,
+    walkway: Vec<AreaRow>,
+    stop_line: Vec<AreaRow>,
+    carpark_area: Vec<AreaRow>,
+    road_divider: Vec<DividerRow>,
+    lane_divider: Vec<DividerRow>,
+    lane: Vec<AreaRow>,
+    lane_connector: Vec<AreaRow>,
+    arcline_path_3: BTreeMap<String, Vec<ArcLinePath>>,
+    connectivity: BTreeMap<String, Links>,
 }
 
-impl<'a> MapText<'a> {
-    fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self> {
-        let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
-        let source = Source { path, offset: (bytes.len() - text.len()) as u64 };
-        Ok(Self { layers: members((text, source))? })
-    }
-
-    /// The records of a layer made into something, in parallel; nothing where there is no such layer.
-    fn rows<T, F, const N: usize>(
-        &self,
-        layer: &str,
-        names: &'static [&'static str; N],
-        make: F,
-    ) -> Result<Vec<T>>
-    where
-        T: Send,
-        F: Fn(&Record<'a, N>) -> Result<T> + Sync,
-    {
-        let Some(layer) = self.layers.get(layer) else { return Ok(Vec::new()) };
-        let parse = |(text, source): Text<'a>| make(&Record::new(text, names, source)?);
-        elements(*layer)?.into_par_iter().with_min_len(256).map(parse).collect()
-    }
-
-    /// The members of a layer that is an object by token.
-    fn by_token(&self, layer: &str) -> Result<BTreeMap<String, Text<'a>>> {
-        self.layers.get(layer).map_or(Ok(BTreeMap::new()), |layer| members(*layer))
-    }
+#[derive(Deserialize)]
+struct NodeRow {
+    token: Token,
+    x: f64,
+    y: f64,
 }
 
-/// The paths of a lane.
-fn arcline_paths(paths: Text<'_>) -> Result<Vec<ArcLinePath>> {
-    let path = |(text, source)| {
-        let row = Record::new(text, &["start_pose", "shape", "radius", "segment_length"], source)?;
-        Ok(ArcLinePath {
-            start_pose: row.parse(0)?,
-            shape: row.text(1)?,
-            radius: row.parse(2)?,
-            segment_length: row.parse(3)?,
-        })
-    };
-    elements(paths)?.into_iter().map(path).collect()
+#[derive(Deserialize)]
+struct PolygonRow {
+    token: Token,
+    exterior_node_tokens: Vec<Token>,
+    holes: Option<Vec<Hole>>,
+}
+
+#[derive(Deserialize)]
+struct Hole {
+    node_tokens: Vec<Token>,
+}
+
+#[derive(Deserialize)]
+struct LineRow {
+    token: Token,
+    node_tokens: Vec<Token>,
+}
+
+#[derive(Deserialize)]
+struct DrivableAreaRow {
+    token: String,
+    polygon_tokens: Vec<Token>,
+}
+
+/// A lane, or an area of another layer.
+#[derive(Deserialize)]
+struct AreaRow {
+    token: String,
+    polygon_token: Option<Token>,
+}
+
+#[derive(Deserialize)]
+struct DividerRow {
+    token: String,
+    line_token: Token,
+}
+
+/// Neighbours of a lane.
+#[derive(Deserialize, Default)]
+struct Links {
+    #[serde(default)]
+    incoming: Vec<String>,
+    #[serde(default)]
+    outgoing: Vec<String>,
 }
 
 /// Resolves tokens to geometry.
 struct Assembler<'a> {
-    file: &'a MapText<'a>,
     path: &'a Path,
-    nodes: TokenIndex<[f64; 2]>,
-    /// Outer ring and, where there are any, holes, as they are written.
-    polygons: TokenIndex<(Text<'a>, Option<Text<'a>>)>,
-    /// Node lists as they are written.
-    lines: TokenIndex<Text<'a>>,
+    nodes: Index<[f64; 2]>,
+    polygons: Index<&'a PolygonRow>,
+    /// Tokens of the nodes of lines.
+    lines: Index<&'a [Token]>,
 }
 
 fn note(report: &mut MapReport, count: usize, words: &str) {
@@ -201,27 +228,20 @@ fn note(report: &mut MapReport, count: usize, words: &str) {
 }
 
 impl<'a> Assembler<'a> {
-    fn new(file: &'a MapText<'a>, path: &'a Path) -> Result<Self> {
-        let nodes = file.rows("node", &["token", "x", "y"], |row| {
-            let (token, x, y) = (row.token(0)?, row.parse::<f64>(1)?, row.parse::<f64>(2)?);
-            if x.abs() < 1e6 && y.abs() < 1e6 {
-                return Ok((token, [x, y]));
-            }
+    fn new(file: &'a MapFile, path: &'a Path) -> Result<Self> {
+        if let Some(NodeRow { token, x, y }) =
+            file.node.iter().find(|n| !(n.x.abs() < 1e6 && n.y.abs() < 1e6))
+        {
             let got = format!("{x:?}, {y:?}");
-            Err(NuscenesError::value(path, token, "node x, y", got, "metres within 1000 km"))
-        })?;
-        let polygons = file.rows("polygon", &["token", "exterior_node_tokens", "holes"], |row| {
-            let holes = if row.has(2) { Some(row.raw(2)?) } else { None };
-            Ok((row.token(0)?, (row.raw(1)?, holes)))
-        })?;
-        let lines = file.rows("line", &["token", "node_tokens"], |row| Ok((row.token(0)?, row.raw(1)?)))?;
+            return Err(NuscenesError::value(path, token, "node x, y", got, "metres within 1000 km"));
+        }
         let twice = |what| move |token: Token| NuscenesError::duplicate(path, what, token);
         Ok(Self {
-            file,
             path,
-            nodes: TokenIndex::new(nodes).map_err(twice("node token"))?,
-            polygons: TokenIndex::new(polygons).map_err(twice("polygon token"))?,
-            lines: TokenIndex::new(lines).map_err(twice("line token"))?,
+            nodes: index(file.node.iter().map(|n| (n.token, [n.x, n.y]))).map_err(twice("node token"))?,
+            polygons: index(file.polygon.iter().map(|p| (p.token, p))).map_err(twice("polygon token"))?,
+            lines: index(file.line.iter().map(|l| (l.token, l.node_tokens.as_slice())))
+                .map_err(twice("line token"))?,
         })
     }
 
@@ -230,110 +250,92 @@ impl<'a> Assembler<'a> {
     }
 
     /// The points of a list of node tokens, without repetitions.
-    fn points(&self, owner: Token, list: Text<'a>) -> Result<Vec<[f64; 2]>> {
-        let tokens = elements(list)?;
-        let mut points: Vec<[f64; 2]> = Vec::with_capacity(tokens.len());
-        let mut next = 0;
-        for text in tokens {
-            let token = token(text)?;
-            let point = self.nodes.get_from(&mut next, token);
-            points.push(*point.ok_or_else(|| self.dangling(owner, "node_tokens", token, "node"))?);
-        }
+    fn points(&self, owner: Token, tokens: &[Token]) -> Result<Vec<[f64; 2]>> {
+        let point = |token: &Token| {
+            self.nodes.get(token).copied().ok_or_else(|| self.dangling(owner, "node_tokens", *token, "node"))
+        };
+        let mut points = tokens.iter().map(point).collect::<Result<Vec<_>>>()?;
         points.dedup();
         Ok(points)
     }
 
     /// A ring without its closing point.
-    fn ring(&self, owner: Token, text: Text<'a>) -> Result<Vec<[f64; 2]>> {
-        let mut ring = self.points(owner, text)?;
+    fn ring(&self, owner: Token, tokens: &[Token]) -> Result<Vec<[f64; 2]>> {
+        let mut ring = self.points(owner, tokens)?;
         if ring.len() > 1 && ring.first() == ring.last() {
             ring.pop();
         }
         Ok(ring)
     }
 
-    /// The polygon of a token; `None` where it has fewer than three corners.
-    fn polygon(&self, owner: &str, token: Token) -> Result<Option<GlobalPolygon>> {
-        let found = self.polygons.get(token);
-        let (exterior, holes) =
-            *found.ok_or_else(|| self.dangling(owner, "polygon_token", token, "polygon"))?;
-        let exterior = self.ring(token, exterior)?;
+    /// The polygon of a token; `None` where there is no token, or where it has fewer than three corners.
+    fn polygon(&self, owner: &str, token: Option<Token>) -> Result<Option<GlobalPolygon>> {
+        let Some(token) = token else { return Ok(None) };
+        let found = self.polygons.get(&token);
+        let row = found.ok_or_else(|| self.dangling(owner, "polygon_token", token, "polygon"))?;
+        let exterior = self.ring(token, &row.exterior_node_tokens)?;
         if exterior.len() < 3 {
             return Ok(None);
         }
-        let mut rings = Vec::new();
-        for (text, source) in holes.map_or(Ok(Vec::new()), elements)? {
-            rings.push(self.ring(token, Record::new(text, &["node_tokens"], source)?.raw(0)?)?);
-        }
+        let holes = row.holes.iter().flatten().map(|hole| self.ring(token, &hole.node_tokens));
+        let mut rings = holes.collect::<Result<Vec<_>>>()?;
         rings.retain(|ring| ring.len() >= 3);
         let holes = rings.into_iter().map(GlobalLine::new).collect();
         Ok(Some(GlobalPolygon { bounds: Bounds::of(&exterior), exterior, holes }))
     }
 
-    fn drivable_area(&self, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
-        let areas = self
-            .file
-            .rows("drivable_area", &["token", "polygon_tokens"], |row| Ok((row.text(0)?, row.raw(1)?)))?;
-        let mut polygons = Vec::new();
-        let mut flat = 0;
-        for (owner, tokens) in areas {
-            let made: Vec<Option<GlobalPolygon>> = elements(tokens)?
-                .into_par_iter()
-                .map(|token| self.polygon(&owner, Token::from_text(&parse::<String>(token)?)))
-                .collect::<Result<_>>()?;
-            flat += made.iter().filter(|p| p.is_none()).count();
-            polygons.extend(made.into_iter().flatten());
-        }
-        note(report, flat, "drivable_area polygons with fewer than three corners left out");
-        Ok(polygons)
+    /// The polygons of tokens, each with its owner; those without an area are counted in a note.
+    fn polygons<'r>(
+        &self,
+        tokens: impl ParallelIterator<Item = (&'r str, Option<Token>)>,
+        left_out: &str,
+        report: &mut MapReport,
+    ) -> Result<Vec<GlobalPolygon>> {
+        let made = tokens.map(|(owner, token)| self.polygon(owner, token)).collect::<Result<Vec<_>>>()?;
+        note(report, made.iter().filter(|p| p.is_none()).count(), left_out);
+        Ok(made.into_iter().flatten().collect())
     }
 
-    fn areas(&self, layer: &str, report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
-        let rows = self.file.rows(layer, &["token", "polygon_token"], |row| {
-            if row.has(1) { self.polygon(&row.text(0)?, row.token(1)?) } else { Ok(None) }
-        })?;
-        let flat = rows.iter().filter(|p| p.is_none()).count();
-        note(report, flat, &format!("{layer} records without an area left out"));
-        Ok(rows.into_iter().flatten().collect())
+    fn drivable_area(&self, rows: &[DrivableAreaRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+        let tokens = rows
+            .par_iter()
+            .flat_map(|row| row.polygon_tokens.par_iter().map(|token| (row.token.as_str(), Some(*token))));
+        self.polygons(tokens, "drivable_area polygons with fewer than three corners left out", report)
     }
 
-    fn dividers(&self, layer: &str, report: &mut MapReport) -> Result<Vec<GlobalLine>> {
-        let mut lines = self.file.rows(layer, &["token", "line_token"], |row| {
-            let token = row.token(1)?;
-            let nodes = self.lines.get(token);
-            let nodes = nodes
-                .ok_or_else(|| self.dangling(row.text(0).unwrap_or_default(), "line_token", token, "line"))?;
-            let points = self.points(token, *nodes)?;
-            Ok(GlobalLine::new(points))
-        })?;
-        let before = lines.len();
+    fn areas(&self, layer: &str, rows: &[AreaRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+        let tokens = rows.par_iter().map(|row| (row.token.as_str(), row.polygon_token));
+        self.polygons(tokens, &format!("{layer} records without an area left out"), report)
+    }
+
+    fn dividers(&self, layer: &str, rows: &[DividerRow], report: &mut MapReport) -> Result<Vec<GlobalLine>> {
+        let line = |DividerRow { token, line_token }: &DividerRow| {
+            let nodes = self.lines.get(line_token);
+            let nodes = nodes.ok_or_else(|| self.dangling(token, "line_token", *line_token, "line"))?;
+            Ok(GlobalLine::new(self.points(*line_token, nodes)?))
+        };
+        let mut lines = rows.par_iter().map(line).collect::<Result<Vec<_>>>()?;
         lines.retain(|line| line.points.len() >= 2);
-        note(report, before - lines.len(), &format!("{layer} records of fewer than two points left out"));
+        note(report, rows.len() - lines.len(), &format!("{layer} records of fewer than two points left out"));
         Ok(lines)
     }
 
     /// A lane without links; no centre line where the data has none.
-    fn lane(
-        &self,
-        row: &Record<'a, 2>,
-        kind: LaneKind,
-        paths: &BTreeMap<String, Text<'a>>,
-    ) -> Result<GlobalLane> {
-        let id = row.text(0)?;
-        let paths = paths.get(&id).map_or(Ok(Vec::new()), |text| arcline_paths(*text))?;
-        let centreline = discretise(&paths, CENTRELINE_SPACING_M)
+    fn lane(&self, row: &AreaRow, kind: LaneKind, file: &MapFile) -> Result<GlobalLane> {
+        let id = row.token.clone();
+        let paths = file.arcline_path_3.get(&id).map_or(&[][..], Vec::as_slice);
+        let centreline = discretise(paths, CENTRELINE_SPACING_M)
             .map_err(|fault| NuscenesError::value(self.path, &id, fault.field, fault.got, fault.expected))?;
-        let polygon = if row.has(1) { self.polygon(&id, row.token(1)?)? } else { None };
+        let polygon = self.polygon(&id, row.polygon_token)?;
         let (successors, predecessors) = (Vec::new(), Vec::new());
         Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })
     }
 
-    fn lanes(&self, report: &mut MapReport) -> Result<Vec<GlobalLane>> {
-        let paths = self.file.by_token("arcline_path_3")?;
+    fn lanes(&self, file: &MapFile, report: &mut MapReport) -> Result<Vec<GlobalLane>> {
         let mut lanes = Vec::new();
-        for (layer, kind) in [("lane", LaneKind::Lane), ("lane_connector", LaneKind::Connector)] {
-            let names = &["token", "polygon_token"];
-            lanes.extend(self.file.rows(layer, names, |row| self.lane(row, kind, &paths))?);
+        for (rows, kind) in [(&file.lane, LaneKind::Lane), (&file.lane_connector, LaneKind::Connector)] {
+            let made = rows.par_iter().map(|row| self.lane(row, kind, file));
+            lanes.extend(made.collect::<Result<Vec<_>>>()?);
         }
         let before = lanes.len();
         lanes.retain(|lane| !lane.centreline.is_empty());
@@ -346,23 +348,10 @@ impl<'a> Assembler<'a> {
                 return Err(NuscenesError::duplicate(self.path, "lane token", &lane.id));
             }
         }
-        let lost = link(&mut lanes, &index, &self.links()?);
+        let lost = link(&mut lanes, &index, &file.connectivity);
         note(report, lost, "links to lanes that are not there left out");
         Ok(lanes)
     }
-
-    fn links(&self) -> Result<BTreeMap<String, Links>> {
-        self.file.layers.get("connectivity").map_or(Ok(BTreeMap::new()), |text| parse(*text))
-    }
-}
-
-/// Neighbours of a lane in the file.
-#[derive(Deserialize, Default)]
-struct Links {
-    #[serde(default)]
-    incoming: Vec<String>,
-    #[serde(default)]
-    outgoing: Vec<String>,
 }
 
 /// Links lanes both ways, whichever side names the link; returns how many links lead nowhere.

@@ -5,8 +5,9 @@
 
 use crate::error::{NuscenesError, Result};
 use crate::file;
-use crate::record::{Record, Source, value_end};
+use memchr::memchr2;
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use std::io::Read;
 use std::ops::Range;
 use std::path::Path;
@@ -20,53 +21,100 @@ pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Records parsed by one task.
 const RECORDS_PER_TASK: usize = 256;
 
-/// Finds the fields of these names in every record of a table and keeps what `keep` makes of them, in the order of the
-/// file. The number that `keep` is given passes from one record to the next of a task: see `TokenIndex::place_from`.
+/// What `keep` makes of the rows of a table, in the order of the file.
 ///
 /// # Errors
 /// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
-pub(crate) fn read_table<Kept, F, const N: usize>(
+pub(crate) fn read_table<Row: DeserializeOwned, Kept: Send>(
     path: &Path,
     what: &str,
-    names: &'static [&'static str; N],
-    keep: F,
-) -> Result<Vec<Kept>>
-where
-    Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
-{
+    keep: &(impl Fn(Row) -> Result<Option<Kept>> + Sync),
+) -> Result<Vec<Kept>> {
     let file = file::open(path).map_err(|e| NuscenesError::from_io(path, what, e))?;
-    read_records(file, path, BLOCK_BYTES, names, &keep)
+    read_rows(file, path, BLOCK_BYTES, keep)
 }
 
 /// [`read_table`] from any reader; `path` is for messages.
-fn read_records<R, Kept, F, const N: usize>(
-    reader: R,
+fn read_rows<Row: DeserializeOwned, Kept: Send>(
+    reader: impl Read + Send,
     path: &Path,
     block_bytes: usize,
-    names: &'static [&'static str; N],
-    keep: &F,
-) -> Result<Vec<Kept>>
-where
-    R: Read + Send,
-    Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
-{
+    keep: &(impl Fn(Row) -> Result<Option<Kept>> + Sync),
+) -> Result<Vec<Kept>> {
     let mut blocks = Blocks::new(reader, path, block_bytes);
     let mut kept = Vec::new();
     let mut current = blocks.next_block(Vec::new())?;
     let mut spare = Vec::new();
     while let Some(block) = current {
-        let (next, parsed) =
-            rayon::join(|| blocks.next_block(spare), || parse_block(&block, path, names, keep));
+        let parse = |records: &[Range<usize>]| {
+            let row = |record: &Range<usize>| {
+                parse(&block.bytes[record.clone()], path, block.offset + record.start as u64)
+            };
+            records.iter().filter_map(|record| row(record).and_then(keep).transpose()).collect()
+        };
+        let (next, parsed): (_, Result<Vec<Vec<Kept>>>) = rayon::join(
+            || blocks.next_block(spare),
+            || block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect(),
+        );
         // an error in this block comes before one in the next
-        for part in parsed? {
-            kept.extend(part);
-        }
+        kept.extend(parsed?.into_iter().flatten());
         current = next?;
         spare = block.bytes;
     }
     Ok(kept)
+}
+
+/// A value of JSON from the text at an offset of a file.
+///
+/// # Errors
+/// [`NuscenesError::Json`] with the place, the field and the beginning of the text.
+pub(crate) fn parse<T: DeserializeOwned>(text: &[u8], path: &Path, offset: u64) -> Result<T> {
+    serde_json::from_slice(text).map_err(|error| {
+        let lines = text.split_inclusive(|byte| *byte == b'\n').take(error.line().saturating_sub(1));
+        let at = lines.map(<[u8]>::len).sum::<usize>() + error.column().saturating_sub(1);
+        let before = String::from_utf8_lossy(&text[..at.min(text.len())]);
+        let message = error.to_string();
+        let mut message = message.split(" at line ").next().unwrap_or_default().to_owned();
+        // serde names a field that is missing, and none that is wrong
+        let field = before.rsplit_once("\":").and_then(|(before, _)| before.rsplit_once('"'));
+        if let Some((_, field)) = field.filter(|_| !message.contains("missing field")) {
+            message.push_str(&format!(" (field {field:?})"));
+        }
+        let shown = String::from_utf8_lossy(&text[..text.len().min(80)]).replace(['\n', '\r'], " ");
+        let message = format!("{message}, in {shown}");
+        NuscenesError::Json { path: path.to_owned(), offset: offset + at as u64, message }
+    })
+}
+
+/// Bytes at which something begins or ends within an object.
+static MARKS: [bool; 256] = {
+    let mut marks = [false; 256];
+    (marks[b'"' as usize], marks[b'{' as usize], marks[b'[' as usize]) = (true, true, true);
+    (marks[b']' as usize], marks[b'}' as usize]) = (true, true);
+    marks
+};
+
+/// Position after the object that begins at `at`; `None` where the text ends in it.
+fn object_end(text: &[u8], mut at: usize) -> Option<usize> {
+    let mut depth = 0_usize;
+    loop {
+        match text.get(at)? {
+            b'"' => loop {
+                at += 1 + memchr2(b'"', b'\\', text.get(at + 1..)?)?;
+                if text[at] == b'"' {
+                    break;
+                }
+                at += 1;
+            },
+            b'{' | b'[' => depth += 1,
+            _ => depth -= 1,
+        }
+        at += 1;
+        if depth == 0 {
+            return Some(at);
+        }
+        at += text[at..].iter().position(|byte| MARKS[usize::from(*byte)])?;
+    }
 }
 
 /// Whole records, and where each of them lies.
@@ -77,39 +125,12 @@ struct Block {
     records: Vec<Range<usize>>,
 }
 
-fn parse_block<Kept, F, const N: usize>(
-    block: &Block,
-    path: &Path,
-    names: &'static [&'static str; N],
-    keep: &F,
-) -> Result<Vec<Vec<Kept>>>
-where
-    Kept: Send,
-    F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
-{
-    let parse = |records: &[Range<usize>]| {
-        let (mut kept, mut next) = (Vec::with_capacity(records.len()), 0);
-        for range in records {
-            let source = Source { path, offset: block.offset + range.start as u64 };
-            kept.extend(keep(&Record::new(&block.bytes[range.clone()], names, source)?, &mut next)?);
-        }
-        Ok(kept)
-    };
-    block.records.par_chunks(RECORDS_PER_TASK).map(parse).collect()
-}
-
-/// Where the scanner stands.
-#[derive(Clone, Copy, PartialEq, Eq, Debug)]
-enum At {
-    /// Before the opening bracket.
-    Start,
-    /// After the opening bracket, or after a comma (`true`).
-    Item { after_comma: bool },
-    /// After a record: a comma or the closing bracket follows.
-    Separator,
-    /// After the closing bracket.
-    End,
-}
+/// What follows in a table, in the words of messages.
+const START: &str = "an array of records";
+const FIRST: &str = "a record or the end of the array";
+const RECORD: &str = "a record";
+const SEPARATOR: &str = "a comma or the end of the array";
+const END: &str = "nothing after the array";
 
 struct Blocks<'a, R> {
     reader: R,
@@ -119,12 +140,13 @@ struct Blocks<'a, R> {
     tail: Vec<u8>,
     /// Offset of `tail[0]` in the file.
     offset: u64,
-    at: At,
+    /// One of [`START`] to [`END`].
+    expected: &'static str,
 }
 
 impl<'a, R: Read> Blocks<'a, R> {
     fn new(reader: R, path: &'a Path, block_bytes: usize) -> Self {
-        Self { reader, path, block_bytes, tail: Vec::new(), offset: 0, at: At::Start }
+        Self { reader, path, block_bytes, tail: Vec::new(), offset: 0, expected: START }
     }
 
     fn fail(&self, position: usize, message: impl Into<String>) -> NuscenesError {
@@ -145,9 +167,9 @@ impl<'a, R: Read> Blocks<'a, R> {
             .read_to_end(&mut bytes)
             .map_err(|source| NuscenesError::Io { path: self.path.to_owned(), source })?;
         if read == 0 {
-            return match self.at {
-                At::End => Ok(None),
-                At::Start => Err(self.fail(bytes.len(), "the file is empty")),
+            return match self.expected {
+                END => Ok(None),
+                START => Err(self.fail(bytes.len(), "the file is empty")),
                 _ => Err(self.fail(bytes.len(), "the file ends in the middle of the array")),
             };
         }
@@ -166,22 +188,21 @@ impl<'a, R: Read> Blocks<'a, R> {
         let mut records = Vec::with_capacity(bytes.len() / 256);
         let mut i = 0;
         while let Some(&byte) = bytes.get(i) {
-            match self.at {
+            match (self.expected, byte) {
                 _ if byte.is_ascii_whitespace() => {}
-                At::Start if BYTE_ORDER_MARK.get(self.offset as usize + i) == Some(&byte) => {}
-                At::Start if byte == b'[' => self.at = At::Item { after_comma: false },
-                At::Item { .. } if byte == b'{' => {
-                    let Some(end) = value_end(bytes, i) else { break };
+                (START, b'[') => self.expected = FIRST,
+                (START, _) if BYTE_ORDER_MARK.get(self.offset as usize + i) == Some(&byte) => {}
+                (FIRST | RECORD, b'{') => {
+                    let Some(end) = object_end(bytes, i) else { break };
                     records.push(i..end);
-                    self.at = At::Separator;
+                    self.expected = SEPARATOR;
                     i = end;
                     continue;
                 }
-                At::Item { after_comma: false } if byte == b']' => self.at = At::End,
-                At::Separator if byte == b',' => self.at = At::Item { after_comma: true },
-                At::Separator if byte == b']' => self.at = At::End,
-                at => {
-                    return Err(self.fail(i, format!("found {:?}, expected {}", byte as char, at.expects())));
+                (SEPARATOR, b',') => self.expected = RECORD,
+                (FIRST | SEPARATOR, b']') => self.expected = END,
+                (expected, _) => {
+                    return Err(self.fail(i, format!("found {:?}, expected {expected}", byte as char)));
                 }
             }
             i += 1;
@@ -190,25 +211,19 @@ impl<'a, R: Read> Blocks<'a, R> {
     }
 }
 
-impl At {
-    fn expects(self) -> &'static str {
-        match self {
-            Self::Start => "an array of records",
-            Self::Item { .. } => "a record",
-            Self::Separator => "a comma or the end of the array",
-            Self::End => "nothing after the array",
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    #[derive(serde::Deserialize)]
+    struct Row {
+        a: i64,
+        s: String,
+    }
+
     fn read(text: &[u8], block_bytes: usize) -> Result<Vec<(i64, String)>> {
-        let keep = |row: &Record<'_, 2>, _: &mut usize| Ok(Some((row.parse(0)?, row.text(1)?)));
-        read_records(text, Path::new("t.json"), block_bytes, &["a", "s"], &keep)
+        read_rows(text, Path::new("t.json"), block_bytes, &|row: Row| Ok(Some((row.a, row.s))))
     }
 
     #[test]
@@ -241,7 +256,7 @@ mod tests {
             ("[{\"a\":1,\"s\":\"\"}{", 15, "comma"),
             ("[] []", 3, "nothing after"),
             ("[3]", 1, "a record"),
-            ("[{\"a\":NaN,\"s\":\"\"}]", 1, "expected value"),
+            ("[{\"a\":NaN,\"s\":\"\"}]", 6, "expected value (field \"a\")"),
         ];
         for (text, at, words) in cases {
             match read(text.as_bytes(), 1 << 20) {
@@ -253,8 +268,9 @@ mod tests {
             }
         }
         let named = read(b"[{\"s\":\"\",\n\"a\": [1, NaN]}]", 99).unwrap_err().to_string();
-        assert!(named.contains("field \"a\"") && named.contains("t.json"), "{named}");
-        assert!(matches!(read(b"[{\"a\":1}]", 9), Err(NuscenesError::Json { offset: 1, .. })));
+        assert!(named.contains("byte 14") && named.contains("field \"a\""), "{named}");
+        let missing = read(b"[{\"a\":1}]", 9).unwrap_err().to_string();
+        assert!(missing.contains("missing field `s`, in {\"a\":1}: t.json"), "{missing}");
     }
 
     proptest! {

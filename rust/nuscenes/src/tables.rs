@@ -1,11 +1,10 @@
 //! The rows of the official tables, and the join of them to the logged facts of each scene.
 
 use crate::error::{NuscenesError, Result};
-use crate::index::TokenIndex;
-use crate::record::Record;
 use crate::stream::read_table;
-use crate::token::Token;
+use crate::token::{Index, Token, index};
 use rayon::prelude::*;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt::Display;
 use std::ops::Range;
@@ -82,27 +81,89 @@ pub(crate) struct LoggedScene {
     pub(crate) tracks: Vec<LoggedTrack>,
 }
 
+/// A row of a table that is a token and a text: `location` of logs, `channel` of sensors, `name` of categories.
+#[derive(Deserialize)]
+struct NamedRow {
+    token: Token,
+    #[serde(alias = "location", alias = "channel")]
+    name: String,
+}
+
+#[derive(Deserialize)]
+struct SceneRow {
+    token: String,
+    name: String,
+    log_token: Token,
+    nbr_samples: Option<usize>,
+}
+
+#[derive(Deserialize)]
+struct SampleRow {
+    token: Token,
+    timestamp: i64,
+    scene_token: Token,
+}
+
+#[derive(Deserialize)]
+struct AnnotationRow {
+    token: Token,
+    sample_token: Token,
+    instance_token: Token,
+    translation: [f64; 3],
+    size: [f64; 3],
+    rotation: [f64; 4],
+}
+
+#[derive(Deserialize)]
+struct InstanceRow {
+    token: String,
+    category_token: Token,
+}
+
+#[derive(Deserialize)]
+struct CalibratedSensorRow {
+    token: Token,
+    sensor_token: Token,
+}
+
+#[derive(Deserialize)]
+struct SampleDataRow {
+    token: Token,
+    sample_token: Token,
+    ego_pose_token: Token,
+    calibrated_sensor_token: Token,
+    is_key_frame: bool,
+}
+
+#[derive(Deserialize)]
+struct EgoPoseRow {
+    token: Token,
+    timestamp: i64,
+    translation: [f64; 3],
+    rotation: [f64; 4],
+}
+
 impl Tables {
     pub(crate) fn path(&self, table: &str) -> PathBuf {
         self.folder.join(format!("{table}.json"))
     }
 
-    /// What `keep` makes of the records of a table, see [`read_table`].
-    fn read<Kept, F, const N: usize>(
+    /// What `keep` makes of the rows of a table, see [`read_table`].
+    fn read<Row: DeserializeOwned, Kept: Send>(
         &self,
         table: &str,
-        names: &'static [&'static str; N],
-        keep: F,
-    ) -> Result<Vec<Kept>>
-    where
-        Kept: Send,
-        F: Fn(&Record<'_, N>, &mut usize) -> Result<Option<Kept>> + Sync,
-    {
-        read_table(&self.path(table), &format!("table {table}"), names, keep)
+        keep: impl Fn(Row) -> Result<Option<Kept>> + Sync,
+    ) -> Result<Vec<Kept>> {
+        read_table(&self.path(table), &format!("table {table}"), &keep)
     }
 
-    fn index<T>(&self, table: &str, rows: Vec<(Token, T)>) -> Result<TokenIndex<T>> {
-        TokenIndex::new(rows).map_err(|token| self.duplicate(table, "token", token))
+    fn index<T>(&self, table: &str, rows: impl IntoIterator<Item = (Token, T)>) -> Result<Index<T>> {
+        index(rows).map_err(|token| self.duplicate(table, "token", token))
+    }
+
+    /// The texts of a table by token.
+    fn names(&self, table: &str) -> Result<Index<String>> {
+        self.index(table, self.read(table, |row: NamedRow| Ok(Some((row.token, row.name))))?)
     }
 
     fn duplicate(&self, table: &str, what: &str, got: impl Display) -> NuscenesError {
@@ -121,16 +182,12 @@ impl Tables {
 
     /// The scene table, in its order, with the location of each scene.
     pub(crate) fn read_scenes(&self) -> Result<Vec<SceneEntry>> {
-        let locations =
-            self.read("log", &["token", "location"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
-        let locations = self.index("log", locations)?;
-        let scenes = self.read("scene", &["token", "name", "log_token", "nbr_samples"], |row, _| {
-            let (token, log) = (row.text(0)?, row.token(2)?);
+        let locations = self.names("log")?;
+        let scenes = self.read("scene", |SceneRow { token, name, log_token, nbr_samples }| {
             let location = locations
-                .get(log)
-                .ok_or_else(|| self.dangling(("scene", "log_token"), &token, log, "log"))?;
-            let nbr_samples = if row.has(3) { Some(row.parse(3)?) } else { None };
-            Ok(Some(SceneEntry { name: row.text(1)?, token, location: location.clone(), nbr_samples }))
+                .get(&log_token)
+                .ok_or_else(|| self.dangling(("scene", "log_token"), &token, log_token, "log"))?;
+            Ok(Some(SceneEntry { name, token, location: location.clone(), nbr_samples }))
         })?;
         for field in [|s: &SceneEntry| s.name.clone(), |s: &SceneEntry| s.token.clone()] {
             let mut values: Vec<String> = scenes.iter().map(field).collect();
@@ -175,14 +232,13 @@ impl Tables {
         for (slot, scene) in wanted.iter().enumerate() {
             slots[*scene] = Some(slot);
         }
-        let tokens = scenes.iter().map(|s| Token::from_text(&s.token));
-        let slots = self.index("scene", tokens.zip(slots).collect())?;
-        let mut list = self.read("sample", &["token", "timestamp", "scene_token"], |row, next| {
-            let (token, scene) = (row.token(0)?, row.token(2)?);
+        let tokens = scenes.iter().map(|s| Token::from(s.token.as_str()));
+        let slots = self.index("scene", tokens.zip(slots))?;
+        let mut list = self.read("sample", |SampleRow { token, timestamp, scene_token }| {
             let slot = *slots
-                .get_from(next, scene)
-                .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene, "scene"))?;
-            Ok(Some(Sample { slot, timestamp_us: row.parse(1)?, token, frame: 0 }))
+                .get(&scene_token)
+                .ok_or_else(|| self.dangling(("sample", "scene_token"), token, scene_token, "scene"))?;
+            Ok(Some(Sample { slot, timestamp_us: timestamp, token, frame: 0 }))
         })?;
         list.par_sort_by_key(|s| (s.slot, s.timestamp_us));
         for i in 1..list.len() {
@@ -199,26 +255,25 @@ impl Tables {
                 }
             }
         }
-        let tokens = list.iter().map(|s| (s.token, ())).collect();
-        Ok(Samples { by_token: self.index("sample", tokens)?, list })
+        let by_token = self.index("sample", list.iter().map(|s| s.token).zip(0..))?;
+        Ok(Samples { by_token, list })
     }
 
     /// Tracks, each with the slot of its scene.
     fn read_tracks(&self, samples: &Samples) -> Result<Vec<(usize, LoggedTrack)>> {
         const TABLE: &str = "sample_annotation";
         let path = self.path(TABLE);
-        let names = &["token", "sample_token", "instance_token", "translation", "size", "rotation"];
-        let rows = self.read(TABLE, names, |row, next| {
-            let (token, of) = (row.token(0)?, row.token(1)?);
-            let place = samples.by_token.place_from(next, of);
-            let place = place.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
+        let rows = self.read(TABLE, |row: AnnotationRow| {
+            let (token, of) = (row.token, row.sample_token);
+            let found = samples.by_token.get(&of);
+            let place = *found.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
             let sample = &samples.list[place];
             let Some(slot) = sample.slot else { return Ok(None) };
-            let (translation, rotation) = (row.parse(3)?, row.parse(5)?);
-            let key = ground_pose(&path, token, sample, sample.timestamp_us, translation, rotation, 0.0)?;
-            Ok(Some(Annotation { slot, instance: row.token(2)?, key, token, size_m: row.parse(4)? }))
+            let pose = (row.translation, row.rotation);
+            let key = ground_pose(&path, token, sample, sample.timestamp_us, pose, 0.0)?;
+            Ok(Some(Annotation { slot, instance: row.instance_token, key, token, size_m: row.size }))
         })?;
-        self.index(TABLE, rows.iter().map(|row| (row.token, ())).collect())?;
+        self.index(TABLE, rows.iter().map(|row| (row.token, ())))?;
         let instances = self.read_instances(&rows)?;
         let track =
             |group: Vec<u32>| Ok((rows[group[0] as usize].slot, self.track(&rows, &group, &instances)?));
@@ -226,23 +281,20 @@ impl Tables {
     }
 
     /// Id and category of the instances that are annotated.
-    fn read_instances(&self, rows: &[Annotation]) -> Result<TokenIndex<(String, String)>> {
-        let categories =
-            self.read("category", &["token", "name"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
-        let categories = self.index("category", categories)?;
+    fn read_instances(&self, rows: &[Annotation]) -> Result<Index<(String, String)>> {
+        let categories = self.names("category")?;
         let runs = rows.chunk_by(|a, b| a.instance == b.instance);
         let mut used: Vec<Token> = runs.map(|run| run[0].instance).collect();
         used.par_sort_unstable();
         used.dedup();
-        let rows = self.read("instance", &["token", "category_token"], |row, _| {
-            let token = row.token(0)?;
+        let rows = self.read("instance", |InstanceRow { token: text, category_token }| {
+            let token = Token::from(text.as_str());
             if used.binary_search(&token).is_err() {
                 return Ok(None);
             }
-            let (text, of) = (row.text(0)?, row.token(1)?);
-            let category = categories
-                .get(of)
-                .ok_or_else(|| self.dangling(("instance", "category_token"), &text, of, "category"))?;
+            let category = categories.get(&category_token).ok_or_else(|| {
+                self.dangling(("instance", "category_token"), &text, category_token, "category")
+            })?;
             Ok(Some((token, (text, category.clone()))))
         })?;
         self.index("instance", rows)
@@ -253,11 +305,11 @@ impl Tables {
         &self,
         rows: &[Annotation],
         group: &[u32],
-        instances: &TokenIndex<(String, String)>,
+        instances: &Index<(String, String)>,
     ) -> Result<LoggedTrack> {
         const TABLE: &str = "sample_annotation";
         let first = &rows[group[0] as usize];
-        let (instance, category) = instances.get(first.instance).cloned().ok_or_else(|| {
+        let (instance, category) = instances.get(&first.instance).cloned().ok_or_else(|| {
             self.dangling((TABLE, "instance_token"), first.token, first.instance, "instance")
         })?;
         for row in group.iter().map(|i| &rows[*i as usize]) {
@@ -286,48 +338,39 @@ impl Tables {
     ) -> Result<Vec<(Vec<Key>, Option<String>)>> {
         let (channels, rows) = self.read_key_frame_data(samples)?;
         let chosen = choose_channels(&rows, samples, channels.len(), num_scenes);
-        let wanted: Vec<(Token, u32)> = rows
+        let mut wanted: Vec<(Token, u32)> = rows
             .iter()
             .filter(|r| samples.list[r.sample as usize].slot.and_then(|s| chosen[s]) == Some(r.channel))
             .map(|r| (r.ego_pose, r.sample))
             .collect();
-        let wanted = match TokenIndex::new(wanted.clone()) {
-            Ok(wanted) => wanted,
-            // several records of one pose: it is that of the first key frame
-            Err(_) => {
-                let mut wanted = wanted;
-                wanted.par_sort_unstable();
-                wanted.dedup_by_key(|(token, _)| *token);
-                self.index("sample_data", wanted)?
-            }
-        };
+        // several records of one pose: it is that of the first key frame
+        wanted.par_sort_unstable();
+        wanted.dedup_by_key(|(token, _)| *token);
+        let places: Index<usize> =
+            self.index("sample_data", wanted.iter().map(|(token, _)| *token).zip(0..))?;
         let path = self.path("ego_pose");
-        let names = &["token", "timestamp", "translation", "rotation"];
-        let poses = self.read("ego_pose", names, |row, next| {
-            let token = row.token(0)?;
-            let Some(place) = wanted.place_from(next, token) else { return Ok(None) };
-            let sample = &samples.list[wanted.entries()[place].1 as usize];
-            let (translation, rotation) = (row.parse(2)?, row.parse(3)?);
-            let timestamp_us: i64 = row.parse(1)?;
-            if timestamp_us.abs_diff(sample.timestamp_us) > MAX_POSE_OFFSET_US {
+        let poses = self.read("ego_pose", |EgoPoseRow { token, timestamp, translation, rotation }| {
+            let Some(&place) = places.get(&token) else { return Ok(None) };
+            let sample = &samples.list[wanted[place].1 as usize];
+            if timestamp.abs_diff(sample.timestamp_us) > MAX_POSE_OFFSET_US {
                 let expected = "within 0.25 s of its sample's";
-                return Err(NuscenesError::value(&path, token, "timestamp", timestamp_us, expected));
+                return Err(NuscenesError::value(&path, token, "timestamp", timestamp, expected));
             }
-            let key = ground_pose(&path, token, sample, timestamp_us, translation, rotation, ahead_m)?;
+            let key = ground_pose(&path, token, sample, timestamp, (translation, rotation), ahead_m)?;
             Ok(Some((place, sample.slot, key)))
         })?;
         let mut egos: Vec<Vec<Key>> = vec![Vec::new(); num_scenes];
-        let mut found = vec![false; wanted.entries().len()];
+        let mut found = vec![false; wanted.len()];
         for (place, slot, key) in poses {
             if std::mem::replace(&mut found[place], true) {
-                return Err(self.duplicate("ego_pose", "token", wanted.entries()[place].0));
+                return Err(self.duplicate("ego_pose", "token", wanted[place].0));
             }
             if let Some(slot) = slot {
                 egos[slot].push(key);
             }
         }
         if let Some(place) = found.iter().position(|found| !found) {
-            let (token, sample) = wanted.entries()[place];
+            let (token, sample) = wanted[place];
             let of = format!("of sample {}", samples.list[sample as usize].token);
             return Err(self.dangling(("sample_data", "ego_pose_token"), of, token, "ego_pose"));
         }
@@ -344,43 +387,38 @@ impl Tables {
 
     /// Channel names, most wanted first, and the key-frame sample_data of the wanted scenes.
     fn read_key_frame_data(&self, samples: &Samples) -> Result<(Vec<String>, Vec<KeyFrameData>)> {
-        let sensors =
-            self.read("sensor", &["token", "channel"], |row, _| Ok(Some((row.token(0)?, row.text(1)?))))?;
+        let sensors = self.names("sensor")?;
         let rank = |channel: &str| match channel {
             "LIDAR_TOP" => 0,
             "CAM_FRONT" => 1,
             _ => 2,
         };
-        let mut channels: Vec<String> = sensors.iter().map(|(_, channel)| channel.clone()).collect();
+        let mut channels: Vec<String> = sensors.values().cloned().collect();
         channels.sort_by(|a, b| (rank(a), a).cmp(&(rank(b), b)));
         channels.dedup();
-        let sensors = self.index("sensor", sensors)?;
-        let calibrated = self.read("calibrated_sensor", &["token", "sensor_token"], |row, _| {
-            let (token, of) = (row.token(0)?, row.token(1)?);
-            let channel = sensors
-                .get(of)
-                .ok_or_else(|| self.dangling(("calibrated_sensor", "sensor_token"), token, of, "sensor"))?;
-            Ok(Some((token, channels.iter().position(|c| c == channel).unwrap_or(0) as u16)))
-        })?;
+        let calibrated =
+            self.read("calibrated_sensor", |CalibratedSensorRow { token, sensor_token: of }| {
+                let channel = sensors.get(&of).ok_or_else(|| {
+                    self.dangling(("calibrated_sensor", "sensor_token"), token, of, "sensor")
+                })?;
+                Ok(Some((token, channels.iter().position(|c| c == channel).unwrap_or(0) as u16)))
+            })?;
         let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
-        let names = &["is_key_frame", "token", "sample_token", "ego_pose_token", "calibrated_sensor_token"];
-        let rows = self.read(TABLE, names, |row, next| {
-            if !row.parse::<bool>(0)? {
+        let rows = self.read(TABLE, |row: SampleDataRow| {
+            if !row.is_key_frame {
                 return Ok(None);
             }
-            let of = row.token(2)?;
-            let sample = samples.by_token.place_from(next, of).ok_or_else(|| {
-                self.dangling((TABLE, "sample_token"), row.token(1).unwrap_or_default(), of, "sample")
-            })?;
+            let (token, of, sensor) = (row.token, row.sample_token, row.calibrated_sensor_token);
+            let found = samples.by_token.get(&of);
+            let sample = *found.ok_or_else(|| self.dangling((TABLE, "sample_token"), token, of, "sample"))?;
             if samples.list[sample].slot.is_none() {
                 return Ok(None);
             }
-            let (token, sensor) = (row.token(1)?, row.token(4)?);
-            let channel = *calibrated.get(sensor).ok_or_else(|| {
+            let channel = *calibrated.get(&sensor).ok_or_else(|| {
                 self.dangling((TABLE, "calibrated_sensor_token"), token, sensor, "calibrated_sensor")
             })?;
-            Ok(Some(KeyFrameData { sample: sample as u32, channel, ego_pose: row.token(3)? }))
+            Ok(Some(KeyFrameData { sample: sample as u32, channel, ego_pose: row.ego_pose_token }))
         })?;
         Ok((channels, rows))
     }
@@ -400,8 +438,8 @@ struct Sample {
 /// All key frames, in the order of scene and time.
 struct Samples {
     list: Vec<Sample>,
-    /// In the order of the list.
-    by_token: TokenIndex<()>,
+    /// Places in the list.
+    by_token: Index<usize>,
 }
 
 struct KeyFrameData {
@@ -480,8 +518,7 @@ fn ground_pose(
     token: Token,
     sample: &Sample,
     timestamp_us: i64,
-    translation: [f64; 3],
-    rotation: [f64; 4],
+    (translation, rotation): ([f64; 3], [f64; 4]),
     ahead_m: f64,
 ) -> Result<Key> {
     let fail = |field, got: &[f64], expected| {

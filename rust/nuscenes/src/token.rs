@@ -1,97 +1,84 @@
-//! Tokens as 128-bit numbers.
+//! Tokens of records, and what is looked up by them.
 
+use serde::de::{Deserialize, Deserializer, Visitor};
 use std::fmt;
 use xxhash_rust::xxh3::xxh3_128;
 
-/// One in each of eight bytes.
-const EACH: u64 = 0x0101_0101_0101_0101;
+const BYTES: usize = 32;
 
-/// A token of the data set in 16 bytes: the value of 32 lower-case hexadecimal digits, otherwise a hash of the text.
+/// A token of the data set in the 32 bytes that official ones have: shorter texts are filled up with zeros, longer ones
+/// stand as their hash.
 ///
-/// Official tokens are of the first kind. Two different texts with one value would be reported as a duplicate or a
-/// wrong reference; with 128-bit hashes that does not happen by chance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub(crate) struct Token(pub(crate) u128);
+/// Two longer texts of one hash would be reported as a duplicate or a wrong reference; with 128 bits that does not happen
+/// by chance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub(crate) struct Token([u8; BYTES]);
 
-impl Token {
-    pub(crate) fn from_text(text: &str) -> Self {
-        Self::from_bytes(text.as_bytes())
+/// Values by token.
+#[allow(clippy::disallowed_types, reason = "looked up, never iterated over: no order is seen")]
+pub(crate) type Index<T> = std::collections::HashMap<Token, T>;
+
+/// Collects values by token.
+///
+/// # Errors
+/// The first token that is there twice.
+pub(crate) fn index<T>(rows: impl IntoIterator<Item = (Token, T)>) -> Result<Index<T>, Token> {
+    let rows = rows.into_iter();
+    let mut found = Index::with_capacity(rows.size_hint().0);
+    for (token, value) in rows {
+        if found.insert(token, value).is_some() {
+            return Err(token);
+        }
     }
+    Ok(found)
+}
 
-    /// [`Self::from_text`] without a look at the encoding.
-    pub(crate) fn from_bytes(bytes: &[u8]) -> Self {
-        Self::from_digits(bytes).unwrap_or_else(|| Self(xxh3_128(bytes)))
-    }
-
-    /// The token of 32 lower-case hexadecimal digits.
-    pub(crate) fn from_digits(bytes: &[u8]) -> Option<Self> {
-        hex_value(bytes).map(Self)
+impl From<&str> for Token {
+    fn from(text: &str) -> Self {
+        let mut bytes = [0; BYTES];
+        match bytes.get_mut(..text.len()) {
+            Some(place) => place.copy_from_slice(text.as_bytes()),
+            None => bytes.copy_from_slice(format!("{:032x}", xxh3_128(text.as_bytes())).as_bytes()),
+        }
+        Self(bytes)
     }
 }
 
-/// The value of 32 lower-case hexadecimal digits, eight of them at a time.
-fn hex_value(bytes: &[u8]) -> Option<u128> {
-    let bytes: &[u8; 32] = bytes.try_into().ok()?;
-    let (mut value, mut wrong) = (0, 0);
-    for digits in bytes.as_chunks::<8>().0 {
-        let text = u64::from_be_bytes(*digits);
-        // letters have bit 6, and 1 to 6 in their lower half
-        let lower_half = EACH * 0x0f;
-        let nibbles = ((text & lower_half) + (text >> 6 & EACH) * 9) & lower_half;
-        // what is not a digit is not what its value is written as
-        let is_letter = (nibbles + EACH * 6) >> 4 & EACH;
-        wrong |= text ^ (nibbles + EACH * 0x30 + is_letter * 0x27);
-        let pairs = (nibbles | nibbles >> 4) & 0x00ff_00ff_00ff_00ff;
-        let fours = (pairs | pairs >> 8) & 0x0000_ffff_0000_ffff;
-        value = value << 32 | u128::from((fours | fours >> 16) as u32);
+impl<'de> Deserialize<'de> for Token {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Text;
+        impl Visitor<'_> for Text {
+            type Value = Token;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a token")
+            }
+
+            fn visit_str<E>(self, text: &str) -> Result<Token, E> {
+                Ok(Token::from(text))
+            }
+        }
+        from.deserialize_str(Text)
     }
-    (wrong == 0).then_some(value)
 }
 
-/// For messages: the digits of an official token; of any other only its hash is known.
 impl fmt::Display for Token {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:032x}", self.0)
+        f.write_str(String::from_utf8_lossy(&self.0).trim_end_matches('\0'))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn digits_are_read_as_the_standard_library_reads_them(
-            value in any::<u128>(),
-            place in 0_usize..32,
-            other in any::<u8>(),
-        ) {
-            let mut text = format!("{value:032x}").into_bytes();
-            prop_assert_eq!(hex_value(&text), Some(value));
-            text[place] = other;
-            let known = std::str::from_utf8(&text).ok();
-            let known = known.filter(|t| !t.contains(|c: char| c == '+' || c.is_ascii_uppercase()));
-            prop_assert_eq!(hex_value(&text), known.and_then(|t| u128::from_str_radix(t, 16).ok()));
-        }
-    }
 
     #[test]
-    fn official_tokens_keep_their_digits_and_others_are_told_apart() {
-        let text = "00e0f9ee6f8d4170a3d22a6179f1ca3a";
-        assert_eq!(Token::from_text(text).to_string(), text);
-        let others = [
-            "",
-            "a",
-            "b",
-            "00E0F9EE6F8D4170A3D22A6179F1CA3A",
-            "00e0f9ee6f8d4170a3d22a6179f1ca3",
-            "0658b80c-8ef7-4272-bf16-150f8a32025d",
-        ];
-        let mut values: Vec<Token> = others.iter().map(|t| Token::from_text(t)).collect();
-        values.push(Token::from_text(text));
-        values.sort_unstable();
-        values.dedup();
-        assert_eq!(values.len(), others.len() + 1);
+    fn tokens_are_told_apart_and_shown_as_they_are_written() {
+        let texts = ["", "a", "b", "00e0f9ee6f8d4170a3d22a6179f1ca3a", "00E0F9EE6F8D4170A3D22A6179F1CA3A"];
+        let longer = ["0658b80c-8ef7-4272-bf16-150f8a32025d", "0658b80c-8ef7-4272-bf16-150f8a32025e"];
+        assert!(texts.iter().all(|text| Token::from(*text).to_string() == *text));
+        let tokens = || texts.iter().chain(&longer).map(|text| (Token::from(*text), ()));
+        assert_eq!(index(tokens()).map(|found| found.len()), Ok(texts.len() + longer.len()));
+        assert_eq!(index(tokens().chain([(Token::from("a"), ())])), Err(Token::from("a")));
     }
 }
