@@ -199,12 +199,6 @@ def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scene
     assert np.array_equal(make(env).reset()[0], env.reset()[0])
 
 
-def test_what_cannot_be_copied_says_what_to_do(scenes):
-    for make in (copy.deepcopy, pickle.dumps):
-        with pytest.raises(ConfigError, match="make another one"):
-            make(EgoEnv(scenes=scenes).worlds)
-
-
 def test_copies_of_rows_of_vehicles_go_on_alike(scenes):
     env = ccdiff_env.AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm", adversaries=1)
     env.reset(seed=0)

@@ -45,10 +45,6 @@ class AgentVectorEnv(OnWorlds, AsVector):
     """
 
     reset_option_names = AGENT_OPTIONS
-    _copied = (
-        "_active", "_seeded", "_np_random", "_np_random_seed", "single_observation_space",
-        "single_action_space", "observation_space", "action_space",
-    )  # fmt: skip
     metadata = {  # noqa: RUF012 (Gymnasium's form)
         "render_modes": ["rgb_array"],
         "render_fps": FPS,
@@ -81,12 +77,9 @@ class AgentVectorEnv(OnWorlds, AsVector):
             shared, options, adversary_shaping,
             agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
-        self._made |= {"num_worlds": num_worlds, "num_threads": num_threads}
         self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
         self._offer_spaces(num_worlds * self.num_slots)
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)
-
-    _make = __init__
 
     def active_masks(self) -> Bool:
         """Return the rows [E x C] whose vehicles are driven by the next actions."""

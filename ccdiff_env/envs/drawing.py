@@ -70,6 +70,10 @@ class DrawnWorld:
     _info: str
     _window: HumanRendering[Any, Any] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds: all but the window."""
+        return {name: value for name, value in vars(self).items() if name != "_window"}
+
     @property
     def config(self) -> WorldConfig:
         """Configuration of the world."""

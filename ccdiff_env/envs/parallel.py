@@ -57,7 +57,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
     """
 
-    _copied = ("_observation_spaces", "_action_spaces")
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
         "name": "ccdiff_env_multi_v0",
         "render_modes": RENDER_MODES,
@@ -91,7 +90,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
             shared, options, adversary_shaping,
             agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
-        self._made["names"] = names
         self._by_token = names == "token"
         self.max_cycles = -(-self.config.horizon_steps // self.config.decision_steps)
         self.possible_agents: list[str] = list(self._selection.names(names))
@@ -108,8 +106,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
             np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
         )
         self._slots: dict[str, int] = {}
-
-    _make = __init__
 
     def observation_space(self, agent: str) -> gymnasium.Space[Any]:
         """Return the space of an agent's observations, always the same object."""
@@ -250,9 +246,12 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
                 scenes.
         """
         Snapshot.from_bytes(snapshot).put(self.worlds, 0, seed)
-        self._go_on()
-        if not self.agents:
+        self.agents = []
+        if not self.worlds.native.begun(0):
             return {}
+        self._begin()
+        alive = self.worlds.native.slot_alive(0)
+        self.agents = [name for name in self.agents if alive[self._slots[name]]]
         rows, bev = self.worlds.observe(0)
         return self._observations(rows[None], None if bev is None else bev[None], self.agents)
 
@@ -262,10 +261,3 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         if seed is not None:
             fork.restore(fork.snapshot(), seed=seed)
         return fork
-
-    def _go_on(self) -> None:
-        self.agents = []
-        if self.worlds.native.begun(0):
-            self._begin()
-            alive = self.worlds.native.slot_alive(0)
-            self.agents = [name for name in self.agents if alive[self._slots[name]]]

@@ -1,9 +1,12 @@
-"""What every environment is made from, and copied with: worlds, planner or agents, images."""
+"""What every environment is made from: worlds, planner or agents, images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import AgentSelection, Bool
@@ -12,8 +15,7 @@ from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seated
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
-from ccdiff_env.worlds.curriculum import Criticality, FollowsTraining
-from ccdiff_env.worlds.snapshot import Snapshot
+from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.spaces import FORMS, Form
 
 InfoLevel = Literal["full", "end", "none"]
@@ -49,18 +51,16 @@ class Shared(NamedTuple):
     autoreset: Autoreset = "disabled"
 
 
-class OnWorlds(FollowsTraining):
-    """Environments, which can be copied and pickled in the middle of their episodes."""
+class OnWorlds:
+    """How environments are made, and what can be changed in them while an ego learns."""
 
     metadata: dict[str, Any]
     worlds: Worlds
     _seat: Seat | None
     _selection: AgentSelection
-    _copied: ClassVar[tuple[str, ...]]  #: Attributes that a copy has besides, where they are set.
-    _make: ClassVar[Callable[..., None]]  #: ``__init__``, whatever a subclass makes of it.
 
-    def _take(self, shared: Shared, **made: Any) -> None:
-        """Refuse choices that do not exist, and remember the others; ``made`` are further ones."""
+    def _take(self, shared: Shared) -> None:
+        """Refuse choices that do not exist."""
         if shared.observation not in FORMS:
             raise unknown("observation form", str(shared.observation), FORMS)
         if shared.info not in ("full", "end", "none"):
@@ -75,8 +75,6 @@ class OnWorlds(FollowsTraining):
         self.render_mode = shared.render_mode
         self._form: Form = shared.observation
         self._info: str = shared.info
-        kept = ("observation", "info", "render_mode", "render_options", "criticality")
-        self._made = {**{name: getattr(shared, name) for name in kept}, **made}
 
     def _play(self, shared: Shared, scenes: Scenes, config: WorldConfig) -> None:
         """Make the worlds of a configuration."""
@@ -89,9 +87,9 @@ class OnWorlds(FollowsTraining):
             criticality=shared.criticality,
         )
 
-    def _take_ego(self, shared: Shared, options: Mapping[str, Any], **made: Any) -> None:
+    def _take_ego(self, shared: Shared, options: Mapping[str, Any]) -> None:
         """Make worlds of one ego each, and its planner."""
-        self._take(shared, **made)
+        self._take(shared)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of environments with one ego per world")
@@ -102,15 +100,13 @@ class OnWorlds(FollowsTraining):
             )
         chosen = scene_set(shared.scenes)
         self._seat, config, given = seated(options, config, chosen[0].dt)
-        if self._seat is not None:
-            self._made["driver"] = options["driver"]
         self._play(shared, chosen, world_config(chosen, config, given, shared.observation))
 
     def _take_agents(
         self, shared: Shared, options: Mapping[str, Any], shaping: float, /, **choice: Any
     ) -> None:
         """Make worlds of several agents each; ``choice`` is that of :class:`AgentSelection`."""
-        self._take(shared, adversary_shaping=shaping, **choice)
+        self._take(shared)
         for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
@@ -129,24 +125,10 @@ class OnWorlds(FollowsTraining):
         names = [None if agent is None else ids[agent] for agent in agents]
         return names, self._selection.adversary_slots(scene_idx, names)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy or a pickle holds; a window is not part of it."""
-        worlds = self.worlds
-        return {
-            "made": {**self._made, "scenes": worlds.scenes, "config": worlds.config},
-            "training": self._training(),
-            "snapshots": [Snapshot.of(worlds, i) for i in range(worlds.num_worlds)],
-            "own": {name: vars(self)[name] for name in self._copied if name in vars(self)},
-        }
+    def set_progress(self, progress: float) -> None:
+        """Say how far training has come, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""
+        self.worlds.set_progress(progress)
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Rebuild the environment."""
-        self._make(**state["made"])
-        self._follow(state["training"])
-        for i, snapshot in enumerate(state["snapshots"]):
-            snapshot.put(self.worlds, i)
-        vars(self).update(state["own"])
-        self._go_on()
-
-    def _go_on(self) -> None:
-        """Take up the episodes of a copy's worlds."""
+    def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
+        """Draw scenes by weights, see :meth:`ccdiff_env.worlds.Worlds.set_scene_weights`."""
+        self.worlds.set_scene_weights(weights)

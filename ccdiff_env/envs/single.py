@@ -84,9 +84,6 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         again in a copy, in a fork and after :meth:`restore`.
     """
 
-    _copied = (
-        "_actions", "_np_random", "_np_random_seed", "spec", "observation_space", "action_space",
-    )  # fmt: skip
     metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -106,8 +103,6 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(observation)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._actions: list[bytes] | None = []
-
-    _make = __init__
 
     @property
     def scenes(self) -> SceneSet:

@@ -72,10 +72,6 @@ class EgoVectorEnv(OnWorlds, AsVector):
     """
 
     reset_option_names = EGO_OPTIONS
-    _copied = (
-        "_begun", "_seeded", "_np_random", "_np_random_seed", "spec", "single_observation_space",
-        "single_action_space", "observation_space", "action_space",
-    )  # fmt: skip
     metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
@@ -99,17 +95,12 @@ class EgoVectorEnv(OnWorlds, AsVector):
             scenes, config, observation, info, render_mode, render_options, criticality,
             num_envs, num_threads, _name(mode),
         )  # fmt: skip
-        self._take_ego(
-            shared, options,
-            num_envs=num_envs, copy=copy, num_threads=num_threads, autoreset_mode=mode,
-        )  # fmt: skip
+        self._take_ego(shared, options)
         self._offer_spaces(num_envs)
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
         self._copy = copy
         self._kept = self._arrays_for(mode)
         self._begun = np.zeros(num_envs, np.bool_)
-
-    _make = __init__
 
     @property
     def begun(self) -> bool:
@@ -132,7 +123,6 @@ class EgoVectorEnv(OnWorlds, AsVector):
         mode = _mode(autoreset_mode)
         self.worlds.set_autoreset(_name(mode))
         self.metadata = {**self.metadata, "autoreset_mode": mode}
-        self._made["autoreset_mode"] = mode
         self._kept = self._arrays_for(mode)
 
     def reset(
@@ -309,8 +299,3 @@ class EgoVectorEnv(OnWorlds, AsVector):
             self._seat.reset([world_idx])
         self._begun[world_idx] = True
         return self._keep(self._kept or self.worlds.arrays(), world_idx)
-
-    def _go_on(self) -> None:
-        if self._kept is not None:
-            for i in np.flatnonzero(self._begun):
-                self._keep(self._kept, int(i))

@@ -157,10 +157,11 @@ class Seat:
     Args:
         planner: See :class:`Planner`; a class is made with the worlds where it takes an argument.
         name: What errors call it.
+        ego: What it was found by, for copies, which take their seats again; itself by default.
     """
 
-    def __init__(self, planner: Any, name: str) -> None:
-        self.name = name
+    def __init__(self, planner: Any, name: str, ego: Ego | None = None) -> None:
+        self.name, self._ego = name, planner if ego is None else ego
         options = dict(getattr(planner, "env_options", {}))
         #: Configuration of worlds that fit.
         self.config = (options.pop("config", None) or WorldConfig()).with_options(**options)
@@ -181,6 +182,10 @@ class Seat:
             )
         if self._form == "bev" and self.config.observation.bev is None:
             self.config = self.config.with_options(bev=BevConfig())
+
+    def __reduce__(self) -> Any:
+        """Return how a copy or a pickle makes the seat."""
+        return seat_of, (self._ego,)
 
     def trained_in(self, dt_s: float) -> bool:
         """Return whether the planner's file says that it was trained in steps of so long."""
@@ -415,7 +420,7 @@ def load_sb3(path: str | os.PathLike[str]) -> Seat:
             f"policy {name}: its pickles need the module {error.name!r}; "
             f"{why or 'install it'}: load it where it was saved, or save it again there"
         ) from error
-    return Seat(_Sb3(model, name), name)
+    return Seat(_Sb3(model, name), name, path)
 
 
 def seated(
@@ -465,21 +470,26 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     """
     if isinstance(ego, str) and ego in _WORLD_DRIVERS:
         return ego, None
-    if isinstance(ego, (str, os.PathLike)):
-        name = os.fspath(ego)
-        if name.endswith(".zip") and "?" not in name:
-            return "external", load_sb3(ego)
-        if name.startswith(PREFIX):
-            return "external", Seat(nuplan_planner(name), name)
-        if ":" in name:
-            return "external", Seat(named_object(name, "planner"), name)
-        if name in BUILT_IN:
-            return "external", Seat(BUILT_IN[name], name)
-        policy = find_policy(name)
-        if policy is None:
-            raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED])
-        return "external", Seat(policy, name)
-    named = getattr(ego, "__name__", type(ego).__name__)
-    if hasattr(ego, "predict"):
-        return "external", Seat(_Sb3(ego, named), named)
-    return "external", Seat(ego, named)
+    return "external", seat_of(ego)
+
+
+def seat_of(ego: Ego) -> Seat:
+    """Return who makes the actions of an ego that no driver of the world drives."""
+    planner: Any = ego
+    if not isinstance(ego, (str, os.PathLike)):
+        name = getattr(ego, "__name__", type(ego).__name__)
+        if hasattr(ego, "predict"):
+            planner = _Sb3(ego, name)
+        return Seat(planner, name, ego)
+    name = os.fspath(ego)
+    if name.endswith(".zip") and "?" not in name:
+        return load_sb3(ego)
+    if name.startswith(PREFIX):
+        planner = nuplan_planner(name)
+    elif ":" in name:
+        planner = named_object(name, "planner")
+    else:
+        planner = BUILT_IN.get(name) or find_policy(name)
+    if planner is None:
+        raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED])
+    return Seat(planner, name, ego)

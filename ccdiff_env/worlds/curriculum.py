@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic.checked_options import check
 
-__all__ = ["Criticality", "Curriculum", "FollowsTraining", "SceneWeights"]
+__all__ = ["Criticality", "Curriculum", "SceneWeights"]
 
 #: A strength of the guidance, a range to draw it from, or shares of episodes by strength or range.
 Strength: TypeAlias = float | tuple[float, float] | Mapping[float | tuple[float, float], float]
@@ -148,30 +148,3 @@ class SceneWeights:
             )
         for scene, fails in zip(indices, bad, strict=True):
             self._failed[scene] += self._rate * (fails - self._failed[scene])
-
-
-class FollowsTraining:
-    """What can be changed in every environment while an ego learns in it."""
-
-    worlds: Any
-
-    def _training(self) -> tuple[float | None, list[float] | None]:
-        """Return what a copy follows: progress, and weights of scenes."""
-        curriculum = self.worlds.curriculum
-        progress = None if curriculum is None else curriculum.progress
-        return progress, self.worlds.scene_weights
-
-    def _follow(self, training: tuple[float | None, list[float] | None]) -> None:
-        """Follow what :meth:`_training` returned."""
-        progress, weights = training
-        if progress is not None:
-            self.set_progress(progress)
-        self.set_scene_weights(weights)
-
-    def set_progress(self, progress: float) -> None:
-        """Say how far training has come, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""
-        self.worlds.set_progress(progress)
-
-    def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:
-        """Draw scenes by weights, see :meth:`ccdiff_env.worlds.Worlds.set_scene_weights`."""
-        self.worlds.set_scene_weights(weights)

@@ -130,15 +130,9 @@ class Worlds:
         config.check_networks()
         self.scenes = scenes
         self.config = config
-        self.native = _native.VecWorld(
-            list(scenes),
-            config.to_json(),
-            num_worlds,
-            num_threads,
-            TRAIL_STEPS if trails else 0,
-            network_policies(config, scenes, min(num_threads, _num_processors())),
-            _models(config, scenes),
-        )
+        self.num_worlds = num_worlds
+        self._num_threads, self._trail_steps = num_threads, TRAIL_STEPS if trails else 0
+        self.native = self._made()
         if criticality is not None and not _models(config, scenes):
             config.guided_traffic("criticality")
         self.curriculum = None if criticality is None else Curriculum(criticality)
@@ -147,7 +141,6 @@ class Worlds:
         self._agent_ids: frozenset[str] = frozenset()
         #: Criticality that the present episode of a world was given by the curriculum.
         self.criticality: dict[int, float] = {}
-        self.num_worlds = num_worlds
         self.num_slots = config.num_slots
         self.layout = Layout.from_json(self.native.layout_json)
         self.columns = read_columns(_native.columns_json())
@@ -164,12 +157,31 @@ class Worlds:
         #: Weights by which scenes are drawn, where there are any.
         self.scene_weights: list[float] | None = None
 
-    def __reduce__(self) -> Any:
-        """Refuse copies, but for those that environments make."""
-        raise ConfigError(
-            "worlds cannot be pickled or copied: do so with their environment, or make another one "
-            "and restore(env.snapshot())"
+    def _made(self) -> _native.VecWorld:
+        """Return native worlds that have not begun."""
+        threads = min(self._num_threads, _num_processors())
+        return _native.VecWorld(
+            list(self.scenes),
+            self.config.to_json(),
+            self.num_worlds,
+            self._num_threads,
+            self._trail_steps,
+            network_policies(self.config, self.scenes, threads),
+            _models(self.config, self.scenes),
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy or a pickle holds: snapshots in place of the native worlds."""
+        taken = [self.native.snapshot(i) for i in range(self.num_worlds)]
+        return {**vars(self), "native": taken}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make the native worlds anew, in the states of the snapshots."""
+        vars(self).update(state)
+        self.native = self._made()
+        self.native.set_scene_weights(self.scene_weights)
+        for i, taken in enumerate(state["native"]):
+            self.native.restore(i, taken)
 
     def set_autoreset(self, mode: Autoreset) -> None:
         """Choose when ended worlds restart, before the first reset."""
