@@ -77,8 +77,6 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         (["--resume"], "there is no checkpoint in"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
-        (["--style", "comfort", "0", "much"], "two factors"),
-        (["--style", "comfort", "0", "2", "--anchor", "ego"], "other observations"),
     ):
         assert cli.main(["train-ego", "--out", str(out), *words]) == 2
         assert said in capsys.readouterr().err

@@ -241,7 +241,7 @@ def train(args: argparse.Namespace) -> None:
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
     prices = PRICES if isinstance(config.action.dynamics, AssistedLimits) else {}
-    config = config.with_options(reward=prices, style=args.style)
+    config = config.with_options(reward=prices)
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
@@ -253,7 +253,6 @@ def train(args: argparse.Namespace) -> None:
     for policy in policies:
         policy.check(worlds.envs[0].worlds)
     layout = worlds.envs[0].worlds.layout
-    styles = {c: args.style[c] for e in layout.entries if e.name == "style" for c in e.columns}
     agent = Agent(layout, tuple(args.noise))
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
     if saved:
@@ -275,7 +274,7 @@ def train(args: argparse.Namespace) -> None:
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
         file, about = args.out / "ego.safetensors", {"done": done}
-        save_ego(file, agent.state_dict(), fitting, about, styles)
+        save_ego(file, agent.state_dict(), fitting, about)
 
     begin = shown = kept = time.perf_counter() - done["seconds"]
     clock, first = dict.fromkeys(("worlds", "decisions", "update"), 0.0), done["decisions"]

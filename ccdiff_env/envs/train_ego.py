@@ -49,14 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--kl", type=float, default=0.1, help="price of leaving the anchor")
     parser.add_argument(
-        "--style",
-        nargs=3,
-        action="append",
-        default=[],
-        metavar=("WEIGHT", "LOW", "HIGH"),
-        help="a dial: draw and observe a factor of a weight of the reward (default: none)",
-    )
-    parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )
     parser.add_argument("--base", default="idm", help="what assisted actions change, of: idm, pdm")
@@ -84,12 +76,6 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
-    if args.style and (args.start or args.anchor not in (None, "zero")):
-        raise ConfigError("--style: a policy of other observations can be no --start or --anchor")
-    try:
-        args.style = {name: (float(low), float(high)) for name, low, high in args.style}
-    except ValueError as error:
-        raise ConfigError(f"--style: {error}, expected a weight and two factors") from None
     try:
         from ccdiff_env.envs.ppo import train
     except ModuleNotFoundError as error:

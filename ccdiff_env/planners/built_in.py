@@ -30,7 +30,7 @@ from ccdiff_env.errors import (
     unknown,
 )
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
-from ccdiff_env.planners import SHIPPED, find_policy
+from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
 from ccdiff_env.planners.rules import RULES, Arbiter, NoOp
 from ccdiff_env.system.files import read_bytes, reading
@@ -446,11 +446,9 @@ def seated(
 def is_of_package(planner: str) -> bool:
     """Return whether a text names a driver of the world or a planner of the package.
 
-    No code and no file of others is read to drive by such a name. The dials of shipped policies
-    may be set (``ego?comfort=4``).
+    No code and no file of others is read to drive by such a name.
     """
-    name, _, options = planner.partition("?")
-    return planner in (*_WORLD_DRIVERS, *BUILT_IN) or (name in SHIPPED and ":" not in options)
+    return planner in (*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED)
 
 
 def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
@@ -488,8 +486,10 @@ def seat_of(ego: Ego) -> Seat:
         planner = nuplan_planner(name)
     elif ":" in name:
         planner = named_object(name, "planner")
+    elif name in SHIPPED or name.endswith(".safetensors"):
+        planner = load(name)
+    elif name in BUILT_IN:
+        planner = BUILT_IN[name]
     else:
-        planner = BUILT_IN.get(name) or find_policy(name)
-    if planner is None:
         raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED])
     return Seat(planner, name, ego)

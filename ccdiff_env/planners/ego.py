@@ -14,11 +14,10 @@ from ccdiff_env._native import EgoNetwork
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.scenes.embedded import embedded_scenes
-from ccdiff_env.system.files import reading
 from ccdiff_env.system.tensors import write_tensors
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.fit import Fit, fitting_fields, schema_digest
-from ccdiff_env.worlds.policy_file import FITTING, FORMAT, NO_STYLE, PolicyFile, Ranges, read_policy
+from ccdiff_env.worlds.policy_file import FITTING, FORMAT, PolicyFile
 
 F32 = npt.NDArray[np.float32]
 
@@ -36,8 +35,8 @@ class EgoPolicy:
     def __init__(self, file: PolicyFile) -> None:
         #: Configuration of worlds that fit.
         self.config = WorldConfig().with_options(**file.options)
-        #: How it was trained, and the ranges of its dial: factors of reward weights by name.
-        self.about, self.styles = file.about, dict(file.styles)
+        #: How it was trained.
+        self.about = file.about
         #: What it was trained in.
         self.fit = Fit(fitting_fields(self.config), "flat", file.schema)
         worlds = _worlds(self.config)
@@ -76,7 +75,6 @@ def save_ego(
     tensors: Mapping[str, Any],
     options: Mapping[str, Any],
     about: Mapping[str, Any],
-    styles: Ranges = NO_STYLE,
 ) -> None:
     """Write a policy with all that it needs to a safetensors file.
 
@@ -86,7 +84,6 @@ def save_ego(
         options: Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy:
             :data:`FITTING`.
         about: How it was trained: what JSON can hold.
-        styles: Ranges of the ``style`` of its worlds, in the order of the observation.
 
     Raises:
         ConfigError: If an option is none of these.
@@ -105,22 +102,5 @@ def save_ego(
         "options": json.dumps(fitting_fields(config)),
         "schema": schema_digest(_worlds(config).native.layout_json),
         "about": json.dumps(about),
-        "styles": json.dumps(dict(styles)),
     }
     write_tensors(path, kept, metadata)
-
-
-def load_ego(path: str | os.PathLike[str], style: Mapping[str, float] = NO_STYLE) -> EgoPolicy:
-    """Load a policy that :func:`save_ego` wrote.
-
-    ``style`` are factors of weights of the reward, where it was trained for a range of them; 1 by
-    default.
-
-    Raises:
-        DatasetNotFoundError, DatasetError: If there is no such file, or it is damaged.
-        ConfigError: If the observations that this version makes are not those that it was trained
-            on, or it was not trained for the style.
-    """
-    found = read_policy(path, style)
-    with reading("policy", path):
-        return EgoPolicy(found)

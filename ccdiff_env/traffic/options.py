@@ -340,8 +340,6 @@ class EgosConfig(Options):
 
     #: The policy: one of those that ship, or the path of a ``.safetensors`` file.
     policy: str = "ego"
-    #: Factors of weights of its reward, where it was trained for them (in [0, 1000000]).
-    style: Mapping[str, float] = field(default_factory=dict, hash=False)
 
 
 #: The decision causal graph that the network sees.

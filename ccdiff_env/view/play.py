@@ -14,10 +14,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env import _native
+from ccdiff_env import _native, planners
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.planners.ego import EgoPolicy, load_ego
+from ccdiff_env.planners import EgoPolicy
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import DEFAULT, load
@@ -87,7 +87,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     """Return the page of some scenes, :data:`SCENES` by default, as HTML that needs nothing else;
     the module is WebAssembly, as ``tools.playground`` compiles it.
     """
-    ego = load_ego(str(files("ccdiff_env").joinpath("data/ego.safetensors")))
+    ego = planners.load("ego")
     settings = {
         **look(),
         # places of the drivers that every world has; the next is that of the network

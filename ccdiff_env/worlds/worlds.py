@@ -24,7 +24,6 @@ from ccdiff_env.errors import (
 from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import EGOS, PythonTraffic, TrafficPlan
-from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.configured import SceneChoice
@@ -96,6 +95,12 @@ def _integer(name: str, value: Any, expected: str) -> int:
     if isinstance(value, (bool, np.bool_)) or not hasattr(value, "__index__"):
         raise ConfigError(f"{name} is {value!r}, expected {expected}")
     return operator.index(value)
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, (int, float, np.number)) and np.isfinite(value):
+        return float(value)
+    raise ConfigError(f"{name} is {value!r}, expected a number")
 
 
 class Worlds:
@@ -262,9 +267,9 @@ class Worlds:
             ConfigError: If no scene is named with ego or start, or a value is of another kind.
             UnknownNameError: If the scene has no such agent.
         """
-        if style is not None:
-            check("EgosConfig", "options", {"style": style})
-        style = {name: float(value) for name, value in (style or {}).items()}
+        if style is not None and not isinstance(style, Mapping):
+            raise ConfigError(f"style is {style!r}, expected values by name")
+        style = {name: _number(f"style.{name}", factor) for name, factor in (style or {}).items()}
         if (ego is not None or start is not None) and scene_idx is None:
             raise ConfigError("options: ego and start are given without a scene")
         if start is not None:

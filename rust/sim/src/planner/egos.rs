@@ -7,14 +7,12 @@ use crate::events::off_road;
 use crate::geom::Real;
 use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use crate::options;
-use crate::options::within;
 use crate::policy::{
     AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
 };
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
-use std::collections::BTreeMap;
 
 /// Traffic of egos.
 pub const EGOS: Kind = Kind {
@@ -33,8 +31,6 @@ options! {
     pub struct EgosConfig {
         /// The policy: one of those that ship, or the path of a `.safetensors` file.
         policy: String = "ego".into();
-        /// Factors of weights of its reward, where it was trained for them.
-        style: BTreeMap<String, Real> = BTreeMap::new(), range within(0.0, 1e6);
     }
 }
 
