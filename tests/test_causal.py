@@ -1,7 +1,6 @@
 """Measures, causal graph and rankings against networkx, shapely and the released lists."""
 
 import json
-import math
 import os
 from pathlib import Path
 
@@ -109,62 +108,6 @@ def test_the_weights_of_absent_agents_do_not_count():
 
 
 CAR = [4.5, 2.0]
-RELEASED = [
-    ((30, 0, math.pi), (10, 5), 1.7),
-    ((20, 0, 0), (10, 5), 3.1),
-    ((-20, 0, 0), (5, 10), 20.0),
-    ((-20, 0, 0), (10, 5), 3.1),
-    ((20, 3.5, 0), (10, 5), 20.0),
-    ((20, 20, -math.pi / 2), (10, 10), 1.8),
-]
-
-
-@pytest.mark.parametrize(("pose", "speeds", "expected"), RELEASED)
-def test_released_ttc_gives_the_known_vectors(pose, speeds, expected):
-    x, y, heading = pose
-    args = ([[0, 0], [x, y]], [0, heading], speeds, [CAR, CAR])
-    assert causal.ttc(*args, method="released", normalised=False)[0, 1] == pytest.approx(
-        expected, abs=1e-4
-    )
-    assert causal.ttc(*args, method="released")[0, 1] == pytest.approx(
-        (20 - expected) / 20, abs=1e-5
-    )
-
-
-def released_ttc_reference(p, h, v, size):
-    """Numpy transcription of the recipe, with history steps seen in the axes of the last one."""
-    t_steps, m = h.shape
-    out = np.zeros((t_steps, m, m))
-    for i in range(m):
-        c, s = np.cos(h[-1, i]), np.sin(h[-1, i])
-        local = p @ np.array([[c, -s], [s, c]])
-        psi = h - h[-1, i]
-        d = np.abs(local - local[:, [i]])
-        dx = d[..., 0] - (size[i, 0] + size[:, 0]) / 2
-        dy = d[..., 1] - (size[i, 1] + size[:, 1]) / 2
-        vx = (v * np.cos(psi))[:, [i]] - v * np.cos(psi)
-        vy = (v * np.sin(psi))[:, [i]] - v * np.sin(psi)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            tx, ty = dx / vx, dy / vy
-        for gap, time_ in ((dx, tx), (dy, ty)):
-            time_[(gap > 0) & (time_ < 0)] = 20
-            time_[gap < 0] = 0
-        out[:, i] = np.clip(np.maximum(tx, ty), 0, 20)
-    return out
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_released_ttc_over_a_history_follows_the_recipe(seed):
-    rng = np.random.default_rng(seed)
-    p, h = rng.uniform(-40, 40, (3, 5, 2)), rng.uniform(-4, 4, (3, 5))
-    v, size = rng.uniform(0, 15, (3, 5)), rng.uniform(1, 6, (5, 2))
-    got = causal.ttc(p, h, v, size, method="released", normalised=False)
-    want = released_ttc_reference(p, h, v, size)
-    # f32 against f64: the gap of a pair may fall on either side of 0
-    close = np.isclose(got, want, rtol=2e-3, atol=2e-3)
-    assert close.mean() > 0.97
-    assert got.shape == (3, 5, 5)
 
 
 @settings(max_examples=150, deadline=None)
@@ -214,7 +157,7 @@ def test_graph_joins_within_both_thresholds_and_always_self():
     assert causal.graph(ttc_s, metres, max_ttc_s=20, max_distance_m=100).sparsity == 0
 
 
-def greedy_reference(weights, order):
+def greedy_reference(weights):
     w = np.maximum(weights, weights.T)
     np.fill_diagonal(w, 0)
     m = len(w)
@@ -227,23 +170,15 @@ def greedy_reference(weights, order):
                 clique.append(j)
         cliques[i] = clique
     own = {i: w[np.ix_(c, c)].sum() / 2 for i, c in cliques.items()}
-    held = {i: sum(i in c for c in cliques.values()) for i in vertices}
-    first = held if order == "occurrences" else {i: len(c) for i, c in cliques.items()}
-    return sorted(vertices, key=lambda i: (-first[i], -own[i], i))
+    return sorted(vertices, key=lambda i: (-len(cliques[i]), -own[i], i))
 
 
 @settings(max_examples=150, deadline=None)
-@given(measures(), st.sampled_from(["size", "occurrences"]))
-def test_greedy_cliques_follow_the_algorithm(measure, order):
-    assert causal.rank_greedy(measure[0], order=order, top_k=99) == greedy_reference(
-        measure[0], order
-    )
-
-
-def test_greedy_ranking_sees_attention_only_through_the_graph():
-    joined = np.array([[1, 1, 0], [0, 1, 0], [0, 0, 1]], bool)
-    attention = np.array([[0.1, 0.2, 0.7], [0.2, 0.1, 0.7], [0.5, 0.4, 0.1]])
-    assert causal.rank_greedy(joined, attention) == [0, 1]
+@given(measures())
+def test_greedy_cliques_follow_the_algorithm(measure):
+    valid = [True] * measure.shape[-1]
+    found = causal.rank("greedy", top_k=99, valid=valid, weights=measure[0])
+    assert found.agents[: found.num_named] == greedy_reference(measure[0])
 
 
 def test_distance_ranking_counts_cliques_of_near_agents():
@@ -276,8 +211,8 @@ def test_short_rankings_are_filled_by_contact_then_distance_then_index():
 def test_bad_input_is_refused_with_the_offending_part():
     with pytest.raises(ShapeError, match="heading"):
         causal.ttc([[0, 0]], [0, 1], [0], [CAR])
-    with pytest.raises(UnknownNameError, match="swept"):
-        causal.ttc([[0, 0]], [0], [0], [CAR], method="swept")
+    with pytest.raises(ConfigError, match=r"rank\.weights"):
+        causal.rank("greedy", top_k=1, valid=[True])
     with pytest.raises(ConfigError, match=r"rank\.threshold"):
         cliques(np.zeros((1, 2, 2)), threshold=-1)
     with pytest.raises(ConfigError, match="normalised"):

@@ -362,7 +362,7 @@ def scene(valid):
 
 def ranked(valid):
     measure = np.abs(np.stack([part[:A] for part in states()])).astype(np.float32)
-    return _native.causal_rank("first", 2, valid, measure, measure, None, None, 0, (3.0, 1, 2, 9))
+    return _native.causal_rank("first", 2, valid, measure, measure, *[None] * 3, 0, (3.0, 1, 2, 9))
 
 
 def drawn(**flags):
@@ -389,8 +389,10 @@ def stepped(active):
 AREA = [([[-5.0, -5.0], [5.0, -5.0], [5.0, 5.0], [-5.0, 5.0]], [])]
 #: Call with the flags of an argument, and those flags.
 CASES = {
-    "causal_ttc.valid": (lambda m: _native.causal_ttc(*states(), *SIZES, m, "oriented"), VALID),
-    "causal_distance.valid": (lambda m: _native.causal_distance(*states()[:2], m), VALID),
+    "causal_pairs.valid": (
+        lambda m: _native.causal_pairs(True, np.dstack(states()), np.stack(SIZES, 1), m),
+        VALID,
+    ),
     "causal_rank.valid": (ranked, SOME),
     "render_arrays.collided": (lambda m: drawn(collided=m), SOME),
     "render_arrays.parked": (lambda m: drawn(parked=m), SOME),
@@ -398,10 +400,6 @@ CASES = {
     "Trajectories.__new__.valid": (
         lambda m: motion(m).comfort("body", 1),
         np.ascontiguousarray(VALID.T),
-    ),
-    "Trajectories.over_speed.counted": (
-        lambda m: motion(VALID.T.copy()).over_speed(1.0, 0.1, m),
-        SOME,
     ),
     "Scene.from_arrays.valid": (scene, np.ascontiguousarray(VALID.T)),
     "VecWorld.step.active": (stepped, SOME),

@@ -26,8 +26,7 @@ GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
 
 __all__ = [
     "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "Graph",
-    "Ranking", "apart", "distance", "graph", "normalise_distance", "normalise_ttc", "rank",
-    "rank_greedy", "ttc",
+    "Ranking", "apart", "distance", "graph", "normalise_distance", "normalise_ttc", "rank", "ttc",
 ]  # fmt: skip
 
 
@@ -73,10 +72,15 @@ def apart(elevation_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return gaps > _native.LEVEL_M
 
 
-def _part(
-    pairs: npt.NDArray[np.float32], elevation_m: npt.ArrayLike | None, none: float
+def _pairs(
+    states: npt.NDArray[np.float32],
+    sizes: npt.NDArray[np.float32],
+    there: npt.NDArray[np.bool_],
+    elevation_m: npt.ArrayLike | None,
+    none: float,
 ) -> npt.NDArray[np.float32]:
-    """Write into measures of pairs [T, M, M] what holds between levels."""
+    """Return times to contact, or distances where ``none`` is infinite; ``none`` between levels."""
+    pairs = _native.causal_pairs(none == TTC_CAP_S, states, sizes, there)
     if elevation_m is not None:
         heights, _ = _history("elevation_m", elevation_m, np.float32, 2)
         expect_shape("elevation_m", heights, pairs.shape[:2])
@@ -92,10 +96,9 @@ def ttc(
     valid: npt.ArrayLike | None = None,
     *,
     elevation_m: npt.ArrayLike | None = None,
-    method: Literal["oriented", "released"] = "oriented",
     normalised: bool = True,
 ) -> npt.NDArray[np.float32]:
-    """Compute the times to contact of all pairs of agents.
+    """Compute the times to contact of all pairs of agents that keep their velocities.
 
     Args:
         position: [M, 2] or [T, M, 2], metres, T oldest first. Agents whose position is not finite
@@ -106,9 +109,6 @@ def ttc(
         valid: bool [M] or [T, M], optional; agents that are not valid meet nobody.
         elevation_m: [M] or [T, M], metres, in scenes with levels; agents more than 2.5 m higher or
             lower meet nobody.
-        method: ``"oriented"`` sweeps oriented boxes at constant velocity and is symmetric;
-            ``"released"`` repeats the arithmetic of the authors' release with its quirks. Over a
-            history the released recipe uses the axes of each row's agent at the last step.
         normalised: give (20 - ttc) / 20, 1 for contact now and 0 for 20 s or later, in place of
             seconds.
 
@@ -117,7 +117,6 @@ def ttc(
 
     Raises:
         ShapeError: Where shapes do not agree.
-        UnknownNameError: For another method.
 
     Examples:
         Two cars nose to nose, 30 m apart, closing at 15 m/s, 4.5 m long:
@@ -130,22 +129,13 @@ def ttc(
     points, there, single = _states(position, valid)
     headings, _ = _history("heading", heading, np.float32, 2)
     speeds, _ = _history("speed", speed, np.float32, 2)
-    sizes = np.asarray(size, dtype=np.float32)
+    sizes = np.ascontiguousarray(size, dtype=np.float32)
     shape = points.shape[:2]
     expect_shape("heading", headings, shape)
     expect_shape("speed", speeds, shape)
     expect_shape("size", sizes, (shape[1], 2))
-    seconds: npt.NDArray[np.float32] = _native.causal_ttc(
-        np.ascontiguousarray(points[..., 0]),
-        np.ascontiguousarray(points[..., 1]),
-        headings,
-        speeds,
-        np.ascontiguousarray(sizes[:, 0]),
-        np.ascontiguousarray(sizes[:, 1]),
-        there,
-        method,
-    )
-    seconds = _part(seconds, elevation_m, TTC_CAP_S)
+    states = np.dstack([points, headings, speeds])
+    seconds = _pairs(states, sizes, there, elevation_m, TTC_CAP_S)
     out = normalise_ttc(seconds) if normalised else seconds
     return out[0] if single else out
 
@@ -170,10 +160,8 @@ def distance(
         2.5 m apart, are infinitely far apart.
     """
     points, there, single = _states(position, valid)
-    metres: npt.NDArray[np.float32] = _native.causal_distance(
-        np.ascontiguousarray(points[..., 0]), np.ascontiguousarray(points[..., 1]), there
-    )
-    metres = _part(metres, elevation_m, np.inf)
+    states = np.pad(points, [(0, 0), (0, 0), (0, 2)])
+    metres = _pairs(states, np.zeros(points.shape[1:], np.float32), there, elevation_m, np.inf)
     out = normalise_distance(metres) if normalised else metres
     return out[0] if single else out
 
@@ -233,34 +221,6 @@ def graph(
     return Graph(adjacency=joined, sparsity=float(np.float32(1.0) - share))
 
 
-def rank_greedy(
-    graph: npt.ArrayLike,
-    attention: npt.ArrayLike | None = None,
-    *,
-    order: Literal["size", "occurrences"] = "size",
-    top_k: int = 10,
-) -> list[int]:
-    """Rank agents by cliques grown greedily from each of them on G times attention, the paper's
-    algorithm.
-
-    Args:
-        graph: [M, M], true (or positive) where joined.
-        attention: [M, M], at least 0; 1 everywhere if absent.
-        order: ``"size"`` sorts by the size of the agent's own clique, then its weight;
-            ``"occurrences"`` by the number of grown cliques that hold the agent.
-        top_k: agents to return at most; agents without a neighbour are left out.
-    """
-    weights = np.asarray(graph, dtype=np.float64)
-    if attention is not None:
-        factors = np.asarray(attention, dtype=np.float64)
-        expect_shape("attention", factors, weights.shape)
-        weights = weights * factors
-    if weights.ndim != 2:
-        raise ShapeError(f"graph has shape {weights.shape}, expected [M, M]")
-    ranked: list[int] = _native.causal_greedy_order(np.ascontiguousarray(weights), order)
-    return ranked[: max(top_k, 0)]
-
-
 @dataclass(frozen=True)
 class Ranking:
     """Key agents, most important first."""
@@ -271,7 +231,7 @@ class Ranking:
 
 
 def rank(
-    ranker: Literal["cliques", "distance_cliques", "first", "random", "listed", "scores"],
+    ranker: Literal["cliques", "distance_cliques", "greedy", "first", "random", "listed", "scores"],
     *,
     top_k: int,
     valid: npt.ArrayLike,
@@ -279,6 +239,7 @@ def rank(
     distance: npt.ArrayLike | None = None,
     agents: Sequence[int] | None = None,
     scores: npt.ArrayLike | None = None,
+    weights: npt.ArrayLike | None = None,
     seed: int = 0,
     threshold: float = 0.0,
     min_size: int = 2,
@@ -296,8 +257,9 @@ def rank(
     Args:
         ranker: ``"cliques"`` and ``"distance_cliques"`` count in how many of the heaviest cliques
             of every step an agent takes part, equal counts in the order of first appearance,
-            ``"first"`` takes agents in their order, ``"random"`` shuffles by the seed, ``"listed"``
-            takes ``agents``, ``"scores"`` sorts by falling ``scores``.
+            ``"greedy"`` sorts by the clique grown greedily from each agent on ``weights`` (the
+            paper's algorithm), ``"first"`` takes agents in their order, ``"random"`` shuffles by
+            the seed, ``"listed"`` takes ``agents``, ``"scores"`` sorts by falling ``scores``.
         top_k: agents to choose; fewer only where fewer are there.
         valid: bool [M], whether an agent is there.
         ttc, distance: [T, M, M] or [M, M], normalised, NaN for absent agents; for their rankers and
@@ -305,6 +267,7 @@ def rank(
         agents: a list, as of a person, for ``"listed"``.
         scores: [M], for ``"scores"``, such as the alignment of the gradients of realism and
             guidance.
+        weights: [M, M], the causal graph times attention, at least 0, for ``"greedy"``.
         seed: for ``"random"``.
         threshold: at least 0.
         min_size: smallest clique that counts.
@@ -338,6 +301,7 @@ def rank(
         pairs("distance", distance),
         None if agents is None else [int(agent) for agent in agents],
         None if scores is None else np.ascontiguousarray(scores, dtype=np.float32),
+        None if weights is None else np.ascontiguousarray(weights, dtype=np.float32),
         seed,
         (threshold, min_size, top_per_frame, node_limit),
     )

@@ -299,4 +299,4 @@ class Motion:
             counted: bool [A], agents asked for; all if absent.
         """
         mask = self._mask("counted", counted, True)
-        return np.asarray(self._native.over_speed(limit_mps, at_least_s, mask), dtype=bool)
+        return mask & np.asarray(self._native.over_speed(limit_mps, at_least_s), dtype=bool)

@@ -1,12 +1,13 @@
 //! Bindings of `ccdiff_sim::causal`: measures, the decision causal graph, rankings.
 
 use crate::enter::flags;
-use ccdiff_bridge::errors::{from_sim, py::ShapeError, py::UnknownNameError};
+use ccdiff_bridge::errors::{from_sim, py::UnknownNameError};
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
-use ccdiff_sim::causal::measures::{AgentFrame, AgentHistory, Ttc};
-use ccdiff_sim::causal::rank::{
-    CliqueSettings, GreedyOrder, RankInput, Ranker, Ranking, clique_occurrences, greedy_order,
-};
+use ccdiff_sim::causal::measures::{Moving, distance_m, ttc_s};
+use ccdiff_sim::causal::rank::{CliqueSettings, RankInput, Ranker, Ranking};
+use ccdiff_sim::check_length;
+use ccdiff_sim::geom::{Pose2, Vector2};
+use ccdiff_sim::state::Footprint;
 use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
@@ -17,89 +18,41 @@ use pyo3::prelude::*;
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let GraphThresholds { ttc_s, distance_m } = GraphThresholds::PAPER;
     module.add("GRAPH_THRESHOLDS", (ttc_s, distance_m))?;
-    module.add_function(wrap_pyfunction!(causal_ttc, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_distance, module)?)?;
+    module.add_function(wrap_pyfunction!(causal_pairs, module)?)?;
     module.add_function(wrap_pyfunction!(causal_graph, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_clique_occurrences, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_greedy_order, module)?)?;
     module.add_function(wrap_pyfunction!(causal_rank, module)?)
 }
 
-fn unknown(what: &str, got: &str, expected: &str) -> PyErr {
-    UnknownNameError::new_err(format!("unknown {what} {got:?}, expected {expected}"))
-}
-
-/// M of [M, M] or [T, M, M].
-fn square(what: &str, shape: &[usize]) -> PyResult<usize> {
-    match shape {
-        [.., rows, columns] if rows == columns => Ok(*rows),
-        _ => Err(ShapeError::new_err(format!("{what} has shape {shape:?}, expected [..., M, M]"))),
-    }
-}
-
-type States<'py> = PyReadonlyArray2<'py, f32>;
-type Sizes<'py> = PyReadonlyArray1<'py, f32>;
-
-/// The recorded states [T, M] of agents with their sizes [M].
-fn history<'a>(
-    [x, y, heading, speed]: [&'a States<'_>; 4],
-    [length, width]: [&'a Sizes<'_>; 2],
-    valid: &'a [bool],
-) -> PyResult<AgentHistory<'a>> {
-    AgentHistory::new(AgentFrame {
-        x_m: x.as_slice()?,
-        y_m: y.as_slice()?,
-        heading_rad: heading.as_slice()?,
-        speed_mps: speed.as_slice()?,
-        length_m: length.as_slice()?,
-        width_m: width.as_slice()?,
-        valid,
-        apart: &[],
-    })
-    .map_err(from_sim)
-}
-
-/// Times to contact [T, M, M], seconds, from states [T, M] and sizes [M].
+/// Times to contact, seconds, or distances of the centres, metres, [T, M, M], from states x, y, heading, speed [T, M, 4] and
+/// sizes [M, 2].
 #[pyfunction]
-fn causal_ttc<'py>(
+fn causal_pairs<'py>(
     py: Python<'py>,
-    x: States<'py>,
-    y: States<'py>,
-    heading: States<'py>,
-    speed: States<'py>,
-    length: Sizes<'py>,
-    width: Sizes<'py>,
+    of_contact: bool,
+    states: PyReadonlyArray3<'py, f32>,
+    sizes: PyReadonlyArray2<'py, f32>,
     valid: PyReadonlyArray2<'py, bool>,
-    method: &str,
 ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let ttc = match method {
-        "oriented" => Ttc::Oriented,
-        "released" => Ttc::Released,
-        _ => return Err(unknown("TTC method", method, "\"oriented\" or \"released\"")),
-    };
+    let (num_steps, num_agents) = (states.shape()[0], sizes.shape()[0]);
     let valid = flags(&valid)?;
-    let history = history([&x, &y, &heading, &speed], [&length, &width], &valid)?;
-    let out = py.detach(|| history.ttc_s(ttc));
-    let shape = [x.shape()[0], history.num_agents(), history.num_agents()];
-    PyArray1::from_vec(py, out).reshape(shape)
-}
-
-/// Distances of the centres [T, M, M], metres, from states [T, M].
-#[pyfunction]
-fn causal_distance<'py>(
-    py: Python<'py>,
-    x: States<'py>,
-    y: States<'py>,
-    valid: PyReadonlyArray2<'py, bool>,
-) -> PyResult<Bound<'py, PyArray3<f32>>> {
-    let (num_agents, valid) = (x.shape()[1], flags(&valid)?);
-    let (zeros, sizes) = (vec![0.0; x.len()], vec![0.0; num_agents]);
-    let (x_m, y_m) = (x.as_slice()?, y.as_slice()?);
-    let (heading_rad, speed_mps, length_m, width_m) = (&zeros[..], &zeros[..], &sizes[..], &sizes[..]);
-    let frame = AgentFrame { x_m, y_m, heading_rad, speed_mps, length_m, width_m, valid: &valid, apart: &[] };
-    let history = AgentHistory::new(frame).map_err(from_sim)?;
-    let out = history.distance_m().map_err(from_sim)?;
-    PyArray1::from_vec(py, out).reshape([x.shape()[0], num_agents, num_agents])
+    let (states, sizes) = (states.as_slice()?.as_chunks::<4>().0, sizes.as_slice()?.as_chunks::<2>().0);
+    for (what, got) in [("states", states.len()), ("sizes", num_steps * sizes.len()), ("valid", valid.len())]
+    {
+        check_length(what, got, num_steps * num_agents).map_err(from_sim)?;
+    }
+    let moving = |k: usize| -> Moving {
+        let ([x, y, heading_rad, speed_mps], [length_m, width_m]) = (states[k], sizes[k % num_agents]);
+        let pose = Pose2::new(x, y, heading_rad);
+        let velocity = pose.rotate(Vector2::new(speed_mps, 0.0));
+        valid[k].then(|| (Footprint::new(length_m, width_m).at(&pose), velocity))
+    };
+    let measure = if of_contact { ttc_s } else { distance_m };
+    let at_step = |t: usize| {
+        let agents: Vec<Moving> = (t * num_agents..(t + 1) * num_agents).map(moving).collect();
+        measure(&agents, &[])
+    };
+    let out = py.detach(|| (0..num_steps).flat_map(at_step).collect());
+    PyArray1::from_vec(py, out).reshape([num_steps, num_agents, num_agents])
 }
 
 /// The decision causal graph [M, M].
@@ -111,49 +64,16 @@ fn causal_graph<'py>(
     max_ttc_s: f32,
     max_distance_m: f32,
 ) -> PyResult<Bound<'py, PyArray2<bool>>> {
-    let num_agents = square("ttc_s", ttc_s.shape())?;
+    let num_agents = ttc_s.shape()[0];
     let thresholds = GraphThresholds { ttc_s: max_ttc_s, distance_m: max_distance_m };
     let graph = CausalGraph::from_measures(num_agents, ttc_s.as_slice()?, distance_m.as_slice()?, thresholds)
         .map_err(from_sim)?;
     PyArray1::from_slice(py, graph.as_slice()).reshape([num_agents, num_agents])
 }
 
-/// Agents, their counts, cliques counted, and whether every search was completed.
-#[pyfunction]
-fn causal_clique_occurrences(
-    py: Python<'_>,
-    measure: PyReadonlyArray3<'_, f64>,
-    threshold: f64,
-    min_size: usize,
-    top_per_frame: usize,
-    node_limit: usize,
-) -> PyResult<(Vec<usize>, Vec<usize>, usize, bool)> {
-    let num_agents = square("measure", measure.shape())?;
-    let settings = CliqueSettings { threshold, min_size, top_per_frame, node_limit };
-    let matrices = measure.as_slice()?;
-    let found = py.detach(|| clique_occurrences(num_agents, matrices, &settings)).map_err(from_sim)?;
-    let (agents, counts) = found.counts.into_iter().unzip();
-    Ok((agents, counts, found.num_cliques, found.exact))
-}
-
-fn greedy_order_named(order: &str) -> PyResult<GreedyOrder> {
-    match order {
-        "size" => Ok(GreedyOrder::SizeThenWeight),
-        "occurrences" => Ok(GreedyOrder::Occurrences),
-        _ => Err(unknown("greedy order", order, "\"size\" or \"occurrences\"")),
-    }
-}
-
-/// Agents by the cliques grown greedily from each of them.
-#[pyfunction]
-fn causal_greedy_order(weights: PyReadonlyArray2<'_, f64>, order: &str) -> PyResult<Vec<usize>> {
-    let num_agents = square("weights", weights.shape())?;
-    greedy_order(num_agents, weights.as_slice()?, greedy_order_named(order)?).map_err(from_sim)
-}
-
 /// Key agents by a named ranker, filled up; how many the ranker named; whether clique searches were completed.
 #[pyfunction]
-#[pyo3(signature = (ranker, top_k, valid, ttc, distance, agents, scores, seed, settings))]
+#[pyo3(signature = (ranker, top_k, valid, ttc, distance, agents, scores, weights, seed, settings))]
 fn causal_rank(
     py: Python<'_>,
     ranker: &str,
@@ -163,6 +83,7 @@ fn causal_rank(
     distance: Option<PyReadonlyArray3<'_, f32>>,
     agents: Option<Vec<usize>>,
     scores: Option<PyReadonlyArray1<'_, f32>>,
+    weights: Option<PyReadonlyArray2<'_, f32>>,
     seed: u64,
     settings: (f64, usize, usize, usize),
 ) -> PyResult<(Vec<usize>, usize, bool)> {
@@ -171,14 +92,16 @@ fn causal_rank(
     let ranker = match ranker {
         "cliques" => Ranker::CliqueOccurrence(settings),
         "distance_cliques" => Ranker::DistanceCliques(settings),
+        "greedy" => Ranker::Greedy,
         "first" => Ranker::FirstK,
         "random" => Ranker::Random { seed },
         "listed" => Ranker::Listed(agents.unwrap_or_default()),
         "scores" => Ranker::Scores,
         _ => {
-            let expected =
-                "\"cliques\", \"distance_cliques\", \"first\", \"random\", \"listed\" or \"scores\"";
-            return Err(unknown("ranker", ranker, expected));
+            return Err(UnknownNameError::new_err(format!(
+                "unknown ranker {ranker:?}, expected \"cliques\", \"distance_cliques\", \"greedy\", \"first\", \
+                 \"random\", \"listed\" or \"scores\""
+            )));
         }
     };
     let input = RankInput {
@@ -186,7 +109,7 @@ fn causal_rank(
         ttc: ttc.as_ref().map_or(Ok(&[][..]), |a| a.as_slice())?,
         distance: distance.as_ref().map_or(Ok(&[][..]), |a| a.as_slice())?,
         scores: scores.as_ref().map(|a| a.as_slice()).transpose()?,
-        ..RankInput::default()
+        weights: weights.as_ref().map(|a| a.as_slice()).transpose()?,
     };
     let Ranking { agents, num_named, exact } = py.detach(|| ranker.rank(&input, top_k)).map_err(from_sim)?;
     Ok((agents, num_named, exact))

@@ -7,7 +7,7 @@ use crate::networks::kind::NetworkKind;
 use crate::networks::planner::PlanOptions;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use crate::sampling::sampler::SampleOptions;
-use ccdiff_sim::causal::rank::{CliqueSettings, GreedyOrder, Ranker};
+use ccdiff_sim::causal::rank::{CliqueSettings, Ranker};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{CRITICALITY, Form, Setting, within};
 use ccdiff_sim::policy::{Kind, WorldView};
@@ -343,7 +343,7 @@ impl CcdiffConfig {
         match &self.ranking {
             Ranking::Cliques => Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL),
             Ranking::DistanceCliques => Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL),
-            Ranking::Greedy => Ranker::Greedy(GreedyOrder::default()),
+            Ranking::Greedy => Ranker::Greedy,
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },
             Ranking::Ttc | Ranking::Gradient => Ranker::Scores,

@@ -3,7 +3,6 @@
 use super::config::{CcdiffConfig, Conflict, ParkedRule};
 use crate::error::Result;
 use crate::inputs::features::{Window, route_ahead};
-use ccdiff_sim::causal::graph::CausalGraph;
 use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
 use ccdiff_sim::geom::{Pose2, Real};
@@ -31,12 +30,10 @@ pub(super) struct PlannedAgents {
 /// What the network says about the importance of agents, where a ranking asks for it.
 #[derive(Debug, Default)]
 pub(super) struct RankingInputs {
-    /// Attention [M, M].
-    pub(super) attention: Option<Vec<Real>>,
+    /// The decision causal graph G times attention [M, M].
+    pub(super) weights: Option<Vec<Real>>,
     /// Alignment of the gradients of realism and guidance, or how soon there is contact, [M].
     pub(super) scores: Option<Vec<Real>>,
-    /// The decision causal graph G.
-    pub(super) graph: Option<CausalGraph>,
 }
 
 /// Whether an agent is the ego or driven from outside.
@@ -132,13 +129,10 @@ impl PlannedAgents {
     }
 
     /// How soon each agent meets one of `collision_targets`, [M]; the greater the sooner, below those who meet none.
-    ///
-    /// # Errors
-    /// What the distances refuse.
-    pub(super) fn contact_scores(&self, collision_targets: &[bool]) -> Result<Vec<Real>> {
+    pub(super) fn contact_scores(&self, collision_targets: &[bool]) -> Vec<Real> {
         let m = self.agents.len();
         let now = (self.window.num_steps - 1) * m * m;
-        let distance_m = self.window.distance_m()?;
+        let distance_m = self.window.distance_m();
         let least = |of: &[Real], row: usize| {
             let targets = (0..m).filter(|t| *t != row && collision_targets[*t]);
             targets.map(|t| of[now + row * m + t]).fold(Real::INFINITY, Real::min)
@@ -147,7 +141,7 @@ impl PlannedAgents {
             ttc_s if ttc_s < TTC_CAP_S => 1.0 / (1.0 + ttc_s),
             _ => -least(&distance_m, row),
         };
-        Ok((0..m).map(score).collect())
+        (0..m).map(score).collect()
     }
 
     /// Tells the network the routes of the vehicles that this policy drives.
@@ -178,15 +172,14 @@ impl PlannedAgents {
         ranking_inputs: &RankingInputs,
     ) -> Result<Vec<usize>> {
         let ttc: Vec<Real> = self.window.ttc_s.iter().copied().map(normalised_ttc).collect();
-        let distance: Vec<Real> = self.window.distance_m()?.into_iter().map(normalised_distance).collect();
+        let distance: Vec<Real> = self.window.distance_m().into_iter().map(normalised_distance).collect();
         let m = self.agents.len();
         let now = vec![true; m];
         let input = RankInput {
             valid: &now,
             ttc: &ttc,
             distance: &distance,
-            graph: ranking_inputs.graph.as_ref(),
-            attention: ranking_inputs.attention.as_deref(),
+            weights: ranking_inputs.weights.as_deref(),
             scores: ranking_inputs.scores.as_deref(),
         };
         let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();

@@ -111,7 +111,7 @@ impl PlannedTraffic {
             planned.tell_routes(world, &self.model.route_points_m);
         }
         if self.ranks(request) {
-            planned.window.measure_contacts()?;
+            planned.window.measure_contacts();
         }
         let map = self.map(world).cloned();
         let counts = |agent: &usize| match (&self.config.targets[..], self.config.collision_targets) {
@@ -158,7 +158,7 @@ impl PlannedTraffic {
         let (traffic, config) = (&*self, &self.config);
         let rank = |(d, mut inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
             if config.ranking == Ranking::Ttc {
-                inputs.scores = Some(d.planned.contact_scores(&d.collision_targets)?);
+                inputs.scores = Some(d.planned.contact_scores(&d.collision_targets));
             }
             d.ranking = if traffic.ranks(d.request) {
                 d.planned.ranking(&d.request.world, config, &inputs)?
@@ -205,9 +205,8 @@ impl PlannedTraffic {
         Ok(plans
             .into_iter()
             .map(|plan| RankingInputs {
-                attention: plan.attention_matrix(),
+                weights: Some(plan.features.graph.weights(plan.attention_matrix().as_deref())),
                 scores: plan.guidance.and_then(|g| g.conflict).map(|c| c.alignment),
-                graph: Some(plan.features.graph),
             })
             .collect())
     }

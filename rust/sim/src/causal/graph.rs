@@ -25,10 +25,7 @@ pub struct CausalGraph {
 }
 
 impl CausalGraph {
-    /// Joins pairs whose time to contact and distance both lie within the thresholds, and every agent with itself.
-    ///
-    /// # Shapes
-    /// `ttc_s`, `distance_m`: [M, M].
+    /// Joins pairs whose time to contact and distance [M, M] both lie within the thresholds, and every agent with itself.
     ///
     /// # Errors
     /// [`SimError::Length`] for a matrix that is not M * M, [`SimError::Config`] for a threshold that is negative
@@ -42,24 +39,17 @@ impl CausalGraph {
         distance_m: &[Real],
         thresholds: GraphThresholds,
     ) -> Result<Self> {
-        let pairs = num_agents * num_agents;
-        for (what, got) in [("TTC matrix", ttc_s.len()), ("distance matrix", distance_m.len())] {
-            check_length(what, got, pairs)?;
-        }
+        check_length("TTC matrix", ttc_s.len(), num_agents * num_agents)?;
+        check_length("distance matrix", distance_m.len(), num_agents * num_agents)?;
         for (field, value) in [("graph.ttc_s", thresholds.ttc_s), ("graph.distance_m", thresholds.distance_m)]
         {
             if value.is_nan() || value < 0.0 {
                 return Err(SimError::config(field, value, "at least 0"));
             }
         }
-        let mut is_edge: Vec<bool> = ttc_s
-            .iter()
-            .zip(distance_m)
-            .map(|(&t, &d)| t <= thresholds.ttc_s && d <= thresholds.distance_m)
-            .collect();
-        for i in 0..num_agents {
-            is_edge[i * num_agents + i] = true;
-        }
+        let near = |k: usize| ttc_s[k] <= thresholds.ttc_s && distance_m[k] <= thresholds.distance_m;
+        let is_self = |k: usize| k.is_multiple_of(num_agents + 1);
+        let is_edge = (0..num_agents * num_agents).map(|k| is_self(k) || near(k)).collect();
         Ok(Self { num_agents, is_edge })
     }
 
@@ -73,8 +63,15 @@ impl CausalGraph {
         &self.is_edge
     }
 
-    /// Whether j may influence i; false for indices out of range.
+    /// Whether j may influence i.
     pub fn contains(&self, i: usize, j: usize) -> bool {
-        j < self.num_agents && self.is_edge.get(i * self.num_agents + j).copied().unwrap_or(false)
+        self.is_edge[i * self.num_agents + j]
+    }
+
+    /// G times attention [M, M]: the attention of row i to column j where they are joined, else 0; 1 in place of the
+    /// attention where there is none.
+    pub fn weights(&self, attention: Option<&[Real]>) -> Vec<Real> {
+        let weight = |k: usize| attention.map_or(1.0, |a| a[k]);
+        self.is_edge.iter().enumerate().map(|(k, joined)| if *joined { weight(k) } else { 0.0 }).collect()
     }
 }

@@ -44,8 +44,8 @@ pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> R
     let poses: Vec<Pose2> = agents.iter().map(|a| window.pose(*a, now)).collect();
     let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
     let history = histories(window, &agents, &poses);
-    let ttc_now = ttc_at(window, &agents, now)?;
-    let distance_m = distance_at(window, &agents, now)?;
+    let ttc_now = ttc_at(window, &agents, now);
+    let distance_m = distance_at(window, &agents, now);
     let (graph, order) = match config.neighbour_order {
         NeighbourOrder::Urgency => {
             let edge_time_s = urgency(window, &agents, now, &ttc_now, config);
@@ -60,7 +60,7 @@ pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> R
     let token_steps = config.history_token_steps();
     let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
     for (token, step) in token_steps.iter().enumerate() {
-        let ttc = if *step == now { ttc_now.clone() } else { ttc_at(window, &agents, *step)? };
+        let ttc = if *step == now { ttc_now.clone() } else { ttc_at(window, &agents, *step) };
         for row in 0..agents.len() {
             for slot in 0..num_slots {
                 let other = neighbours[row * num_slots + slot];

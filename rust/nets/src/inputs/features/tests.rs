@@ -81,7 +81,7 @@ fn contacts_measured_for_a_ranking_are_those_that_features_measure() {
         }
     }
     let alone = build(&window, None, &config).unwrap();
-    window.measure_contacts().unwrap();
+    window.measure_contacts();
     assert_eq!(window.ttc_s.len(), config.history_steps * 16);
     assert_eq!(build(&window, None, &config).unwrap(), alone);
     // they are taken from there

@@ -1,10 +1,11 @@
 //! States of the agents of a scene over the last steps: what the network's inputs are made from.
 
 use crate::error::{ModelError, Result};
-use ccdiff_sim::causal::measures::{AgentFrame, Ttc};
+use ccdiff_sim::causal::measures::{Moving, distance_m, ttc_s};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::stage::{History, Route, apart_in_log};
+use ccdiff_sim::state::Footprint;
 
 /// States of A agents over the last H steps in the scene frame; row-major [A, H], the last step is now.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -102,24 +103,15 @@ impl Window {
     }
 
     /// Computes the times to contact of all agents at every step, once for the ranking and the network.
-    ///
-    /// # Errors
-    /// [`ModelError::Sim`] for arrays of unequal lengths.
-    pub fn measure_contacts(&mut self) -> Result<()> {
+    pub fn measure_contacts(&mut self) {
         let agents: Vec<usize> = (0..self.num_agents()).collect();
-        self.ttc_s = self.at_every_step(|step| ttc_at(self, &agents, step))?;
-        Ok(())
+        self.ttc_s = (0..self.num_steps).flat_map(|step| ttc_at(self, &agents, step)).collect();
     }
 
     /// Distances of all agents at every step, metres, [H, A, A].
-    pub fn distance_m(&self) -> Result<Vec<f32>> {
+    pub fn distance_m(&self) -> Vec<f32> {
         let agents: Vec<usize> = (0..self.num_agents()).collect();
-        self.at_every_step(|step| distance_at(self, &agents, step))
-    }
-
-    fn at_every_step(&self, matrix: impl Fn(usize) -> Result<Vec<f32>>) -> Result<Vec<f32>> {
-        let matrices = (0..self.num_steps).map(matrix).collect::<Result<Vec<_>>>()?;
-        Ok(matrices.into_iter().flatten().collect())
+        (0..self.num_steps).flat_map(|step| distance_at(self, &agents, step)).collect()
     }
 
     /// Tells the agents' routes, in the agents' order, from where they are now.
@@ -145,13 +137,7 @@ impl Window {
     /// Whether an agent's body touches another's now.
     pub fn touches_now(&self, agent: usize) -> bool {
         let now = self.num_steps - 1;
-        let body = |a: usize| OrientedBox {
-            centre: self.pose(a, now).position,
-            cos: self.pose(a, now).cos,
-            sin: self.pose(a, now).sin,
-            half_length_m: 0.5 * self.length_m[a],
-            half_width_m: 0.5 * self.width_m[a],
-        };
+        let body = |a: usize| self.body(a, now);
         let own = body(agent);
         let meets = |a: usize| a != agent && self.is_valid(a, now) && !self.is_apart(agent, a);
         (0..self.num_agents()).any(|a| meets(a) && body(a).overlaps(&own))
@@ -168,6 +154,17 @@ impl Window {
         agents.iter().flat_map(|i| agents.iter().map(|j| self.is_apart(*i, *j))).collect()
     }
 
+    /// Box of an agent at a step.
+    fn body(&self, agent: usize, step: usize) -> OrientedBox {
+        Footprint::new(self.length_m[agent], self.width_m[agent]).at(&self.pose(agent, step))
+    }
+
+    /// Some agents at a step.
+    fn moving(&self, agents: &[usize], step: usize) -> Vec<Moving> {
+        let moving = |a: usize| (self.body(a, step), self.velocity(a, step));
+        agents.iter().map(|a| self.is_valid(*a, step).then(|| moving(*a))).collect()
+    }
+
     pub(crate) fn velocity(&self, agent: usize, step: usize) -> Vector2 {
         let at = agent * self.num_steps + step;
         self.pose(agent, step).rotate(Vector2::new(self.speed_mps[at], 0.0))
@@ -179,62 +176,15 @@ impl Window {
 }
 
 /// Times to contact [M, M] of some agents at a step, those that the window has where all its agents are meant.
-pub(crate) fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
+pub(crate) fn ttc_at(window: &Window, agents: &[usize], step: usize) -> Vec<f32> {
     let pairs = agents.len() * agents.len();
     if agents.len() == window.num_agents() && window.ttc_s.len() == window.num_steps * pairs {
-        return Ok(window.ttc_s[step * pairs..(step + 1) * pairs].to_vec());
+        return window.ttc_s[step * pairs..(step + 1) * pairs].to_vec();
     }
-    let columns = Columns::new(window, agents, step);
-    let mut out = vec![0.0; agents.len() * agents.len()];
-    columns.frame()?.ttc_s(Ttc::Oriented, &columns.heading, &mut out)?;
-    Ok(out)
+    ttc_s(&window.moving(agents, step), &window.apart_of(agents))
 }
 
 /// Distances [M, M] of some agents at a step, metres.
-pub(crate) fn distance_at(window: &Window, agents: &[usize], step: usize) -> Result<Vec<f32>> {
-    let mut out = vec![0.0; agents.len() * agents.len()];
-    Columns::new(window, agents, step).frame()?.distance_m(&mut out)?;
-    Ok(out)
-}
-
-/// Columns of the chosen agents at a step.
-struct Columns {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    heading: Vec<f32>,
-    speed: Vec<f32>,
-    length: Vec<f32>,
-    width: Vec<f32>,
-    valid: Vec<bool>,
-    apart: Vec<bool>,
-}
-
-impl Columns {
-    fn new(window: &Window, agents: &[usize], step: usize) -> Self {
-        let pick = |v: &[f32]| agents.iter().map(|a| v[a * window.num_steps + step]).collect();
-        Self {
-            x: pick(&window.x_m),
-            y: pick(&window.y_m),
-            heading: pick(&window.heading_rad),
-            speed: pick(&window.speed_mps),
-            length: agents.iter().map(|a| window.length_m[*a]).collect(),
-            width: agents.iter().map(|a| window.width_m[*a]).collect(),
-            valid: agents.iter().map(|a| window.is_valid(*a, step)).collect(),
-            apart: window.apart_of(agents),
-        }
-    }
-
-    fn frame(&self) -> Result<AgentFrame<'_>> {
-        let frame = AgentFrame {
-            x_m: &self.x,
-            y_m: &self.y,
-            heading_rad: &self.heading,
-            speed_mps: &self.speed,
-            length_m: &self.length,
-            width_m: &self.width,
-            valid: &self.valid,
-            apart: &self.apart,
-        };
-        Ok(frame.checked()?)
-    }
+pub(crate) fn distance_at(window: &Window, agents: &[usize], step: usize) -> Vec<f32> {
+    distance_m(&window.moving(agents, step), &window.apart_of(agents))
 }

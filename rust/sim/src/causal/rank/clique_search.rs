@@ -30,16 +30,16 @@ impl Clique {
 
 /// What a search found.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct HeaviestCliques {
+pub(super) struct HeaviestCliques {
     /// Agent indices of the cliques, heaviest first; within a clique in the graph's node order.
-    pub cliques: Vec<Vec<usize>>,
+    pub(super) cliques: Vec<Vec<usize>>,
     /// Whether the search was completed. If not, these are the heaviest cliques seen.
-    pub exact: bool,
+    pub(super) exact: bool,
 }
 
 /// An undirected graph whose joined pairs have positive weights.
 #[derive(Debug, Clone)]
-pub struct WeightedGraph {
+pub(super) struct WeightedGraph {
     /// Agent index of every node, in node order.
     agents: Vec<usize>,
     /// Weights [N, N] in fixed-point steps, symmetric; 0 where nodes are not joined and on the diagonal.
@@ -53,7 +53,11 @@ impl WeightedGraph {
     /// not even (i, i), is no node. Values that are not numbers, of absent agents, count as 0.
     ///
     /// `measure` gives values in [0, 1] and `threshold` is at least 0.
-    pub fn from_measure(num_agents: usize, threshold: f64, measure: impl Fn(usize, usize) -> f64) -> Self {
+    pub(super) fn from_measure(
+        num_agents: usize,
+        threshold: f64,
+        measure: impl Fn(usize, usize) -> f64,
+    ) -> Self {
         let value = |i: usize, j: usize| {
             let v = measure(i, j);
             if v.is_nan() { 0.0 } else { v }
@@ -89,8 +93,7 @@ impl WeightedGraph {
         Self { agents, weights }
     }
 
-    /// Number of nodes N.
-    pub fn num_nodes(&self) -> usize {
+    fn num_nodes(&self) -> usize {
         self.agents.len()
     }
 
@@ -106,7 +109,12 @@ impl WeightedGraph {
     ///
     /// The search visits at most `node_limit` cliques; its result is the same on every machine. Sizes below 1
     /// count as 1.
-    pub fn heaviest_cliques(&self, min_size: usize, count: usize, node_limit: usize) -> HeaviestCliques {
+    pub(super) fn heaviest_cliques(
+        &self,
+        min_size: usize,
+        count: usize,
+        node_limit: usize,
+    ) -> HeaviestCliques {
         let mut search = Search {
             graph: self,
             min_size: min_size.max(1),

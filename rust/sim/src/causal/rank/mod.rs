@@ -7,13 +7,12 @@ mod clique_search;
 mod greedy;
 mod occurrence;
 
-pub use clique_search::{HeaviestCliques, WeightedGraph};
-pub use greedy::{GreedyOrder, greedy_order};
-pub use occurrence::{CliqueSettings, Occurrences, clique_occurrences};
+pub use occurrence::CliqueSettings;
 
-use super::graph::CausalGraph;
 use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
+use greedy::greedy_order;
+use occurrence::clique_occurrences;
 
 /// How key agents are found.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +22,7 @@ pub enum Ranker {
     /// The same on relative distances in place of times to contact (the ablation "Dist").
     DistanceCliques(CliqueSettings),
     /// The paper's greedy cliques on G times attention.
-    Greedy(GreedyOrder),
+    Greedy,
     /// Agents in their own order, the ego first: what the release calls random.
     FirstK,
     /// A shuffle that depends on the seed alone.
@@ -46,10 +45,8 @@ pub struct RankInput<'a> {
     pub ttc: &'a [Real],
     /// Normalised distances [T, M, M], oldest first.
     pub distance: &'a [Real],
-    /// The decision causal graph G now.
-    pub graph: Option<&'a CausalGraph>,
-    /// Attention [M, M] of row i to column j; 1 everywhere if absent.
-    pub attention: Option<&'a [Real]>,
+    /// The decision causal graph G now times attention [M, M], see [`super::graph::CausalGraph::weights`].
+    pub weights: Option<&'a [Real]>,
     /// Score of each of the M agents.
     pub scores: Option<&'a [Real]>,
 }
@@ -76,17 +73,17 @@ impl Ranker {
         let mut exact = true;
         let mut cliques = |measure: &[Real], settings: &CliqueSettings| {
             let found = clique_occurrences(num_agents, measure, settings)?;
-            exact = found.exact;
-            Ok::<_, SimError>(found.counts.into_iter().map(|(agent, _)| agent).collect())
+            exact = found.1;
+            Ok::<_, SimError>(found.0)
         };
         let named: Vec<usize> = match self {
             Self::CliqueOccurrence(settings) => cliques(input.ttc, settings)?,
             Self::DistanceCliques(settings) => cliques(input.distance, settings)?,
-            Self::Greedy(order) => greedy_order(num_agents, &graph_weights(input)?, *order)?,
+            Self::Greedy => greedy_order(num_agents, given(input.weights, "rank.weights", "greedy")?)?,
             Self::FirstK => (0..num_agents).collect(),
             Self::Random { seed } => shuffled(num_agents, *seed),
             Self::Listed(list) => listed(list, num_agents)?,
-            Self::Scores => by_falling_score(input)?,
+            Self::Scores => by_falling_score(given(input.scores, "rank.scores", "score")?, num_agents)?,
         };
         let mut agents = Vec::with_capacity(top_k.min(num_agents));
         let mut take = |candidates: Vec<usize>| {
@@ -103,20 +100,8 @@ impl Ranker {
     }
 }
 
-fn missing(what: &'static str, ranker: &str) -> SimError {
-    SimError::config(what, "nothing", format!("given for the {ranker} ranking"))
-}
-
-/// G times attention [M, M].
-fn graph_weights(input: &RankInput<'_>) -> Result<Vec<f64>> {
-    let graph = input.graph.ok_or_else(|| missing("rank.graph", "greedy"))?;
-    let pairs = input.valid.len() * input.valid.len();
-    let attention = input.attention.map_or(pairs, <[Real]>::len);
-    for (what, got) in [("graph G", graph.as_slice().len()), ("attention", attention)] {
-        check_length(what, got, pairs)?;
-    }
-    let weight = |k: usize| input.attention.map_or(1.0, |a| f64::from(a[k]));
-    Ok(graph.as_slice().iter().enumerate().map(|(k, &joined)| if joined { weight(k) } else { 0.0 }).collect())
+fn given<'a>(what: Option<&'a [Real]>, field: &'static str, ranker: &str) -> Result<&'a [Real]> {
+    what.ok_or_else(|| SimError::config(field, "nothing", format!("given for the {ranker} ranking")))
 }
 
 fn listed(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
@@ -127,9 +112,7 @@ fn listed(list: &[usize], num_agents: usize) -> Result<Vec<usize>> {
 }
 
 /// By falling score; ties to the smaller index, scores that are not numbers last.
-fn by_falling_score(input: &RankInput<'_>) -> Result<Vec<usize>> {
-    let scores = input.scores.ok_or_else(|| missing("rank.scores", "score"))?;
-    let num_agents = input.valid.len();
+fn by_falling_score(scores: &[Real], num_agents: usize) -> Result<Vec<usize>> {
     check_length("scores", scores.len(), num_agents)?;
     let key = |agent: usize| if scores[agent].is_nan() { Real::NEG_INFINITY } else { scores[agent] };
     let mut agents: Vec<usize> = (0..num_agents).collect();
@@ -183,31 +166,4 @@ fn nearness(measure: &[Real], what: &'static str, num_agents: usize) -> Result<V
         others.map(|j| last[i * num_agents + j].max(last[j * num_agents + i])).fold(0.0, Real::max)
     };
     Ok((0..num_agents).map(of_agent).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const NEAR: [Real; 16] = {
-        // agent 2 nearest to contact, then 3 (seen by agent 0 only), 0 and 1 not at all
-        let mut m = [0.0; 16];
-        m[2 * 4 + 3] = 0.9;
-        m
-    };
-
-    fn rank(ranker: &Ranker, input: &RankInput<'_>, top_k: usize) -> Vec<usize> {
-        ranker.rank(input, top_k).unwrap().agents
-    }
-
-    #[test]
-    fn short_lists_are_filled_by_contact_then_distance_then_index() {
-        let mut distance = [0.0; 16];
-        distance[1] = 0.3; // agents 0 and 1
-        let input = RankInput { valid: &[true; 4], ttc: &NEAR, distance: &distance, ..RankInput::default() };
-        let named = Ranker::Listed(vec![1]).rank(&input, 4).unwrap();
-        assert_eq!(named, Ranking { agents: vec![1, 2, 3, 0], num_named: 1, exact: true });
-        assert_eq!(rank(&Ranker::CliqueOccurrence(CliqueSettings::REFERENCE_IMPL), &input, 3), [2, 3, 0]);
-        assert_eq!(rank(&Ranker::DistanceCliques(CliqueSettings::REFERENCE_IMPL), &input, 3), [0, 1, 2]);
-    }
 }
