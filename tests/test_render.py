@@ -1,4 +1,4 @@
-"""Images of scenes and from arrays, and files: pixels against shapely and arrays."""
+"""Images of scenes and files of images: pixels and arrays."""
 
 import math
 import sys
@@ -12,100 +12,43 @@ from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError, UnknownNameError
 from ccdiff_env.view import render
 
-CAR = {"heading_rad": [0.0], "size_m": [[4.6, 1.9]]}
-GROUND = render.legend()["ground"]
+COLOURS = {name: np.array(rgb) for name, rgb in render.legend().items()}
+PLAIN = {"trails": False, "route": False, "labels": False}
 
 
-def video(num_frames: int = 6) -> np.ndarray:
-    return np.stack(
-        [
-            render.draw(
-                [[2.0 * t, 0.0]], **CAR, driver="ego", centre_m=(5, 0), span_m=40, size=(121, 81)
-            )
-            for t in range(num_frames)
-        ]
-    )
+def ring(half: float) -> np.ndarray:
+    return np.array([[-half, -half], [half, -half], [half, half], [-half, half]], np.float32)
 
 
-def test_names_and_colours_follow_the_native_table():
-    assert tuple(render.legend())[: len(render.DRIVERS)] == render.DRIVERS
+@pytest.fixture(scope="module")
+def scene() -> _native.Scene:
+    """Ego eastwards at 10 m/s on a square with a hole; a walker that is there from step 10 on."""
+    walks = {"kind": "pedestrian", "size": (0.8, 0.8, 1.8), "valid": np.arange(20) >= 10}
+    agents = agent("ego", np.arange(20.0), size=(4.6, 1.9, 1.5)), agent("walker", 5.0, 8.0, **walks)
+    layers = {"drivable_area": [{"exterior": ring(40), "holes": [ring(3) + 20]}]}
+    return array_scene(*agents, name="square", layers=layers)
+
+
+@pytest.fixture
+def frames(scene) -> np.ndarray:
+    """Six images [6, 81, 121, 3] of an ego that drives through them."""
+    steps = range(0, 12, 2)
+    return np.stack([scene.render(t, size=(121, 81), centre=(5.0, 0.0), span_m=40) for t in steps])
+
+
+def test_everything_has_a_colour_of_its_own():
     colours = {k: v for k, v in render.legend().items() if k != "outline"}  # as dark as the ink
     assert len(set(colours.values())) == len(colours)
 
 
-@pytest.mark.parametrize("driver", render.DRIVERS)
-def test_an_agent_has_the_colour_of_its_driver_and_the_ground_is_round_it(driver):
-    image = render.draw([[7.0, -3.0]], **CAR, driver=driver, size=(200, 100), span_m=20)
-    assert image.shape == (100, 200, 3)
-    assert image.dtype == np.uint8
-    assert tuple(image[50, 100]) == render.legend()[driver]
-    assert tuple(image[10, 10]) == GROUND
-
-
-def test_the_direction_given_points_to_the_top():
-    two = {"heading_rad": [0, 0], "size_m": [[4, 2], [4, 2]], "driver": ["ego", "idm"]}
-    east_up = render.draw([[0, 0], [20, 0]], **two, up_rad=0.0, size=(200, 200))
-    north_up = render.draw([[0, 0], [20, 0]], **two, size=(200, 200))
-    assert tuple(east_up[60, 100]) == tuple(north_up[100, 140]) == render.legend()["idm"]
-
-
-def test_each_thing_asked_for_changes_the_image_and_nothing_else_does():
-    base = {
-        "position_m": [[0, 0], [12, 3]],
-        "heading_rad": [0, 1],
-        "size_m": [[4.6, 1.9]] * 2,
-        "size": (160, 160),
-        "span_m": 40,
-    }
-    plain = render.draw(**base)
-    assert np.array_equal(plain, render.draw(**base))
-    line = np.stack([np.linspace(-9, 9, 20), np.full(20, 6.0)], axis=1)
-    for more in (
-        {"route_m": line},
-        {"trails": [(line, "idm")]},
-        {"samples": [(line, "ccdiff")]},
-        {"arrows": [(0, 1, 0.8)]},
-        {"collisions_m": [[-5, -5]]},
-        {"collided": [True, False]},
-        {"kind": "pedestrian"},
-        {"caption": "8.4 m/s"},
-        {"scale_bar": True},
-    ):
-        assert not np.array_equal(plain, render.draw(**base, **more)), more
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "says"),
-    [
-        ({"size": (0, 10)}, ConfigError, "0 x 10"),
-        ({"size": (10, -1)}, ConfigError, "10 x -1"),
-        ({"span_m": math.nan}, ConfigError, "metres_per_pixel"),
-        ({"centre_m": (math.nan, 0.0)}, ConfigError, "centre"),
-        ({"up_rad": math.inf}, ConfigError, "up_rad"),
-        ({"heading_rad": [math.nan]}, ConfigError, "heading of agent 0"),
-        ({"heading_rad": [0.0, 1.0]}, ShapeError, "heading_rad"),
-        ({"size_m": [[4.0, 0.0]]}, ConfigError, "size of agent 0"),
-        ({"size_m": [4.0, 2.0]}, ShapeError, "size_m"),
-        ({"driver": "nobody"}, ConfigError, "nobody"),
-        ({"kind": ["vehicle"] * 2}, ShapeError, "kind"),
-        ({"arrows": [(0, 4, 1.0)]}, ConfigError, "agent 4"),
-        ({"trails": [([[0, 0, 0]], "ego")]}, ShapeError, "trail"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused_and_named(change, error, says):
-    with pytest.raises(error, match=says):
-        render.draw([[0.0, 0.0]], **{**CAR, **change})
-
-
-def test_a_png_holds_exactly_the_image(tmp_path):
-    image = video(1)[0]
-    for frames in (image, image[None], [image]):
-        render.save(frames, tmp_path / "a.png")
+def test_a_png_holds_exactly_the_image(frames, tmp_path):
+    image = frames[0]
+    for given in (image, image[None], [image]):
+        render.save(given, tmp_path / "a.png")
         assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png").convert("RGB")), image)
 
 
-def test_a_gif_holds_all_images_at_their_rate_with_the_ego_in_its_colour(tmp_path):
-    frames = video()
+def test_a_gif_holds_all_images_at_their_rate_with_the_ego_in_its_colour(frames, tmp_path):
     render.save(iter(frames), tmp_path / "a.gif", fps=20)
     with Image.open(tmp_path / "a.gif") as gif:
         assert gif.n_frames == len(frames)
@@ -114,14 +57,13 @@ def test_a_gif_holds_all_images_at_their_rate_with_the_ego_in_its_colour(tmp_pat
             assert gif.info["duration"] == 50
             got = np.asarray(gif.convert("RGB")).astype(int)
             assert np.abs(got - frames[t]).max() < 48
-            assert np.abs(got - frames[t]).mean() < 1.0
+            assert np.abs(got - frames[t]).mean() < 4.0
 
 
-def test_an_mp4_of_odd_size_holds_all_images(tmp_path):
+def test_an_mp4_of_odd_size_holds_all_images(frames, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     import imageio.v2 as imageio
 
-    frames = video()
     render.save(frames, tmp_path / "a.mp4", fps=10)
     # The reader claims endless length: no list(reader).
     with imageio.get_reader(tmp_path / "a.mp4") as reader:
@@ -130,10 +72,10 @@ def test_an_mp4_of_odd_size_holds_all_images(tmp_path):
     assert np.abs(read[:, :81, :121].astype(int) - frames).mean() < 4.0
 
 
-def test_an_mp4_without_its_package_names_the_install_command(tmp_path, monkeypatch):
+def test_an_mp4_without_its_package_names_the_install_command(frames, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingFeatureError, match=r"imageio\[ffmpeg\]"):
-        render.save(video(), tmp_path / "a.mp4")
+        render.save(frames, tmp_path / "a.mp4")
 
 
 @pytest.mark.parametrize(
@@ -153,23 +95,6 @@ def test_frames_and_files_that_do_not_fit_are_refused(tmp_path, frames, name, fp
     with pytest.raises(error):
         render.save(frames, tmp_path / name, fps=fps)
     assert not (tmp_path / name).exists()
-
-
-COLOURS = {name: np.array(rgb) for name, rgb in render.legend().items()}
-PLAIN = {"trails": False, "route": False, "labels": False}
-
-
-def ring(half: float) -> np.ndarray:
-    return np.array([[-half, -half], [half, -half], [half, half], [-half, half]], np.float32)
-
-
-@pytest.fixture(scope="module")
-def scene() -> _native.Scene:
-    """Ego eastwards at 10 m/s on a square with a hole; a walker that is there from step 10 on."""
-    walks = {"kind": "pedestrian", "size": (0.8, 0.8, 1.8), "valid": np.arange(20) >= 10}
-    agents = agent("ego", np.arange(20.0), size=(4.6, 1.9, 1.5)), agent("walker", 5.0, 8.0, **walks)
-    layers = {"drivable_area": [{"exterior": ring(40), "holes": [ring(3) + 20]}]}
-    return array_scene(*agents, name="square", layers=layers)
 
 
 def test_the_ego_is_in_the_middle_on_the_road_and_holes_show_the_ground(scene):
@@ -204,19 +129,6 @@ def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
     assert np.array_equal(plain, scene.render(8, **PLAIN))
     for name in PLAIN:
         assert not np.array_equal(plain, scene.render(8, **{**PLAIN, name: True})), name
-
-
-def test_drawing_the_logged_agents_over_the_map_is_the_image_of_the_log(scene):
-    tracks = scene.tracks()
-    drawn = render.draw(
-        tracks["position"][:, 12],
-        scene=scene,
-        heading_rad=tracks["heading"][:, 12],
-        size_m=scene.sizes[:, :2],
-        driver=["ego", "replay"],
-        kind=scene.agent_types,
-    )
-    assert np.array_equal(drawn, scene.render(12, **PLAIN))
 
 
 @pytest.mark.parametrize(

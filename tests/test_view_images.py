@@ -12,7 +12,7 @@ from browser_page import Page
 from test_view import elements, shown_events, unpacked
 from view_rollouts import NUM_STEPS, plan_of, planned_rollout
 
-from ccdiff_env import embedded_scenes
+from ccdiff_env import _native, embedded_scenes
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import SceneSet, with_tracks
 from ccdiff_env.view import log_rollout, page_html, render, write_page
@@ -121,7 +121,7 @@ def test_arrows_lead_to_the_agent_in_the_middle_within_two_hops(monkeypatch):
     samples = np.zeros((1, 4, 5, 3), np.float32)
     plan = plan_of(0, [0, 1, 2, 3], samples[..., :2], graph=graph)
     seen = {}
-    monkeypatch.setattr(render, "draw", lambda *_, **options: seen.update(options))
+    monkeypatch.setattr(_native, "render_arrays", lambda *_, **options: seen.update(options))
     for follow, expected in (
         (0, {(1, 0): 1.0, (2, 1): 0.4}),
         (1, {(0, 1): 1.0, (2, 1): 1.0, (3, 2): 0.4}),
@@ -136,7 +136,11 @@ def test_arrows_lead_to_the_agent_in_the_middle_within_two_hops(monkeypatch):
 def test_between_two_steps_agents_are_between_their_poses(monkeypatch):
     run = planned_rollout()
     seen = {}
-    monkeypatch.setattr(render, "draw", lambda at, **options: seen.update(options, at=at))
+
+    def note(at, *_, **options):
+        seen.update(options, at=at)
+
+    monkeypatch.setattr(_native, "render_arrays", note)
     Video(run).frame(20.25)
     there = run.valid[:, 20]
     both = there & run.valid[:, 21]
@@ -155,7 +159,7 @@ def test_an_ego_at_its_goal_is_drawn_where_it_left_the_scene(monkeypatch):
     valid[0, 40:] = False
     arrived = replace(run, valid=valid, events=(RolloutEvent(40, "ego", None, "goal"),))
     seen = {}
-    monkeypatch.setattr(render, "draw", lambda at, **options: seen.update(at=at))
+    monkeypatch.setattr(_native, "render_arrays", lambda at, *_, **__: seen.update(at=at))
     Video(arrived).frame(40)
     np.testing.assert_allclose(seen["at"][0], run.position[0, 39])
     Video(replace(arrived, events=())).frame(40)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.traffic import TrafficPlan
+from ccdiff_env.traffic.python import AGENT_KINDS
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision, still
 from ccdiff_env.view.outcome import outcome
-from ccdiff_env.view.render import LOOK
+from ccdiff_env.view.render import LOOK, NUMBERS
 
 GAP = 6  #: Pixels between videos side by side.
 HOLD_S = 1.6  #: The last image stays so long: the verdict can be read.
@@ -62,9 +65,9 @@ class Video:
             self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._names = [short for short, _ in agent_titles(rollout.scene)]
-        self._legend = _legend(rollout, self._drivers) if captions else []
-        if graph:
-            self._legend += [("causal arrow", "may influence")]
+        rows = _legend(rollout, self._drivers) + [("causal arrow", "may influence")] * graph
+        colours = render.all_colours(theme)
+        self._legend = [(colours[name], title) for name, title in rows]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property
@@ -112,30 +115,35 @@ class Video:
         caption = f"{self._title}  {at * run.dt_s:.1f} s"
         if at * run.dt_s > self._fate.decided_s - 1e-6:
             caption += f"  {self._fate.text}"
-        return render.draw(
-            position[there],
+        plain = lambda array: np.ascontiguousarray(array, np.float32)  # noqa: E731
+        numbers = [[AGENT_KINDS.index(kinds[i]), NUMBERS[self._drivers[i]]] for i in there]
+        looks = np.array(numbers, np.uint8).reshape(-1, 2)
+        return _native.render_arrays(
+            plain(position[there]),
+            plain(heading[there]),
+            plain(run.scene.sizes[there, :2]),
+            looks[:, 0].copy(),
+            looks[:, 1].copy(),
+            np.array([i in hit for i in there], bool),
+            self._parked[there],
+            (there == self._number.get("ego")) & ~run.valid[there, step],
             scene=run.scene,
-            heading_rad=heading[there],
-            size_m=run.scene.sizes[there, :2],
-            driver=[self._drivers[i] for i in there],
-            kind=[kinds[i] for i in there],
-            collided=np.array([i in hit for i in there], dtype=bool),
-            parked=self._parked[there],
-            arrived=(there == self._number.get("ego")) & ~run.valid[there, step],
-            svg=svg,
             size=self._size,
             span_m=self._span_m,
             centre_m=(float(centre[0]), float(centre[1])),
+            up_rad=math.pi / 2,
+            route_m=np.zeros((0, 2), np.float32),
             trails=list(self._trails(step, there)),
-            samples=list(self._planned(plan, selected=False)) if plan else (),
-            plans=list(self._planned(plan, selected=True)) if plan else (),
-            arrows=self._arrows(plan, there) if plan and self._graph else (),
+            samples=list(self._planned(plan, selected=False)) if plan else [],
+            plans=list(self._planned(plan, selected=True)) if plan else [],
+            arrows=self._arrows(plan, there) if plan and self._graph else [],
             collisions_m=self._marks(recent, step),
-            names=[self._names[i] for i in there] if captions else (),
+            names=[self._names[i] for i in there] if captions else [],
             caption=caption if captions else "",
             scale_bar=captions,
-            legend=self._legend if captions else (),
+            legend=self._legend if captions else [],
             theme=self.theme,
+            svg=svg,
         )
 
     def _poses(self, at: float) -> tuple[npt.NDArray[np.float32], ...]:
@@ -158,13 +166,13 @@ class Video:
 
     def _trails(
         self, step: int, there: npt.NDArray[np.int64]
-    ) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+    ) -> Iterator[tuple[npt.NDArray[np.float32], int]]:
         run = self._rollout
         first = max(0, step - round(LOOK["TRAIL_S"] / run.dt_s))
         for i in there:
             line = run.position[i, first : step + 1][run.valid[i, first : step + 1]]
             if len(line) > 1 and np.ptp(line, axis=0).max() > 0.5:
-                yield line, self._drivers[i]
+                yield np.ascontiguousarray(line), NUMBERS[self._drivers[i]]
 
     def _marks(self, events: Sequence[RolloutEvent], step: int) -> npt.NDArray[np.float32]:
         """Points [N, 2] half way between those that met."""
@@ -177,7 +185,7 @@ class Video:
 
     def _planned(
         self, plan: TrafficPlan, *, selected: bool
-    ) -> Iterator[tuple[npt.NDArray[np.float32], str]]:
+    ) -> Iterator[tuple[npt.NDArray[np.float32], int]]:
         """Yield the selected samples of those that follow the plan, or the others."""
         for row, agent in enumerate(plan.agents):
             if not plan.follows_plan[row]:
@@ -186,7 +194,7 @@ class Video:
             for number, sample in enumerate(plan.samples[:, row, :, :2]):
                 chosen = number == plan.selected_sample[row]
                 if chosen == selected and np.isfinite(sample).all():
-                    yield sample, driver
+                    yield np.ascontiguousarray(sample, np.float32), NUMBERS[driver]
 
     def _arrows(
         self, plan: TrafficPlan, there: npt.NDArray[np.int64]

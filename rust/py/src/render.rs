@@ -173,7 +173,7 @@ fn boxes(
         .collect()
 }
 
-/// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.view.render.draw`.
+/// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.view.video`.
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
     route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme, svg))]
