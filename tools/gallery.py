@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +14,7 @@ import numpy as np
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.embedded import embedded_scenes
-from ccdiff_env.view import write_page
-from ccdiff_env.view.index import entry, index_page
+from ccdiff_env.view.index import write_index
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.sources import play_scene
 
@@ -32,7 +30,6 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
 
     The ego follows its log in both runs: the traffic alone differs.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     scenes = scenes or [*embedded_scenes("val"), *embedded_scenes("train")]
     runs = [
         tuple(
@@ -41,19 +38,9 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
         )
         for scene in scenes
     ]
-    entries = []
-    for critical, realistic in sorted(runs, key=lambda pair: _rank(*pair))[:NUM_PAGES]:
-        name = critical.scene.name
-        page = folder / f"{name}.html"
-        home = ("index.html", "all replays")
-        write_page(critical, page, compare=realistic, titles=TITLES, home=home)
-        beside = f"realistic: {outcome(realistic).line}"
-        entries.append(replace(entry(critical, name, page.name), beside=beside))
-    index = folder / "index.html"
-    index.write_text(
-        index_page("Gallery: the ego follows its log", entries, home=HOME), encoding="utf-8"
-    )
-    return index
+    runs = sorted(runs, key=lambda pair: _rank(*pair))[:NUM_PAGES]
+    shown = ((pair[0].scene.name, TITLES, pair) for pair in runs)
+    return write_index(shown, folder, "Gallery: the ego follows its log", home=HOME)[0]
 
 
 def _rank(critical: Rollout, realistic: Rollout) -> tuple[int, float]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import html
 import warnings
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.view.captions import subtitle
+from ccdiff_env.view.captions import is_log, subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import THEMES, data_address
@@ -22,16 +22,8 @@ from ccdiff_env.view.video import Video
 THUMBNAIL = (480, 300)
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One replay of an index."""
-
-    href: str  #: Address of its page, relative to the index, at the moment that matters.
-    title: str
-    line: str
-    outcome: Outcome
-    images: tuple[str, ...]  #: Data addresses of the thumbnail on light and on dark ground.
-    beside: str = ""  #: What became of the run beside it.
+#: A replay: what its page is called, titles of its runs, and these: one, or one beside another.
+Shown = tuple[str, Sequence[str], Sequence[Rollout]]
 
 
 def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:
@@ -44,93 +36,79 @@ def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[P
     files = sorted(folder.rglob("*.npz"))
     if not files:
         raise DatasetNotFoundError(f"no rollouts (.npz) below {folder}")
+
+    def found() -> Iterator[Shown]:
+        readable = 0
+        for file in files:
+            try:
+                rollout = Rollout.load(file)
+            except DatasetError as error:
+                warnings.warn(f"left out: {error}", stacklevel=2)
+                continue
+            path = file.relative_to(folder).with_suffix("").as_posix()
+            log = [log_rollout(rollout.scene, like=rollout)] * compare_log
+            yield path, [path.replace("/", "-"), "log"][: 1 + len(log)], [rollout, *log]
+            readable += 1
+        if not readable:
+            raise DatasetError(f"no rollout (.npz) below {folder} can be read")
+
+    return write_index(found(), out, folder.name or "replays")
+
+
+def write_index(
+    shown: Iterable[Shown], out: Path, title: str, *, home: tuple[str, str] | None = None
+) -> list[Path]:
+    """Write pages of replays, and ``index.html``, which links them in their order with what became
+    of each; return it, then the pages.
+
+    ``home`` is address and title of the page above.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    entries, pages = [], []
-    for file in files:
-        try:
-            rollout = Rollout.load(file)
-        except DatasetError as error:
-            warnings.warn(f"left out: {error}", stacklevel=2)
-            continue
-        parts = file.relative_to(folder).with_suffix("").parts
-        name = "-".join(parts)
+    pages, cards, fates = list[Path](), list[str](), list[Outcome]()
+    for path, titles, (rollout, *others) in shown:
+        name = path.replace("/", "-")
         page = out / file_name(name, ".html")
         if page in pages:  # a-b and a/b
-            page = out / file_name(f"/{'/'.join(parts)}", ".html")
-        log = log_rollout(rollout.scene, like=rollout) if compare_log else None
-        titles = (name,) if log is None else (name, "log")
-        write_page(rollout, page, compare=log, titles=titles, home=("index.html", "all replays"))
-        entries.append(entry(rollout, name, page.name))
+            page = out / file_name(f"/{path}", ".html")
+        home_of_page = ("index.html", "all replays")
+        write_page(rollout, page, compare=others, titles=titles, home=home_of_page)
+        fates.append(outcome(rollout))
+        besides = [
+            f"{title}: {outcome(other).line}"
+            for title, other in zip(titles[1:], others, strict=True)
+            if not is_log(other)
+        ]
+        cards.append(_card(rollout, name, page.name, fates[-1], [*besides, subtitle(rollout)]))
         pages.append(page)
-    if not pages:
-        raise DatasetError(f"no rollout (.npz) below {folder} can be read")
+    mishaps = Counter(fate.mishap for fate in fates)
+    told = [f"{what} in {n}" for what, n in mishaps.most_common() if what]
+    collide = sum(fate.others > 0 for fate in fates)
+    line = f"{counted(len(fates), 'replay')}: the ego {', '.join(told)}" if told else ""
+    line = f"{line or counted(len(fates), 'replay')}; others collide in {collide}"
+    up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
+    body = f'{up}<div class="cards">\n{chr(10).join(cards)}\n</div>'
     index = out / "index.html"
-    write_aside(index, index_page(folder.name or "replays", entries))
+    write_aside(index, plain_html(title, line, style=part("index.css"), body=body))
     return [index, *pages]
 
 
-def entry(rollout: Rollout, title: str, page: str) -> Entry:
-    """Return the entry of a rollout, whose page has a name beside the index."""
-    fate = outcome(rollout)
+def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequence[str]) -> str:
+    """A replay in the index: a link with an image of the moment that matters."""
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-    return Entry(
-        href=address(page, time_s=moment, play=True),
-        title=title,
-        line=subtitle(rollout),
-        outcome=fate,
-        images=tuple(_thumbnail(rollout, moment, theme) for theme in THEMES),
-    )
-
-
-def _thumbnail(rollout: Rollout, opening_s: float | None, theme: str) -> str:
-    """The moment that matters, else the middle."""
-    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme)
     last = rollout.num_steps - 1
-    step = last // 2
-    if opening_s is not None:
-        step = min(round((opening_s + LEAD_S) / rollout.dt_s), last)
-    # with fewer colours those of small things, as the ego's, are lost
-    return data_address(video.frame(step), 256)
-
-
-def index_page(title: str, entries: list[Entry], home: tuple[str, str] | None = None) -> str:
-    """Return an HTML page that links replays in their order, with what became of each, and the page
-    above.
-    """
-    cards = "\n".join(_card(entry) for entry in _short(entries))
-    mishaps = Counter(entry.outcome.mishap for entry in entries)
-    told = [f"{what} in {n}" for what, n in mishaps.most_common() if what]
-    others = sum(entry.outcome.others > 0 for entry in entries)
-    line = f"{counted(len(entries), 'replay')}: the ego {', '.join(told)}" if told else ""
-    line = f"{line or counted(len(entries), 'replay')}; others collide in {others}"
-    up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
-    body = f'{up}<div class="cards">\n{cards}\n</div>'
-    return plain_html(title, line, style=part("index.css"), body=body)
-
-
-def _short(entries: list[Entry]) -> list[Entry]:
-    """Entries without the parts of their lines that all of them share."""
-    parts = [entry.line.split(" · ") for entry in entries]
-    shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set()
-    return [
-        replace(entry, line=" · ".join(part for part in own if part not in shared))
-        for entry, own in zip(entries, parts, strict=True)
-    ]
-
-
-def _card(entry: Entry) -> str:
-    fate = entry.outcome
-    alt = html.escape(f"{entry.title}: {fate.text}", quote=True)
-    light, dark = entry.images
-    image = (
-        f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
-        f'<img src="{light}" alt="{alt}" loading="lazy"></picture>'
+    step = last // 2 if moment is None else min(round((moment + LEAD_S) / rollout.dt_s), last)
+    videos = (
+        Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme) for theme in THEMES
     )
-    name = html.escape(entry.title, quote=True)
+    # with fewer colours those of small things, as the ego's, are lost
+    light, dark = (data_address(video.frame(step), 256) for video in videos)
+    name = html.escape(title, quote=True)
+    href = html.escape(address(page, time_s=moment, play=True), quote=True)
     return (
-        f'<a class="card" href="{html.escape(entry.href, quote=True)}">{image}'
-        f'<h2 title="{name}">{name}</h2>'
+        f'<a class="card" href="{href}">'
+        f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
+        f'<img src="{light}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
+        f'</picture><h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
-        f"{f'<p>{html.escape(entry.beside)}</p>' if entry.beside else ''}"
-        f"{f'<p>{html.escape(entry.line)}</p>' if entry.line else ''}</a>"
+        f"{''.join(f'<p>{html.escape(line)}</p>' for line in lines)}</a>"
     )
