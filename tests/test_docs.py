@@ -19,9 +19,9 @@ import ccdiff_env_cli
 from ccdiff_env.scenes.embedded import unpack
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env_cli import parse
-from tools import expectations, gallery
-from tools.results import DATA, USED_FOR
-from tools.task_tables import TABLES, filled
+from tools import gallery
+from tools.pages import DATA, rendered
+from tools.results import USED_FOR
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *ROOT.glob("[A-Z]*[A-Z].md"), *sorted((ROOT / "docs").glob("*.md"))]
@@ -204,11 +204,9 @@ def test_help_lists_the_names_that_an_option_takes(verb):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
-def test_tables_of_results_are_those_that_were_kept(page):
-    from tools.results import rendered
-
+def test_tables_are_those_of_results_and_schemas(page):
     text = page.read_text(encoding="utf-8")
-    assert rendered(text) == text, "python -m tools.results --render"
+    assert rendered(text) == text, "python -m tools.pages"
 
 
 @pytest.mark.parametrize("name", ["realism", "speed", "learning", "dial"])
@@ -221,21 +219,13 @@ def test_charts_are_those_of_the_results_that_were_kept(name):
     assert "prefers-color-scheme:dark" in made
 
 
-PAGE = ROOT / "docs" / "tasks.md"
-
-
-def test_tables_are_those_of_the_schemas():
-    text = PAGE.read_text(encoding="utf-8")
-    assert filled(text) == text, "python -m tools.task_tables docs/tasks.md"
-    assert set(re.findall(r"<!-- table: (\w+) -->", text)) == set(TABLES)
-
-
 def test_pictures_of_the_front_page_are_copied_into_the_site():
-    names = re.findall(r'<img src="([^"]+)"', PAGE.with_name("index.md").read_text("utf-8"))
-    settings = PAGE.with_name("conf.py").read_text("utf-8")
+    docs = ROOT / "docs"
+    names = re.findall(r'<img src="([^"]+)"', (docs / "index.md").read_text("utf-8"))
+    settings = (docs / "conf.py").read_text("utf-8")
     assert names
     for name in names:
-        assert PAGE.with_name(name).is_file(), name
+        assert (docs / name).is_file(), name
         assert f'html_extra_path = ["{name}"]' in settings
 
 
@@ -348,13 +338,6 @@ def test_scenes_that_trained_or_chose_never_report(path):
     used = [splits for name, splits in USED_FOR.items() if name in named]
     for splits in [*used, *(kept[key] for key in ("trained_on", "chosen_on") if key in kept)]:
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
-
-
-def test_the_table_of_expectations_is_that_of_its_results():
-    rows = json.loads(expectations.DATA.read_text(encoding="utf-8"))["rows"]
-    assert expectations.table(rows) in expectations.PAGE.read_text(encoding="utf-8")
-    curve = next(row["curve"] for row in rows if "curve" in row)
-    assert curve[-1][2] > curve[0][2] + 0.2
 
 
 @pytest.mark.parametrize("name", ["hero", "task_ego", "task_multi_agent", "task_selection"])

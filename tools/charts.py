@@ -8,11 +8,9 @@ from __future__ import annotations
 import base64
 import html
 import io
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,13 +19,13 @@ from ccdiff_env.bench.plots import name_ends, new_plot
 from ccdiff_env.view.render import data_address, pillow
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env.view.video import Video
+from tools.pages import ROOT, kept
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Plot
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA, CHARTS = ROOT / "docs" / "results", ROOT / "docs" / "charts"
+CHARTS = ROOT / "docs" / "charts"
 WIDTH = 6.67  #: Inches, of 72 pixels.
 #: Colours of Okabe and Ito, that of light and that of dark ground.
 COLOURS = {
@@ -172,11 +170,6 @@ def lines_chart(
     axes.set_xlabel(across, fontsize=11.5)
     written = {one.name: ", ".join(f"{f[0]:.0f}" for f in one.figures) for one in series}
     return _svg(plot, f"{title}: {'; '.join(map(' '.join, written.items()))}")
-
-
-def kept(name: str) -> Any:
-    """Return what the run of a table kept."""
-    return json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def _figure(row: Mapping[str, Any], column: str, factor: float = 1.0) -> Figure:

@@ -1,10 +1,9 @@
 """What to expect of training: ``python -m tools.expectations`` runs it and writes the table.
 
 Runs examples/train_ego_sb3.py with each algorithm, then drives the held-out scenes with what it
-learned and with planners that learn nothing. ``--parts`` instead trains PPO without each part of
-the defaults; ``--traffics`` trains egos in kinds of traffic and drives the test scenes in five-step
-CCDiff at criticality 1. Keeps the figures in docs/results and writes the tables of
-docs/learning.md. A training that has finished is not repeated.
+learned and with planners that learn nothing. ``--traffics`` instead trains egos in kinds of traffic
+and drives the test scenes in five-step CCDiff at criticality 1. Keeps the figures in docs/results
+and writes the tables of docs/learning.md. A training that has finished is not repeated.
 """
 
 from __future__ import annotations
@@ -33,12 +32,10 @@ from ccdiff_env.scenes.arguments import (
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Cell, Column, Table
 from ccdiff_env.traffic import SWIFT
+from tools import pages
+from tools.pages import ROOT, keep
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "learning.md"
-DATA, PARTS_DATA = (ROOT / "docs" / "results" / f"{n}.json" for n in ("expectations", "parts"))
-#: The second chose observation, reward and settings, too.
-TRAIN, TEST, PARTS_TEST = "embedded/city", "embedded/val", "embedded/train+val"
+TRAIN, TEST = "embedded/city", "embedded/val"
 #: Title, and arguments of the example; ``{out}`` is the folder of all runs.
 TRAININGS = {
     "ppo": ("PPO", []),
@@ -52,30 +49,6 @@ TRAININGS = {
     "sac": ("SAC", ["--algorithm", "sac"]),
     "ppo_assisted": ("PPO, changes of IDM", ["--dynamics", "assisted", "--decisions", "200000"]),
 }
-#: PPO with all of the defaults, and without a part of them: title and options of the example.
-PARTS = {
-    "all": ("all of the defaults", []),
-    "held": ("a decision every step, discount 0.986", ["decision_steps=1", "gamma=0.986"]),
-    "weights": (
-        "larger reward weights",
-        [
-            'reward={"progress": 0.1, "collision": -10, "off_road": -5, "goal": 2, '
-            '"speed_limit": -0.05, "lane_keeping": -0.02}'
-        ],
-    ),
-    "gamma": ("discount 0.99", ["gamma=0.99"]),
-    "lean": (
-        "observation of 1,250 numbers, with the map",
-        [
-            'config={"observation": {"num_map_segments": 64, "num_neighbors": 16, '
-            '"num_route_points": 20}}'
-        ],
-    ),
-}
-TRAININGS |= {
-    f"part_{name}": (title, ["--decisions", "200000", "--option", *options])
-    for name, (title, options) in PARTS.items()
-}
 #: Traffic to train in, and about how many decisions PPO makes in a second of a processor in
 #: each, for egos that begin with nothing and for those that change PDM-Closed: options of the verb.
 TRAFFICS = {
@@ -88,7 +61,6 @@ TRAFFICS = {
         {"ccdiff": 600, SWIFT: 1_200, "bank": 1_400, "idm": 1_300},
     ),
 }
-TRAFFICS_DATA = ROOT / "docs" / "results" / "traffics.json"
 TESTED = ("idm", "ccdiff", "ccdiff-1")
 SEEDS = range(3)  #: Of draws.
 #: Planners that learn nothing.
@@ -116,13 +88,11 @@ def trained(name: str, out: Path, seed: int) -> Path:
     return folder
 
 
-def figures(
-    planners: Sequence[Path | str], file: Path, test: str, tested: Sequence[str]
-) -> dict[str, list[float]]:
+def figures(planners: Sequence[Path | str], file: Path) -> dict[str, list[float]]:
     """Success in IDM traffic and scores, with intervals over the scenes, unless a file has them."""
     if not file.is_file():
-        scenes, found = ccdiff_env.load(test), {}
-        for traffic in tested:
+        scenes, found = ccdiff_env.load(TEST), {}
+        for traffic in TESTED:
             draws = product(planners, SEEDS if "ccdiff" in traffic else SEEDS[:1])
             rows = [r for p, k in draws for r in play(scenes, str(p), TRAFFIC[traffic], seed=k)]
             for figure in ("success", "score") if traffic == "idm" else ("score",):
@@ -213,16 +183,14 @@ def traffics(args: argparse.Namespace) -> None:
     kept = {"command": "python -m tools.expectations --traffics", "seconds": args.seconds}
     places = {"scenes": other_place(args), "trained_on": place_from(args)}
     kept |= {name: place.split if place.path else str(place) for name, place in places.items()}
-    write(TRAFFICS_DATA, kept | {"seeds": args.seeds}, [*table_rows.values()])
+    keep("traffics", kept | {"seeds": args.seeds}, table_rows.values())
 
 
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
-    names = [name for name in TRAININGS if not name.startswith("part_")]
-    parser.add_argument("--only", nargs="+", choices=names, default=names)
-    parser.add_argument("--parts", action="store_true", help="PPO without parts of the defaults")
+    parser.add_argument("--only", nargs="+", choices=TRAININGS, default=[*TRAININGS])
     parser.add_argument("--traffics", action="store_true", help="egos trained in kinds of traffic")
     parser.add_argument("--seconds", type=int, default=60, help="of a processor, of --traffics")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of ppo or --traffics each")
@@ -232,48 +200,23 @@ def main() -> None:
     if args.traffics:
         return traffics(args)
     out, rows = args.out, list[dict[str, Any]]()
-    test, tested, file = (
-        (PARTS_TEST, TESTED[:1], PARTS_DATA) if args.parts else (TEST, TESTED, DATA)
-    )
-    if args.parts:
-        args.only = [f"part_{name}" for name in PARTS]
     for name in args.only:
         folders = [trained(name, out, k) for k in range(args.seeds if name == "ppo" else 1)]
         if name == "ppo":
             untrained = [folder / "untrained.zip" for folder in folders]
-            found = figures(untrained, out / "untrained.json", test, tested)
-            rows.append({"title": "PPO, untrained", **found})
+            rows.append({"title": "PPO, untrained", **figures(untrained, out / "untrained.json")})
         curves = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
         curve = np.mean(curves, axis=0).tolist()
         made = {"decisions": int(curve[-1][0]), "cpu_s": curve[-1][1], "curve": curve}
-        learned = [folder / "ego.zip" for folder in folders]
-        found = figures(learned, out / f"{name}.json", test, tested)
+        found = figures([folder / "ego.zip" for folder in folders], out / f"{name}.json")
         rows.append({"title": TRAININGS[name][0], **made, **found})
-    for planner, title in ({} if args.parts else OTHERS).items():
-        found = figures([planner], out / f"{planner}.json", test, tested)
-        rows.append({"title": title, **found})
+    for planner, title in OTHERS.items():
+        rows.append({"title": title, **figures([planner], out / f"{planner}.json")})
     which = f"--only {' '.join(args.only)} --seeds {args.seeds}"
-    which = "--parts" if args.parts else which
-    kept = {"command": f"python -m tools.expectations {which}", "scenes": test}
-    kept |= {"trained_on": TRAIN, "chosen_on": TRAIN}
-    write(file, kept, rows)
-
-
-def write(file: Path, kept: dict[str, Any], rows: list[dict[str, Any]]) -> None:
-    """Keep the figures, and write their table into the page."""
-    lines = ",\n  ".join(json.dumps(row) for row in rows)
-    file.write_text(json.dumps(kept, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n')
-    render(file)
-
-
-def render(file: Path) -> None:
-    """Write a table into the page."""
-    mark, end = f"<!-- table: {file.stem} -->\n", "<!-- end -->"
-    head, _, rest = PAGE.read_text(encoding="utf-8").partition(mark)
-    rows = json.loads(file.read_text(encoding="utf-8"))["rows"]
-    tail = rest[rest.index(end) :]
-    PAGE.write_text(f"{head}{mark}\n{table(rows)}\n\n{tail}", encoding="utf-8")
+    kept = {"command": f"python -m tools.expectations {which}", "scenes": TEST}
+    keep("expectations", kept | {"trained_on": TRAIN, "chosen_on": TRAIN}, rows)
 
 
 if __name__ == "__main__":
     main()
+    pages.write()

@@ -1,10 +1,8 @@
 """Tables of results: ``python -m tools.results [NAME ...] --scenes SOURCE`` runs their benchmarks.
 
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
-weights, processor, date, rows. ``python -m tools.results --render`` writes the tables into the
-pages, between ``<!-- results: NAME -->`` and ``<!-- end -->``; ``<!-- results: NAME; A, B -->`` has
-the columns A and B alone, ``<!-- results: NAME; A, B; X, Y -->`` their rows of X and Y. ``grid``
-has a row per method, and a figure in a column per K and T. A run that was interrupted is resumed.
+weights, processor, date, rows; ``tools.pages`` writes the tables into the pages. ``grid`` has a row
+per method, and a figure in a column per K and T. A run that was interrupted is resumed.
 """
 
 from __future__ import annotations
@@ -30,10 +28,9 @@ from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
-from tools import charts
+from tools import charts, pages
+from tools.pages import keep, kept
 
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT / "docs" / "results"
 #: Splits of nuScenes that trained or chose what the package has: they must not report it.
 USED_FOR = {
     **dict.fromkeys(("ego", "ego_replay", "ccdiff", "tokens"), "train+train_val"),
@@ -221,10 +218,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),
     }
-    DATA.mkdir(exist_ok=True)
-    lines = ",\n  ".join(json.dumps(row) for row in _kept(table, rows))
-    text = json.dumps(head, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n'
-    (DATA / f"{name}.json").write_text(text, encoding="utf-8")
+    keep(name, head, _kept(table, rows))
 
 
 _ENDS = ("mean", "worst")  #: Means over the traffic, which stand beside that of each.
@@ -266,9 +260,9 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     if chosen is not None:
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
-    kept = charts.kept(name)
+    run = kept(name)
     if "K" in table.keys:
-        return _grid(kept, *table.columns.values())
+        return _grid(run, *table.columns.values())
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {
         "planner": _planner,
@@ -277,7 +271,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
         "figure": lambda name: name.replace("_", " "),
     }
     named = only and [name.strip() for name in only.split(",")]
-    for row in sorted(kept["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
+    for row in sorted(run["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
         if named and not {row[key] for key in table.keys} & {*named}:
             continue
         cells: list[Cell] = [titles.get(key, label_of)(row[key]) for key in table.keys]
@@ -286,16 +280,16 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
             cells.append((value, low, high))
         rows.append(cells)
     columns = (replace(column, head=head) for head, column in table.columns.items())
-    protocol = re.search(r"--protocol (\S+)", kept["command"])
+    protocol = re.search(r"--protocol (\S+)", run["command"])
     of = f"{protocol[1]}, " if protocol else ""
-    made = f"`{kept['command']}`, " if chosen is None else of
-    text = f"{made}{kept['scenes']}, {kept['date']}."
+    made = f"`{run['command']}`, " if chosen is None else of
+    text = f"{made}{run['scenes']}, {run['date']}."
     return document(Table([*table.keys, *columns], rows), text).rstrip()
 
 
-def _grid(kept: dict[str, Any], column: Column) -> str:
+def _grid(run: dict[str, Any], column: Column) -> str:
     """One figure of every method, in a column per K at the first T, then per T at K = 5."""
-    rows = [row for row in kept["rows"] if row["K"] != "0"]  # which is the log
+    rows = [row for row in run["rows"] if row["K"] != "0"]  # which is the log
     cells = {(row["K"], row["replan_s"]): f"K = {row['K']}" for row in rows}
     first = next(iter(cells))[1]
     cells = {cell: head if cell[1] == first else f"T = {cell[1]} s" for cell, head in cells.items()}
@@ -305,7 +299,7 @@ def _grid(kept: dict[str, Any], column: Column) -> str:
         [label_of(method), *(figures[method, k, t][0] for k, t in cells)] for method in methods
     ]
     heads = (replace(column, head=head, interval=False) for head in cells.values())
-    return document(Table(["method", *heads], table), f"{kept['scenes']}, {kept['date']}.").rstrip()
+    return document(Table(["method", *heads], table), f"{run['scenes']}, {run['date']}.").rstrip()
 
 
 def _planner(name: str) -> str:
@@ -313,39 +307,18 @@ def _planner(name: str) -> str:
     return short_name(name) + (" †" if is_privileged(name) else "")
 
 
-def rendered(page: str) -> str:
-    """Return a page with its tables."""
-
-    def table(found: re.Match[str]) -> str:
-        return f"{found[1]}\n{render(*found.group(2, 3, 4))}\n<!-- end -->"
-
-    return re.sub(
-        r"(<!-- results: (\w+)(?:; ([^>;]+))?(?:; ([^>]+))? -->)\n.*?<!-- end -->",
-        table,
-        page,
-        flags=re.DOTALL,
-    )
-
-
 def main() -> None:
-    """Make tables, or write them into the pages."""
+    """Make tables, and write them into the pages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", choices=[*TABLES, []], help="tables; all by default")
     parser.add_argument("--scenes", default="embedded/val", help="source of the scenes")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--runs", type=Path, default=Path("runs/results"), help="run folders")
-    parser.add_argument(
-        "--render", action="store_true", help="write the kept tables into the pages"
-    )
     args = parser.parse_args()
-    for name in () if args.render else args.names or TABLES:
+    for name in args.names or TABLES:
         record(name, args.scenes, args.workers, args.runs / name)
     charts.write()
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
-        old = page.read_text(encoding="utf-8")
-        new = rendered(old)
-        if new != old:
-            page.write_text(new, encoding="utf-8")
+    pages.write()
 
 
 if __name__ == "__main__":

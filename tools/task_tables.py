@@ -1,16 +1,10 @@
-"""Tables of docs/tasks.md, made from the schemas.
-
-``python -m tools.task_tables docs/tasks.md`` regenerates them.
-"""
+"""Tables of docs/tasks.md, made from the schemas."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import re
-import sys
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
@@ -18,11 +12,9 @@ from ccdiff_env.envs.selection import INFO_COLUMNS
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 
-_BLOCK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
-
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return f"{Table(heads, list(rows))}\n"
+    return str(Table(heads, list(rows)))
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:
@@ -61,13 +53,3 @@ TABLES: dict[str, Callable[[], str]] = {
     "selection_info": lambda: _unweighted(INFO_COLUMNS),
     "selection_observation": _observation,
 }
-
-
-def filled(page: str) -> str:
-    """Return a page with its tables regenerated."""
-    return _BLOCK.sub(lambda m: m[1] + "\n" + TABLES[m[2]]() + "\n" + m[3], page)
-
-
-if __name__ == "__main__":
-    path = Path(sys.argv[1])
-    path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")

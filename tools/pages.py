@@ -1,0 +1,60 @@
+"""Tables of README and docs: ``python -m tools.pages`` writes them between the marks of the pages.
+
+``<!-- results: NAME -->`` and ``<!-- end -->`` hold what a run of ``tools.results`` kept in
+docs/results; ``<!-- results: NAME; A, B -->`` has the columns A and B alone, ``<!-- results: NAME;
+A, B; X, Y -->`` their rows of X and Y. ``<!-- table: NAME -->`` holds a table of
+``tools.task_tables`` or ``tools.expectations``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "docs" / "results"
+_BLOCK = re.compile(
+    r"(<!-- (results|table): (\w+)(?:; ([^>;]+))?(?:; ([^>]+))? -->\n).*?<!-- end -->", re.DOTALL
+)
+
+
+def kept(name: str) -> Any:
+    """Return what the run of a table kept."""
+    return json.loads((DATA / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def keep(name: str, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Keep the rows of a table, each on a line, below what is said of its run."""
+    lines = ",\n  ".join(json.dumps(row) for row in rows)
+    text = json.dumps(head, indent=1)[:-2] + f',\n "rows": [\n  {lines}\n ]\n}}\n'
+    (DATA / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def rendered(page: str) -> str:
+    """Return a page with its tables."""
+    # imported here: these keep their rows by this module
+    from tools import expectations, results, task_tables
+
+    def block(found: re.Match[str]) -> str:
+        mark, kind, name, columns, rows = found.groups()
+        if kind == "results":
+            return f"{mark}{results.render(name, columns, rows)}\n<!-- end -->"
+        made = task_tables.TABLES.get(name, lambda: expectations.table(kept(name)["rows"]))
+        return f"{mark}\n{made()}\n\n<!-- end -->"
+
+    return _BLOCK.sub(block, page)
+
+
+def write() -> None:
+    """Write the tables of all pages."""
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        old = page.read_text(encoding="utf-8")
+        if (new := rendered(old)) != old:
+            page.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write()
