@@ -6,7 +6,7 @@ from array_scenes import outline
 from traffic_play import Play
 
 import ccdiff_env
-from ccdiff_env.bench.planners import TRAFFIC, Traffic, play
+from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits, WorldConfig
 from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.planners.built_in import Seat, ego_driver
@@ -43,7 +43,7 @@ def driven(scenes, name, **options):
     return np.array(speeds)
 
 
-@pytest.mark.parametrize("name", ["pdm", "lane_idm", "pdm_ccdiff", "diffusion", "arbiter"])
+@pytest.mark.parametrize("name", ["pdm", "lane_idm", "pdm_ccdiff", "diffusion"])
 def test_a_batch_drives_as_each_world_alone(val, name):
     together = driven(val[:3], name)
     alone = [driven(val[i : i + 1], name)[:, 0] for i in range(3)]
@@ -77,30 +77,6 @@ def test_planners_with_a_network_know_nothing_of_what_the_others_will_do(val, na
         first.append(seat(out.obs[:, 0]))
     assert np.array_equal(*first)
     assert np.abs(first[0]).max() > 0.0
-
-
-def test_an_arbiter_changes_no_world_and_does_what_one_of_both_does(val):
-    worlds, out = begun(val[:3], traffic="idm")
-    seats = [ego_driver(name)[1] for name in ("arbiter", "pdm", "lane_idm")]
-    for seat in seats:
-        seat.begin(worlds)
-    assert [seat.privileged for seat in seats] == [True, False, False]
-    for _ in range(25):
-        before = [worlds.native.digest(i) for i in range(3)]
-        chosen, *of = (seat(out.obs[:, 0]) for seat in seats)
-        assert [worlds.native.digest(i) for i in range(3)] == before
-        for i in range(3):
-            assert any(np.array_equal(chosen[i], one[i]) for one in of)
-        worlds.native.step(chosen[:, None].astype(np.float32), out)
-
-
-def test_an_arbiter_avoids_what_one_of_both_does_not(val):
-    def faultless(name):
-        rows = play(val, name, TRAFFIC["ccdiff-2"])
-        gates = ("no_at_fault_collision", "on_road", "right_way")
-        return np.mean([np.prod([row[gate] for gate in gates]) for row in rows])
-
-    assert faultless("arbiter") > np.mean([faultless("pdm"), faultless("lane_idm")])
 
 
 def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):

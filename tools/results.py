@@ -58,7 +58,7 @@ class Made:
 _PLANNERS = Made(
     "bench planners --protocol planner-1.2 --level smoke --planners "
     "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
-    "pdm_ccdiff,arbiter",
+    "pdm_ccdiff",
     ("planner",),
     {
         "mean": Column("mean"),

@@ -32,7 +32,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
-from ccdiff_env.planners.rules import RULES, Arbiter, NoOp
+from ccdiff_env.planners.rules import RULES, NoOp
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
@@ -48,7 +48,7 @@ __all__ = [
 ]  # fmt: skip
 
 #: Planners of the package by name, without weights of their own.
-BUILT_IN: dict[str, type] = {**RULES, "noop": NoOp, "arbiter": Arbiter}
+BUILT_IN: dict[str, type] = {**RULES, "noop": NoOp}
 #: From observations of N worlds to actions [N, W], or indices [N].
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.
@@ -106,49 +106,6 @@ _ALGORITHMS = {
     "dqn": ("stable_baselines3", "DQN"),
     "common": ("stable_baselines3", "PPO"),
 }
-
-
-class Held:
-    """Holds the actions of a batch for the ``steps`` of a decision, unless the worlds do so
-    themselves.
-    """
-
-    def __init__(self, worlds: Worlds, steps: int) -> None:
-        self._worlds = worlds
-        self._steps = steps if worlds.config.decision_steps == 1 else 1
-        discrete = worlds.native.num_actions is not None
-        #: Shape of actions: [E, W], or [E] of indices.
-        self.shape = (worlds.num_worlds, worlds.native.action_width)[: 1 if discrete else 2]
-        dtype = np.int64 if discrete else np.float32
-        self._present: npt.NDArray[Any] = np.zeros(self.shape, dtype)
-        self._new = np.ones(worlds.num_worlds, np.bool_)
-
-    def reset(self, indices: npt.NDArray[np.int64]) -> None:
-        """Let a decision be due in worlds, whatever their clocks say."""
-        self._new[indices] = True
-
-    def __call__(
-        self,
-        decide: Callable[[npt.NDArray[np.bool_]], npt.NDArray[Any]],
-        active: npt.NDArray[np.bool_] | None = None,
-    ) -> npt.NDArray[Any]:
-        """Return the present actions; ``decide`` makes them where a decision is due.
-
-        It makes those of all worlds, for products of matrices round with the number of rows, and is
-        told which are due [E]. ``active`` are the worlds [E] that go on, all by default.
-        """
-        num_worlds, native = self._worlds.num_worlds, self._worlds.native
-        due = np.ones(num_worlds, np.bool_) if active is None else active
-        if self._steps > 1:
-            elapsed = np.array([native.status(i).elapsed_steps for i in range(num_worlds)])
-            due = due & ((elapsed % self._steps == 0) | self._new)
-            if not due.any():
-                return self._present
-        self._new &= ~due
-        found = decide(due)
-        self._present = self._present.copy()
-        self._present[due] = found[due]
-        return self._present
 
 
 class Seat:
@@ -220,7 +177,13 @@ class Seat:
                 )
         self._worlds, self._given_worlds = worlds, given_worlds
         self._tracker: Tracker | None = None
-        self._held = Held(worlds, self.config.decision_steps)
+        #: Shape of actions: [E, W], or [E] of indices.
+        self._shape = (worlds.num_worlds, worlds.native.action_width)[: 1 if worlds.discrete else 2]
+        dtype = np.int64 if worlds.discrete else np.float32
+        self._present: npt.NDArray[Any] = np.zeros(self._shape, dtype)
+        # worlds may hold actions for the steps of a decision themselves
+        self._steps = self.config.decision_steps if worlds.config.decision_steps == 1 else 1
+        self._new = np.ones(worlds.num_worlds, np.bool_)
         self.reset(range(worlds.num_worlds))
 
     def reset(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> None:
@@ -228,7 +191,7 @@ class Seat:
         self._seen = None
         if self._worlds is not None:
             which = np.asarray(indices, np.int64)
-            self._held.reset(which)
+            self._new[which] = True
             if hasattr(self._act, "reset"):
                 self._answer(
                     lambda: self._act.reset(self._given_worlds, which), self._worlds, which
@@ -248,7 +211,7 @@ class Seat:
         if self._worlds is None:
             self.begin(worlds)
         if seen is None:
-            seen = np.stack([worlds.observation(i)[0] for i in range(worlds.num_worlds)]), None
+            seen = np.stack([worlds.observe(i)[0][0] for i in range(worlds.num_worlds)]), None
         return self(seen[0], rasters=seen[1])
 
     def __call__(
@@ -268,7 +231,19 @@ class Seat:
         """
         if self._worlds is None:  # a function by itself
             return np.asarray(self._act(obs))
-        return self._held(lambda due: self._decided(obs, rasters, due), active)
+        num_worlds, native = self._worlds.num_worlds, self._worlds.native
+        due = np.ones(num_worlds, np.bool_) if active is None else active
+        if self._steps > 1:
+            elapsed = np.array([native.status(i).elapsed_steps for i in range(num_worlds)])
+            due = due & ((elapsed % self._steps == 0) | self._new)
+            if not due.any():
+                return self._present
+        self._new &= ~due
+        # all worlds are decided for: products of matrices round with the number of rows
+        found = self._decided(obs, rasters, due)
+        self._present = self._present.copy()
+        self._present[due] = found[due]
+        return self._present
 
     def _decided(
         self, obs: F32, rasters: U8 | None, due: npt.NDArray[np.bool_]
@@ -278,7 +253,7 @@ class Seat:
         rasters = self._rasters() if rasters is None else rasters
         given = self._worlds.layout.observation(self._form, obs, rasters)
         answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
-        found, shape = np.asarray(answered), self._held.shape
+        found, shape = np.asarray(answered), self._shape
         if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
             found = self._followed(found, due)
         if found.shape == (*shape, 1) and len(shape) == 1:

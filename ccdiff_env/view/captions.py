@@ -21,7 +21,6 @@ from ccdiff_env.view.render import LOOK
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 #: Titles of planners of the ego, where they are no drivers.
 PLANNER_TITLES = {
-    "arbiter": "PDM-Closed or IDM, by forks",
     "diffusion": "CCDiff with its route",
     "ego": "trained ego",
     "ego_replay": "ego trained in log replay",
