@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, cast
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
@@ -146,15 +145,14 @@ class AsVector(VectorEnv[Any, Any, Any]):
         for i in np.flatnonzero(ended):
             raster = None if bev is None else bev[i].copy()
             final[i] = self.worlds.layout.observation(self._form, rows[i].copy(), raster)
-        found = {"final_obs": final, "final_info": info}
-        return found | {f"_{name}": ended.copy() for name in found}
+        return masked({"final_obs": final, "final_info": info}, ended)
 
     def _figures(self, columns: F32, mask: Bool) -> Info:
         """Info columns [E, C, M] of some rows [N]; zeros in the others."""
         values = columns.reshape(self.num_envs, -1).T.copy()
         if not mask.all():
             values[:, ~mask] = 0.0
-        return with_masks(self.worlds.column_names, values, mask)
+        return masked(dict(zip(self.worlds.column_names, values, strict=True)), mask)
 
     def _metrics(self, ended: Bool, done: Bool) -> Info:
         """Metrics of slots whose episode ended [E, C], in worlds of which some are done [E]."""
@@ -164,9 +162,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
         for e in np.flatnonzero(ended.any(axis=1) & ~done).tolist():
             values[:, e] = native.metrics(e).T
         values[:, ~ended] = 0.0
-        mask = ended.ravel()
-        found = with_masks(names, values.reshape(len(names), -1), mask)
-        return {"metrics": found, "_metrics": mask.copy()}
+        found = dict(zip(names, values.reshape(len(names), -1), strict=True))
+        return masked({"metrics": masked(found, ended.ravel())}, ended.ravel())
 
     def _put(self, infos: Info, row: int, values: Info) -> None:
         """Write values of a row into arrays with masks."""
@@ -179,12 +176,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
             infos["_" + name][row] = value is not None
 
 
-def with_masks(names: Sequence[str], values: npt.NDArray[Any], mask: Bool) -> Info:
-    """Values [K, E] as arrays [E], each with a mask of its own."""
-    masks = np.empty((len(names), len(mask)), np.bool_)
-    masks[:] = mask
-    info: Info = {}
-    for name, row, shown in zip(names, values, masks, strict=True):
-        info[name] = row
-        info["_" + name] = shown
-    return info
+def masked(found: Mapping[str, Any], mask: Bool) -> Info:
+    """Arrays [E] by name, each with a mask of its own."""
+    masks = np.tile(mask, (len(found), 1))
+    entries = zip(found.items(), masks, strict=True)
+    return {k: v for (name, of), own in entries for k, v in ((name, of), (f"_{name}", own))}

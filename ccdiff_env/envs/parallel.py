@@ -230,7 +230,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
 
     def state(self) -> F32:
         """Return the flat observations of all slots, one after the other; zero for absent ones."""
-        return self.worlds.observation(0).ravel()
+        return self.worlds.observe(0)[0].ravel()
 
     def snapshot(self) -> bytes:
         """Return everything that the world's future depends on."""

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.as_vector import AsVector
+from ccdiff_env.envs.as_vector import AsVector, masked
 from ccdiff_env.envs.drawing import DrawnWorld
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
@@ -59,11 +59,6 @@ INFO_COLUMNS: tuple[InfoColumn, ...] = (
     InfoColumn("steps", "", "steps of the world in the decision"),
 )
 _NAMES = tuple(column.name for column in INFO_COLUMNS)
-
-
-def _masked(found: Mapping[str, Any], mask: Bool) -> Info:
-    """Arrays [E], each with a mask of its own."""
-    return {k: v for name in found for k, v in ((name, found[name]), (f"_{name}", mask.copy()))}
 
 
 class SelectionOptions(SelectionKeywords, total=False):
@@ -201,15 +196,15 @@ class AdversarySelectionVectorEnv(AsVector):
             ResetNeededError: Before the first reset.
         """
         rewards, figures = self.decide(self.chosen(actions))
-        done, infos = self.ended.copy(), _masked(figures, ~self.ended)
+        done, infos = self.ended.copy(), masked(figures, ~self.ended)
         if done.any():
             metrics = self.metrics()
-            ends = {"metrics": _masked(metrics, done), "is_success": metrics["is_success"] > 0.5}
+            ends = {"metrics": masked(metrics, done), "is_success": metrics["is_success"] > 0.5}
             last = np.full(self.num_envs, None, object)
             for e in np.flatnonzero(done):
                 last[e] = self.obs[e].copy()
-            final = _masked(figures | ends, done)
-            infos |= _masked({"final_info": final, "final_obs": last}, done)
+            final = masked(figures | ends, done)
+            infos |= masked({"final_info": final, "final_obs": last}, done)
             infos |= self.reset(options={"reset_mask": done})[1]
         return self.obs.copy(), rewards, done, np.zeros_like(done), infos
 

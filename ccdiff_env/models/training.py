@@ -53,8 +53,7 @@ def train(
     Args:
         scenes: Scenes to train on. Keep every validation scene out.
         out: Folder of the run: ``weights.safetensors`` (moving average, for use),
-            ``state.safetensors`` (for resuming), ``loss.csv``, ``validation.csv``,
-            ``tensorboard/``.
+            ``state.safetensors`` (for resuming), ``loss.csv``, ``validation.csv``.
         held_out: Scenes for the validation curve.
         model: Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
         preset: ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
@@ -173,7 +172,6 @@ def train(
         # also on Ctrl-C, so that nothing is lost
         checkpoint()
         shown.close()
-        curves.close()
     return weights
 
 
@@ -200,7 +198,7 @@ def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[
 
 
 class Curves:
-    """Loss and validation curves: CSV files, and TensorBoard where it is installed."""
+    """Loss and validation curves: CSV files."""
 
     def __init__(self, out: Path, step: int) -> None:
         self._out = out
@@ -209,12 +207,6 @@ class Curves:
                 rows = [(row.split(",")[0], row) for row in read_text(path).splitlines(True)]
                 kept = [row for at, row in rows if not at.isdigit() or int(at) <= step]
                 write_aside(path, "".join(kept))
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            self._board = None
-        else:
-            self._board = SummaryWriter(str(out / "tensorboard"), purge_step=step)
 
     def write(self, name: str, step: int, values: dict[str, float]) -> None:
         """Append a row to ``<name>.csv``."""
@@ -225,11 +217,3 @@ class Curves:
             if fresh:
                 writer.writerow(["step", *values])
             writer.writerow([step, *(f"{v:.6g}" for v in values.values())])
-        if self._board is not None:
-            for key, value in values.items():
-                self._board.add_scalar(f"{name}/{key}", value, step)
-
-    def close(self) -> None:
-        """Flush TensorBoard."""
-        if self._board is not None:
-            self._board.close()

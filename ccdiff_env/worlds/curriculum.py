@@ -41,24 +41,13 @@ class Curriculum:
 
     def __init__(self, criticality: Criticality) -> None:
         self._criticality = criticality
-        self._progress = 0.0
+        self.progress = 0.0  #: Progress of training, 0 to 1.
         self._range()
-
-    @property
-    def progress(self) -> float:
-        """Progress of training, 0 to 1."""
-        return self._progress
-
-    @progress.setter
-    def progress(self, progress: float) -> None:
-        if not 0.0 <= progress <= 1.0:
-            raise ConfigError(f"progress is {progress!r}, expected 0 to 1")
-        self._progress = float(progress)
 
     def _range(self) -> list[tuple[float, float, float]]:
         """Shares of the episodes, and from where to where their strengths are drawn."""
         found = self._criticality
-        strength = found(self._progress) if callable(found) else found
+        strength = found(self.progress) if callable(found) else found
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
         wrong = ConfigError(
             f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "

@@ -354,7 +354,9 @@ class Worlds:
         """
         if self.curriculum is None:
             raise ConfigError("progress: the environment was made without criticality")
-        self.curriculum.progress = progress
+        if not 0.0 <= progress <= 1.0:
+            raise ConfigError(f"progress is {progress!r}, expected 0 to 1")
+        self.curriculum.progress = float(progress)
 
     def set_scene_weights(self, weights: Any) -> None:
         """Draw the scenes of episodes that begin later by weights [S], all alike for ``None``.
@@ -422,10 +424,6 @@ class Worlds:
             )
         plan = self.native.explain(world_idx, driver)
         return None if plan is None else TrafficPlan(**plan)
-
-    def observation(self, world_idx: int) -> F32:
-        """Return the present observations [C, D] of a world as a new array."""
-        return self.observe(world_idx)[0]
 
     def observe(self, world_idx: int) -> tuple[F32, U8 | None]:
         """Return the present observations [C, D] and rasters [C, P, S, S] of a world."""
