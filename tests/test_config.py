@@ -1,5 +1,6 @@
 """Configuration: defaults, JSON, keywords, messages; all of them come from the tables of Rust."""
 
+import dataclasses
 import json
 import math
 import re
@@ -19,6 +20,7 @@ from ccdiff_env.config import (
     WorldConfig,
 )
 from ccdiff_env.errors import CcdiffError, ConfigError
+from ccdiff_env.traffic import TrafficPlan
 from tools.configuration import FILES, tables
 
 
@@ -190,8 +192,13 @@ PLACES = {
 }
 
 
+def test_fields_of_a_plan_are_those_of_rust():
+    rust = [entry["name"] for entry in json.loads(_native.plan_fields_json())]
+    assert [field.name for field in dataclasses.fields(TrafficPlan)] == rust
+
+
 @pytest.mark.parametrize("name", FILES)
-def test_classes_keywords_and_page_are_those_of_the_tables(name):
+def test_classes_and_keywords_are_those_of_the_tables(name):
     assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]()
 
 

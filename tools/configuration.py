@@ -1,6 +1,6 @@
-"""Classes of options and of plans and the pages on both and on observations, from Rust's tables.
+"""Classes of options, their keywords, and tables of docs/configuration.md, from tables of Rust.
 
-``python -m tools.configuration`` writes all of them, with the extension modules as they are built.
+``python -m tools.configuration`` writes the classes, with the extension modules as they are built.
 """
 
 from __future__ import annotations
@@ -47,25 +47,6 @@ from typing import Any, Literal, TypeAlias
 
 from ccdiff_env.traffic.checked_options import Options
 '''
-PLAN_HEAD = f'''"""Fields of a plan's record, written by `{COMMAND}`: do not edit."""
-
-from __future__ import annotations
-
-from dataclasses import dataclass
-
-import numpy as np
-import numpy.typing as npt
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PlanFields:
-    """Fields of :class:`ccdiff_env.traffic.TrafficPlan`: M planned and R ranked agents, N samples,
-    T steps, J objectives.
-    """
-
-<fields>
-'''
-
 KEYWORDS_HEAD = f'''"""Keywords of environments for checkers, written by `{COMMAND}`: do not edit.
 
 Nested configurations may be dictionaries of the fields to change.
@@ -302,22 +283,6 @@ def keywords(found: list[Table]) -> str:
     return _formatted(KEYWORDS_HEAD.replace("<used>", used) + text)
 
 
-def plan_fields() -> str:
-    """Return the module of the fields of a plan's record."""
-    plain = {"usize": "int", "Vec<String>": "tuple[str, ...]"}
-    kinds = {"Vec<usize>": "int64", "Vec<bool>": "bool_", "Vec<Real>": "float32"}
-    lines = []
-    for entry in json.loads(_native.plan_fields_json()):
-        name, doc, optional = entry["name"], _python(entry["doc"]).rstrip("."), entry["optional"]
-        annotation = plain.get(entry["kind"], "")
-        if not annotation:
-            kind, axes = kinds[entry["kind"]], entry["axes"]
-            annotation = f"npt.NDArray[np.{kind}]{' | None' if optional else ''}"
-            doc += f", [{', '.join(axes)}]" if ". " not in doc else f". [{', '.join(axes)}]"
-        lines += _with_comment(f"    {name}: {annotation}", doc + ".")
-    return _formatted(PLAN_HEAD.replace("<fields>", "\n".join(lines)))
-
-
 def _below_plain(table: Table, found: list[Table]) -> bool:
     """Whether a table is only reached through one that is a dictionary in Python."""
     plain = [t for t in found if t["name"] in PLAIN]
@@ -341,18 +306,8 @@ def _shown(entry: Mapping[str, Any], table: Table) -> str:
 
 
 def page(found: list[Table]) -> str:
-    """Return the page."""
-    lines = [
-        "# Configuration",
-        "",
-        f"<!-- written by `{COMMAND}` from the tables of Rust; do not edit -->",
-        "",
-        "Options of worlds and drivers are dataclasses, with defaults, units and ranges in",
-        "[options.py](../ccdiff_env/traffic/options.py). Any field is a keyword:",
-        '`make_vec(8, traffic="idm", reward={"goal": 5.0})`. Options of networks are dictionaries;',
-        "their sizes are in [config.rs](../rust/nets/src/config.rs), presets in the",
-        "[reference](reference.md).",
-    ]
+    """Return the tables of the page."""
+    lines: list[str] = []
     seen = set[str]()
     for table in found:
         plain = table["name"] in PLAIN or _below_plain(table, found)
@@ -372,82 +327,13 @@ def page(found: list[Table]) -> str:
                 for v in choice["variants"]:
                     links = "".join(f" ([{n}](#{n.lower()}))" for n in _tables_in(v["form"]))
                     lines.append(f"* `{v['name']}`{links}: {' '.join(_text(v['doc']))}")
-    return "\n".join(lines) + "\n"
-
-
-OBSERVATION_HEAD = f"""# Observation
-
-<!-- written by `{COMMAND}` from the tables of Rust; do not edit -->
-
-Everything is in the frame of the observing agent: x ahead, y to the left, metres. Each number is
-the quantity over its scale, clipped to the range. Rows for what is not there are zero, and their
-mask is 0. In the flat form the entries follow one another; in the dictionary form each is an array
-of its own.
-
-Default configuration: <size> floats.
-"""
-ON_REQUEST = """
-## Columns on request
-
-Rows have these where `ego_columns`, `agent_columns` or `map_columns` names them, those of `map`
-wherever `num_map_segments` is above 0. What tells one scene from another is left out by default:
-policies that see it learn slower, and learn scenes by heart.
-
-| entry | column | scale | range | what |
-|---|---|---:|---|---|
-"""
-RASTER = """
-## `bev` uint8 [<channels>, S, S], off by default
-
-A bird's-eye raster round the agent: its heading points up, its left is left. `bev={}` asks for it:
-S = `size_px` = <size_px> rows and columns of `metres_per_px` = <metres_per_px> m,
-`behind_share` = <behind_share> of the rows behind the agent's centre. In the dictionary form it
-is one more entry; the form `observation="bev"` is the raster alone. A single raster shows no
-speeds: stack frames, or take the dictionary.
-
-| channel | name | bytes |
-|---:|---|---|
-"""
-
-
-def _column(column: Mapping[str, Any]) -> str:
-    low = "±" if column["low"] < 0 else "0–"
-    scale = f"{column['scale']:g} {column['unit']}".strip()
-    return f"{column['name']} | {scale} | {low}{column['high']:g} | {column['doc']} |"
-
-
-def observation_page() -> str:
-    """Return the page of observations."""
-    layout, columns, channels = json.loads(_native.observation_json())
-    text = OBSERVATION_HEAD.replace("<size>", str(layout["size"]))
-    shown = {"map": set[str]()}
-    for entry in layout["entries"]:
-        text += f"\n## `{entry['name']}` {entry['shape']}, from float {entry['offset']}\n\n"
-        if entry["kind"] == "mask":
-            text += "1 where the row is there, else 0.\n"
-            continue
-        text += "| column | scale | range | what |\n|---|---:|---|---|\n"
-        text += "".join(f"| {_column(column)}\n" for column in entry["columns"])
-        shown[entry["name"]] = {column["name"] for column in entry["columns"]}
-    text += ON_REQUEST
-    for name, of_entry in columns:
-        hidden = (column for column in of_entry if column["name"] not in shown[name])
-        text += "".join(f"| `{name}` | {_column(column)}\n" for column in hidden)
-    text += RASTER.replace("<channels>", str(len(channels)))
-    raster = next(table for table in tables() if table["name"] == "BevConfig")
-    for name, value in raster["defaults"].items():
-        text = text.replace(f"<{name}>", str(value))
-    rows = (f"| {k} | {c['name']} | {c['doc']} |\n" for k, c in enumerate(channels))
-    return text + "".join(rows)
+    return "\n".join(lines).strip()
 
 
 #: Files that are written, and what makes each of them.
 FILES: Mapping[str, Callable[[], str]] = {
     "ccdiff_env/traffic/options.py": lambda: classes(tables()),
     "ccdiff_env/traffic/keywords.py": lambda: keywords(tables()),
-    "ccdiff_env/traffic/plan_fields.py": plan_fields,
-    "docs/configuration.md": lambda: page(tables()),
-    "docs/observation.md": observation_page,
 }
 
 if __name__ == "__main__":

@@ -1,16 +1,18 @@
-"""Tables of docs/tasks.md, made from the schemas."""
+"""Tables of docs that are made from the schemas."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
 from ccdiff_env.envs.selection import INFO_COLUMNS
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
+from tools import configuration
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -37,7 +39,48 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
     )
 
 
+def _observed(column: Mapping[str, Any]) -> tuple[str, ...]:
+    low = "±" if column["low"] < 0 else "0–"
+    scale = f"{column['scale']:g} {column['unit']}".strip()
+    return column["name"], scale, f"{low}{column['high']:g}", column["doc"]
+
+
+_OBSERVED = ("column", "scale", "range", "what")
+
+
 def _observation() -> str:
+    """Entries of the default observation."""
+    layout, *_ = json.loads(_native.observation_json())
+    parts = [f"Default configuration: {layout['size']} floats."]
+    for entry in layout["entries"]:
+        parts.append(f"## `{entry['name']}` {entry['shape']}, from float {entry['offset']}")
+        rows = map(_observed, entry["columns"])
+        is_mask = entry["kind"] == "mask"
+        parts.append("1 where the row is there, else 0." if is_mask else _table(_OBSERVED, rows))
+    return "\n\n".join(parts)
+
+
+def _on_request() -> str:
+    """Columns that the default observation does not have."""
+    layout, columns, _ = json.loads(_native.observation_json())
+    entries = [entry for entry in layout["entries"] if entry["kind"] != "mask"]
+    shown = {entry["name"]: {c["name"] for c in entry["columns"]} for entry in entries}
+    rows = [
+        (f"`{name}`", *_observed(column))
+        for name, of_entry in columns
+        for column in of_entry
+        if column["name"] not in shown.get(name, ())
+    ]
+    return _table(("entry", *_OBSERVED), rows)
+
+
+def _raster() -> str:
+    *_, channels = json.loads(_native.observation_json())
+    rows = ((str(k), c["name"], c["doc"]) for k, c in enumerate(channels))
+    return _table(("channel", "name", "bytes"), rows)
+
+
+def _candidates() -> str:
     _, features = json.loads(_native.candidate_features_json())
     rows = (
         (f"`{name}`", f"{doc} ({unit})" if unit else doc, f"{scale:g}")
@@ -51,5 +94,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "info": lambda: _unweighted(read_columns(_native.columns_json())),
     "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
     "selection_info": lambda: _unweighted(INFO_COLUMNS),
-    "selection_observation": _observation,
+    "selection_observation": _candidates,
+    "observation": _observation,
+    "observation_on_request": _on_request,
+    "raster": _raster,
+    "configuration": lambda: configuration.page(configuration.tables()),
 }

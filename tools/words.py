@@ -13,8 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 MAX_WORDS = 25
 MAX_NUMBERS = 3  #: In a sentence; a bullet may not have more, either.
-#: Pages written by ``tools.configuration``.
-GENERATED = {"configuration.md", "observation.md"}
+GENERATED = {"configuration.md"}  #: Its sentences are those of the options.
 
 _NOT_PROSE = re.compile(
     r"^```[\s\S]*?^```$|<!--[\s\S]*?-->|^#+ .*$|^ *\|.*$|</?[a-z][^>\n]*>", re.M

@@ -1,4 +1,4 @@
-"""Fields of a plan's record, written by `python -m tools.configuration`: do not edit."""
+"""Fields of a plan's record; Rust has the same."""
 
 from __future__ import annotations
 
