@@ -3,38 +3,37 @@
 import numpy as np
 import pytest
 
+from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.traffic_report import Condition, comparison, difference, summarise
 from ccdiff_env.system.table import document
 
 HISTOGRAM = np.full((3, 20), 0.05).tolist()
-LOG = [{"comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM} for _ in range(40)]
 
 
-def figures(collided, fde, seed=0):
-    """Figures of scenes that collide or not, with a final displacement each."""
-    rows = [
-        {
-            "collision": {"all": bool(hit), "new": bool(hit), "controlled_new": bool(hit)},
-            "collision_rate": {"new": 0.0}, "over_speed": False, "off_road": 0.0, "fde_m": metres,
-            "comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM,
-        }
+def episodes(collided, fde):
+    """Scenes that collide or not, with a final displacement each."""
+    return [
+        {"scr": bool(hit), "scr_controlled": bool(hit), "orr": 0.0, "fde": metres,
+         "comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM}
         for hit, metres in zip(collided, fde, strict=True)
     ]  # fmt: skip
-    return summarise(rows, LOG, seed=seed)
+
+
+LOG = episodes([False] * 40, np.zeros(40))
 
 
 def test_differences_are_paired_over_scenes():
     rng = np.random.default_rng(1)
     hits, metres = rng.random(40) < 0.5, rng.normal(15.0, 8.0, 40)
-    one, other = figures(hits, metres + 2.0), figures(hits, metres)
+    one, other = episodes(hits, metres + 2.0), episodes(hits, metres)
     # the same shift in every scene has no spread, however much scenes differ
-    assert difference(one, other, "fde") == pytest.approx((2.0, 2.0, 2.0))
-    _, low, high = other.figure("fde")
+    assert difference(one, other, LOG, "fde") == pytest.approx((2.0, 2.0, 2.0))
+    _, low, high = mean_interval(other, "fde")
     assert high - low > 3.0
     # ten scenes of forty collide in one alone: the binomial interval of the difference
     more = hits.copy()
     more[np.flatnonzero(~hits)[:10]] = True
-    value, low, high = difference(figures(more, metres), figures(hits, metres), "scr")
+    value, low, high = difference(episodes(more, metres), other, LOG, "scr")
     spread = 1.96 * np.sqrt(0.25 * 0.75 / 40)
     assert value == pytest.approx(0.25)
     assert (low, high) == pytest.approx((0.25 - spread, 0.25 + spread), abs=0.05)
@@ -42,13 +41,13 @@ def test_differences_are_paired_over_scenes():
 
 def test_the_page_holds_differences_to_ccdiff():
     hits = [True] * 20 + [False] * 20
-    table = {
-        Condition("replay", 0, 5): figures([False] * 40, np.zeros(40)),
-        Condition("ctg", 5, 5): figures([True] * 40, np.full(40, 9.0)),
-        Condition("ccdiff_equal", 5, 5): figures(hits, np.full(40, 8.0)),
-        Condition("ccdiff", 5, 5): figures(hits, np.full(40, 7.0)),
+    played = {
+        Condition("replay", "0", 0.5): LOG,
+        Condition("ctg", "5", 0.5): episodes([True] * 40, np.full(40, 9.0)),
+        Condition("ccdiff_equal", "5", 0.5): episodes(hits, np.full(40, 8.0)),
+        Condition("ccdiff", "5", 0.5): episodes(hits, np.full(40, 7.0)),
     }
-    text = document(*comparison(table))
+    text = document(*comparison(played, summarise(played)))
     assert "### Less CCDiff, equal training" in text
     ctg = next(line for line in text.splitlines() if line.startswith("| CTG | 5 |"))
     assert "+0.50 [" in ctg
@@ -56,4 +55,4 @@ def test_the_page_holds_differences_to_ccdiff():
     # the front is CTG and CCDiff; CCDiff of equal training is a sixth of the scale from the latter
     assert "| CCDiff, equal training | 0.00 | 0.83 | 0.17 |" in text
     assert "| CTG | 1.00 | 0.67 | 0.00 |" in text
-    assert comparison({}) == ["One method alone."]
+    assert comparison({}, {}) == ["One method alone."]

@@ -31,7 +31,7 @@ def test_over_speed_is_that_of_the_log_where_the_log_is_replayed():
         speed = np.linalg.norm(tracks["velocity"][agents], axis=-1)
         limit = speed_limit(np.where(tracks["valid"][agents], speed, np.nan))
         over = episode.log.over_speed(limit, counted=episode.controlled)
-        assert row["over_speed"] == bool(over.any())
+        assert row["sor"] == bool(over.any())
 
 
 def test_conflict_is_that_of_the_guided_vehicles_of_all_plans():

@@ -136,17 +136,16 @@ def _traffic(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     episodes = run.episodes(jobs, "method", "replan_steps", k="num_controlled")
-    by_condition = report.conditions(episodes)
-    log = next(rows for c, rows in by_condition.items() if c.num_controlled == 0)
-    table = {c: report.summarise(rows, log, seed=args.seed) for c, rows in by_condition.items()}
+    played = report.conditions(episodes)
+    found = report.summarise(played)
     return run.report(
         "Traffic",
         {
-            "Figures": report.tables(table),
-            "Methods against one another": report.comparison(table),
+            "Figures": report.tables(played, found),
+            "Methods against one another": report.comparison(played, found),
         },
         episodes,
-        {"figures.csv": report.figures_table(table)},
+        {"figures.csv": report.figures_table(played, found)},
     )
 
 
