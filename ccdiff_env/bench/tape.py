@@ -16,9 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import DatasetError
-from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.worlds import Worlds
-from ccdiff_env.worlds.worlds_view import behind
 
 F32 = npt.NDArray[np.float32]
 
@@ -98,32 +96,3 @@ class Recorded:
             if (step + 1) * width <= len(data):
                 found[i] = data[step * width : (step + 1) * width]
         return found if native.num_actions is None else found[:, 0].astype(np.int64)
-
-
-class Witnessed(Recorded):
-    """Does again what tapes hold, while a planner of the package, ``seat``, says what it
-    would do.
-    """
-
-    privileged = True  #: It reads the worlds as the planner does, who may be privileged.
-
-    def __init__(self, rows: Sequence[Mapping[str, Any]], seat: Seat) -> None:
-        super().__init__(rows)
-        self.env_options = {"config": seat.config}
-        self._seat = seat
-        #: Largest difference of an action of each scene from the planner's [E].
-        self.apart = np.zeros(len(rows))
-
-    def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
-        """Begin at the first action; all worlds begin together."""
-        super().reset(worlds, indices)
-        self._seat.begin(behind(worlds))
-
-    def __call__(self, obs: Any) -> npt.NDArray[Any]:
-        """Return the recorded actions [E, W]."""
-        found = super().__call__(obs)
-        apart = np.abs(self._seat(obs) - found).max(axis=1)
-        for i in range(len(found)):
-            if self._worlds.native.slot_alive(i)[0]:
-                self.apart[i] = max(self.apart[i], apart[i])
-        return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,11 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
-from ccdiff_env.bench.tape import Recorded, Witnessed
+from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError
-from ccdiff_env.planners.built_in import ego_driver, is_of_package
+from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.system.progress import shown
-
-#: How far an action of a learned planner of the package may be from what it chooses here:
-#: numpy multiplies matrices of float32 in another order on another processor.
-TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -46,12 +42,11 @@ def verify(
     dataroot: str | None = None,
     own_code: bool = False,
 ) -> Verified:
-    """Play episodes again with the recorded actions and compare every bit.
+    """Play episodes again and compare every bit.
 
-    No code of others runs: drivers of the world and planners of the package are played by name, and
-    their recorded actions must be those that they choose; of all other planners the recorded
-    actions are played. Batches are played as a whole, as they were: torch rounds differently in
-    others.
+    No code of others runs: drivers of the world and planners of the package drive again, by name;
+    of all other planners the recorded actions are played. Batches are played as a whole, as they
+    were: torch rounds differently in others.
 
     Args:
         episodes: At least so many, by chance; all by default.
@@ -103,33 +98,19 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
             f"{entry.where}: scene {wrong[0]!r} has hash {hashes.get(wrong[0])} here, "
             f"{entry.made_from['scenes'][wrong[0]]} there"
         )
-    planner = _planner(entry)
+    planner: Any = entry.planner
+    if not is_of_package(planner):
+        if any("actions" not in row for row in entry.rows):
+            raise DatasetError(f"{entry.where}: {planner} without its actions")
+        planner = Recorded(entry.rows)
     scenes = scenes_of(source, entry.names)
     rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed, options=entry.window)
     rows = with_log(rows, source, entry.names, entry.window)
-    apart: Sequence[float] = getattr(planner, "apart", (0.0,) * len(rows))
     return [
         f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
-        for then, now, by in zip(entry.rows, rows, apart, strict=True)
-        if (what := _difference(then, now) or _choice(entry.planner, by))
+        for then, now in zip(entry.rows, rows, strict=True)
+        if (what := _difference(then, now))
     ]
-
-
-def _planner(entry: Entry) -> Any:
-    """Return who drives the episodes of an entry again, without code of others."""
-    if not is_of_package(entry.planner):
-        if any("actions" not in row for row in entry.rows):
-            raise DatasetError(f"{entry.where}: {entry.planner} without its actions")
-        return Recorded(entry.rows)
-    seat = ego_driver(entry.planner)[1]
-    return entry.planner if seat is None else Witnessed(entry.rows, seat)
-
-
-def _choice(planner: str, apart: float) -> str | None:
-    """Say that recorded actions are not those of a planner of the package."""
-    if apart <= TOLERANCE:
-        return None
-    return f"actions that {planner} of this release does not choose, off by {apart:.3g}"
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
