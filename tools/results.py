@@ -32,11 +32,7 @@ from tools import charts, pages
 from tools.pages import keep, kept
 
 #: Splits of nuScenes that trained or chose what the package has: they must not report it.
-USED_FOR = {
-    **dict.fromkeys(("ego", "ego_replay", "ccdiff", "tokens"), "train+train_val"),
-    "imitation": "train+train_val",
-    "pdm_open": "train+train_val",
-}
+USED_FOR = dict.fromkeys(("ego", "ego_replay", "ccdiff", "tokens"), "train+train_val")
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ ASSISTED: dict[str, Any] = {
     "base_jerk_mps3": 2.0,
 }
 #: Weights of its reward; a place beside the route costs its square.
-PRICES, ASIDE = {"comfort": -0.04, "speed_limit": -0.05}, -0.02
+ASSISTED_WEIGHTS, ASIDE = {"comfort": -0.04, "speed_limit": -0.05}, -0.02
 #: Traffic in which every vehicle is calm, as usual, or hasty.
 STYLES: dict[str, Any] = {
     "traffic": {"calm": 0.25, "idm": 0.5, "hasty": 0.25},
@@ -240,8 +240,8 @@ def train(args: argparse.Namespace) -> None:
         "decision_steps": args.decision_steps,
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
-    prices = PRICES if isinstance(config.action.dynamics, AssistedLimits) else {}
-    config = config.with_options(reward=prices)
+    weights = ASSISTED_WEIGHTS if isinstance(config.action.dynamics, AssistedLimits) else {}
+    config = config.with_options(reward=weights)
     checkpoint = args.out / "checkpoint.pt"
     if args.resume and not checkpoint.is_file():
         raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")

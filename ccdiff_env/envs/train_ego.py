@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--anchor", help="policy to stay near: as --start without .pt, or zero (default: none)"
     )
-    parser.add_argument("--kl", type=float, default=0.1, help="price of leaving the anchor")
+    parser.add_argument("--kl", type=float, default=0.1, help="weight of the KL divergence")
     parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )

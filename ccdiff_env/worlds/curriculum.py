@@ -51,7 +51,7 @@ class Curriculum:
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
         wrong = ConfigError(
             f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "
-            "or shares by these: {0: 0.5, (1, 2): 0.5}"
+            "or the share of each: {0: 0.5, (1, 2): 0.5}"
         )
         try:
             pairs = [(p if isinstance(p, Sequence) else (p, p), float(s)) for p, s in parts]

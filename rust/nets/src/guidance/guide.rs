@@ -214,7 +214,7 @@ impl<'a> Guidance<'a> {
 
     /// Has each agent's sample selected for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
     /// of all agents of a world is one future. With `draws`, a guided agent chooses among its first ones, so many at a guidance
-    /// scale of 1, and who is not guided beside it takes the very first.
+    /// scale of 1, and unguided agents take the first.
     ///
     /// # Errors
     /// [`ModelError::Shape`] for knots of another length.

@@ -142,7 +142,7 @@ pub trait TrafficPolicy: Send + Sync {
         Ok(vec![None; requests.len()])
     }
 
-    /// AgentMotion of one agent over the step: by default that of its plan, and of its log where it has none.
+    /// How one agent moves in this step: by default that of its plan, and of its log where it has none.
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         match plan.and_then(|p| p.follow(world, agent_idx)) {
             Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
