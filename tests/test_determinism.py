@@ -1,17 +1,13 @@
 """The same seed gives the same bits: whatever the threads, the batch, the process, a snapshot."""
 
 import copy
-import os
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from episode_play import played, same
 from test_own_traffic import wander
 
-import ccdiff_env
 from ccdiff_env import EgoEnv, embedded_scenes, make_vec, replay
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.traffic import PythonTraffic
@@ -96,17 +92,6 @@ def test_snapshots_copies_and_certificates_go_on_and_a_batch_plays_the_same(name
         assert replay(path, scenes).env.certificate().digest == certificate.digest
 
 
-def test_runs_repeat_and_seeds_differ(scenes):
-    def run(seed=11, **options):
-        env = make_vec(3, scenes=scenes, **options)
-        return [np.array(env.reset(seed=seed)[0]), *(np.array(env.step(a)[0]) for a in moves)]
-
-    moves = np.tile(actions(20)[:, None], (1, 3, 1))
-    assert same(run(), run())
-    assert not same(run(seed=12), run())
-    assert same(run(info="none", copy=False), run())
-
-
 def test_scene_order_in_the_set_does_not_change_an_episode():
     scenes = embedded_scenes("val")
     name = scenes.names[3]
@@ -116,47 +101,6 @@ def test_scene_order_in_the_set_does_not_change_an_episode():
         env.reset(seed=1, options={"scene": name})
         rewards.append([env.step(action)[1] for action in actions(10)])
     assert rewards[0] == rewards[1] == rewards[2]
-
-
-#: Prints a digest of four worlds in CCDiff traffic, unguided and guided, and replays a certificate.
-NETWORK = """
-import hashlib, sys
-import numpy as np
-import ccdiff_env
-
-for criticality in (0.0, 1.0):
-    options = {"scenes": "val", "traffic": "ccdiff", "criticality": criticality}
-    env = ccdiff_env.make_vec(4, num_threads=2, **options)
-    env.reset(seed=5)
-    digest = hashlib.blake2b(digest_size=8)
-    for _ in range(8):
-        digest.update(env.step(np.zeros((4, 2), np.float32))[0].tobytes())
-        for i in range(4):
-            digest.update(env.worlds.native.states(i)["position"].tobytes())
-    print(digest.hexdigest())
-ccdiff_env.replay(sys.argv[1])
-"""
-
-
-@pytest.mark.slow
-def test_networks_repeat_their_bits_whatever_the_threads_of_torch(tmp_path):
-    """Guided or not, in a batch of one size; a certificate is simulated again under any."""
-    env = ccdiff_env.EgoEnv(traffic="ccdiff", criticality=1.0)
-    env.reset(seed=3)
-    played(env, actions(12))
-    env.certificate().save(tmp_path / "c.json")
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", NETWORK, str(tmp_path / "c.json")],
-            env={**os.environ, "OMP_NUM_THREADS": threads},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for threads in ("1", "4")
-    ]
-    assert len(set(said[0].split())) == 2
-    assert said[0] == said[1]
 
 
 def test_worlds_of_neighbouring_runs_are_disjoint():

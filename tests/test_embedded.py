@@ -1,22 +1,16 @@
-"""The embedded data set, against the devkit and shapely."""
+"""The embedded data set, against the devkit."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 from nuscenes.nuscenes import NuScenes
 from pyquaternion import Quaternion
-from shapely import Polygon, STRtree
-from shapely.affinity import rotate, translate
-from shapely.geometry import box as shapely_box
-from shapely.prepared import prep
 
 import ccdiff_env
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
 
 LOCATION = "ccdiff-town"
-EGO_SIZE = (1.73, 4.084)  #: Width and length of the ego (m).
 KINDS = {"left-turn", "tee-crossing", "cut-in", "hard-brake", "queue", "double-left", "merge-in",
          "free-curve", "pedestrians"}  # fmt: skip
 
@@ -34,49 +28,25 @@ def devkit(dataroot):
 
 
 @pytest.fixture(scope="module")
-def expansion(dataroot):
-    return json.loads((dataroot / f"maps/expansion/{LOCATION}.json").read_text())
-
-
-def _ring(expansion, tokens):
-    nodes = {n["token"]: (n["x"], n["y"]) for n in expansion["node"]}
-    return [nodes[t] for t in tokens]
-
-
-@pytest.fixture(scope="module")
-def drivable(expansion):
-    polygons = {p["token"]: p for p in expansion["polygon"]}
-    (token,) = expansion["drivable_area"][0]["polygon_tokens"]
-    holes = [_ring(expansion, h["node_tokens"]) for h in polygons[token]["holes"]]
-    return Polygon(_ring(expansion, polygons[token]["exterior_node_tokens"]), holes)
-
-
-@pytest.fixture(scope="module")
 def frames(devkit):
-    """Boxes of each key frame: scene, time (s), instance, category, shapely box, yaw, centre."""
+    """Boxes of each key frame: scene, time (s), and of each instance its yaw and centre."""
     out = []
     for scene in devkit.scene:
         token, number = scene["first_sample_token"], 0
         while token:
             sample = devkit.get("sample", token)
             data = devkit.get("sample_data", sample["data"]["LIDAR_TOP"])
-            ego = devkit.get("ego_pose", data["ego_pose_token"])
-            rows = [("ego", "vehicle.ego", EGO_SIZE, ego)]
+            rows = [("ego", devkit.get("ego_pose", data["ego_pose_token"]))]
             for name in sample["anns"]:
                 record = devkit.get("sample_annotation", name)
-                rows.append(
-                    (record["instance_token"], record["category_name"], record["size"][:2], record)
-                )
+                rows.append((record["instance_token"], record))
             boxes = []
-            for instance, category, (width, length), record in rows:
+            for instance, record in rows:
                 pose = Quaternion(record["rotation"])
                 # a pose of the ego is the middle of its rear axle
                 ahead = pose.rotate([1.385 if instance == "ego" else 0.0, 0.0, 0.0])
-                x, y = (np.array(record["translation"]) + ahead)[:2]
-                yaw = pose.yaw_pitch_roll[0]
-                flat = shapely_box(-length / 2, -width / 2, length / 2, width / 2)
-                shape = translate(rotate(flat, yaw, origin=(0, 0), use_radians=True), x, y)
-                boxes.append((instance, category, shape, yaw, (x, y)))
+                centre = (np.array(record["translation"]) + ahead)[:2]
+                boxes.append((instance, pose.yaw_pitch_roll[0], centre))
             out.append((scene["name"], number * 0.5, boxes))
             token, number = sample["next"], number + 1
     return out
@@ -102,7 +72,7 @@ def test_loaded_tracks_are_those_of_the_devkit(frames):
     for scene, time, boxes in frames[::7]:
         loaded = scenes[scene]
         tracks, index = loaded.tracks(), {name: i for i, name in enumerate(loaded.agent_ids)}
-        for instance, _, _, yaw, centre in boxes:
+        for instance, yaw, centre in boxes:
             row, step = index[instance], round(time * 10)
             assert tracks["valid"][row, step]
             at = tracks["position"][row, step] + np.asarray(loaded.origin)
@@ -131,21 +101,3 @@ def test_the_devkits_map_class_opens_the_map_once_it_knows_the_name(dataroot, mo
     for layer in ("ped_crossing", "walkway", "stop_line", "road_block", "carpark_area"):
         record = getattr(opened, layer)[0]
         assert opened.extract_polygon(record["polygon_token"]).is_valid
-
-
-def test_no_two_boxes_overlap_at_any_key_frame(frames):
-    for scene, time, boxes in frames:
-        shapes = [shape for _, _, shape, _, _ in boxes]
-        pairs = STRtree(shapes).query(shapes, predicate="intersects").T
-        assert [(scene, time, i, j) for i, j in pairs if i != j] == []
-
-
-def test_all_vehicles_stay_in_the_drivable_area(frames, drivable):
-    area = prep(drivable.buffer(0.02))
-    outside = [
-        (scene, time, instance)
-        for scene, time, boxes in frames
-        for instance, category, shape, _, _ in boxes
-        if category.startswith("vehicle.") and not area.covers(shape)
-    ]
-    assert outside == []

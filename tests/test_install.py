@@ -58,15 +58,6 @@ def test_help_comes_at_once(tmp_path):
     assert torch == "False"
 
 
-def test_benchmarks_of_rules_leave_torch_alone(tmp_path):
-    words = ["bench", "planners", "--planners", "idm", "--traffic", "idm", "--limit", "1"]
-    command = [*words, "--workers", "1", "--out", str(tmp_path / "run")]
-    # what a bare installation does not have
-    code = "for name in ('tqdm', 'rich', 'matplotlib', 'PIL'): sys.modules[name] = None\n"
-    code += f"from ccdiff_env_cli import main\nprint(main({command}), 'torch' in sys.modules)"
-    assert python(f"import sys\n{code}") == "0 False"
-
-
 REFUSED = """
 import sys, types
 import ccdiff_env
@@ -136,66 +127,24 @@ def test_versions_are_written_alike_everywhere():
     assert torch == {found("rust/models/build.rs", r'TORCH: &str = "([\d.]+)"')}
 
 
-#: Files that README names; nuScenes stands for the embedded scenes.
-DESK = """
-import ccdiff_env
-from ccdiff_env.view.sources import play_scene
-play_scene(ccdiff_env.embedded_scenes("val")[0]).to_scenarionet("scenario.pkl")
-ccdiff_env.load_nuscenes = lambda *_, **__: ccdiff_env.embedded_scenes("val")
-"""
 SHIPPED = {file.stem.split("_")[0] for file in weight_files()}
 RIVALS = sorted(SHIPPED & {"simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp"})
 NETWORKS = ",".join(["ccdiff_one_step", "ccdiff", *RIVALS, "tokens"])
 
 
-def without_torch(code: str, folder: Path) -> str:
-    """Last line that a fresh process prints."""
-    head = f"import sys\nsys.path[0] = {str(ROOT)!r}\n"
-    head += "sys.modules['torch'] = sys.modules['ccdiff_env._models'] = None\n"
-    return python(head + code + "\nprint('done')", folder)
-
-
-NETWORK_OPTIONS = [
-    {"traffic": "ccdiff", "ccdiff": {"criticality": 1.0, "denoising_steps": 1}},
-    {"traffic": "ccdiff", "ccdiff": {"follow_route": True, "num_samples": 3, "cfg_weight": 1.3}},
-    {"traffic": "tokens", "tokens": {"follow_route": True, "careful": True}},
-    *({"traffic": name, "criticality": 1.0} for name in RIVALS),
-]
-
-
-def test_networks_drive(tmp_path):
-    code = f"""
-import ccdiff_env
-for options in {NETWORK_OPTIONS}:
-    env = ccdiff_env.EgoEnv(**options)
-    env.reset(seed=3)
-    for _ in range(12):
-        env.step([0.5, 0.0])
-    assert env.explain() is not None, options
-"""
-    assert without_torch(code, tmp_path) == "done"
-
-
-def test_what_the_readme_shows_runs(tmp_path):
-    text = (ROOT / "README.md").read_text(encoding="utf-8").replace("make_vec(64", "make_vec(2")
-    found = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    kept = [block for block in found if "stable_baselines3" not in block]
-    assert len(kept) == len(found) - 1
-    assert without_torch(DESK + "".join(kept), tmp_path) == "done"
-
-
 @pytest.mark.parametrize(
     "words",
     [
-        ["planners", "--planners", "idm", "--traffic", "ccdiff"],
+        ["planners", "--planners", "idm", "--traffic", "idm,ccdiff"],
         ["traffic", "--methods", NETWORKS, "--k", "1", "--t", "1"],
     ],
     ids=lambda words: words[0],
 )
-def test_benchmarks_run(words, tmp_path):
+def test_benchmarks_need_nothing_that_a_bare_installation_lacks(words, tmp_path):
     command = ["bench", *words, "--limit", "1", "--out", str(tmp_path / "run")]
-    code = f"from ccdiff_env_cli import main\nassert main({command}) == 0"
-    assert without_torch(code, tmp_path) == "done"
+    lacks = ("torch", "ccdiff_env._models", "tqdm", "rich", "matplotlib", "PIL")
+    code = f"import sys\nsys.modules.update(dict.fromkeys({lacks}))\n"
+    assert python(f"{code}from ccdiff_env_cli import main\nprint(main({command}))") == "0"
 
 
 CALLS = {
