@@ -5,6 +5,11 @@ import numpy as np
 from ccdiff_env import EgoEnv
 
 
+def actions(steps: int) -> np.ndarray:
+    """Random actions [T, 2], always the same ones."""
+    return np.random.default_rng(5).uniform(-0.3, 0.5, (steps, 2)).astype(np.float32)
+
+
 def played(env: EgoEnv, actions: np.ndarray) -> list[np.ndarray]:
     """Everything that an environment returns while it is given actions [T, 2]."""
     told = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from array_scenes import agent, array_scene, rebuilt, wide_road
 from array_scenes import played as episode
-from episode_play import played, same
+from episode_play import actions, played, same
 from test_own_traffic import straight_on
 from traffic_play import Play
 
@@ -40,10 +40,6 @@ def edited(scene: Scene, ego: str) -> Scene:
     """The scene with another vehicle called the ego, built anew from arrays."""
     names = {"ego": "the other", ego: "ego"} if ego != "ego" else {}
     return rebuilt(scene, agent_ids=[names.get(one, one) for one in scene.agent_ids])
-
-
-def actions(steps: int) -> np.ndarray:
-    return np.random.default_rng(5).uniform(-0.3, 0.5, (steps, 2)).astype(np.float32)
 
 
 def test_the_seed_draws_a_vehicle_that_drives_on_and_a_start(scenes):

@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from episode_play import played, same
+from episode_play import actions, played, same
 from test_own_traffic import wander
 
 from ccdiff_env import EgoEnv, embedded_scenes, make_vec, replay
@@ -37,10 +37,6 @@ WORLDS = {
 
 
 NUM_SCENES = 4
-
-
-def actions(steps: int) -> np.ndarray:
-    return np.random.default_rng(5).uniform(-0.3, 0.5, (steps, 2)).astype(np.float32)
 
 
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])

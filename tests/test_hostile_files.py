@@ -80,6 +80,7 @@ TOWN = "maps/expansion/ccdiff-town.json"
 DOORS = {
     "scenario": (ccdiff_env.load_scenarionet, "a.pkl"),
     "scenarios of a folder": (lambda path: ccdiff_env.load_scenarionet(path.parent), "a.pkl"),
+    "Waymo scene": (lambda path: ccdiff_env.load_gpudrive(path, cache=False)[0], "a.json"),
     "rollout": (Rollout.load, "a.npz"),
     "pages": (lambda path: write_pages(path.parent, path.parent / "out"), "a.npz"),
     "certificate": (Certificate.load, "a.json"),

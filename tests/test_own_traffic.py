@@ -181,17 +181,6 @@ def test_mixed_traffic_repeats_and_is_recorded_by_name(tmp_path):
     assert again.meta["traffic"] == "50% calm + 30% python + 20% replay"
 
 
-def test_two_styles_of_one_kind_differ():
-    styles = {"calm": IdmConfig(headway_s=2.5), "hasty": IdmConfig(headway_s=0.4)}
-    reached = []
-    for traffic in styles:
-        env = env_of(traffic, 1, named_drivers=styles, driver="idm")
-        env.reset(seed=0, options={"scene": "queue-03"})
-        walk(env, 60)
-        reached.append(env.worlds.native.states(0)["position"])
-    assert np.abs(reached[0] - reached[1]).max() > 0.5
-
-
 def test_single_vehicles_have_drivers_of_their_own():
     env = ccdiff_env.EgoEnv(scenes="val", traffic="idm", driver="idm")
     env.reset(seed=0, options={"scene": "cut-in-03"})

@@ -69,22 +69,6 @@ def test_a_scene_with_levels_is_told_of_and_kept(tmp_path):
     assert (again.tracks()["elevation_m"] == first[0].tracks()["elevation_m"]).all()
 
 
-def test_hills_are_flat(tmp_path):
-    def place(t):
-        return (10 * t, 0.0, 1.5 * t)  # 15 % steep, 13 m up
-
-    lane = {
-        "type": "lane",
-        "map_element_id": 2,
-        "id": 1,
-        "geometry": [{"x": x, "y": 0.0, "z": 0.15 * x} for x in range(0, 200, 10)],
-    }
-    found = load(overpass.write(tmp_path / "hill.json", [overpass.vehicle(1, place)], roads=[lane]))
-    assert "elevation_m" not in found.tracks()
-    assert "elevation_m" not in found.map_layers()
-    assert "elevation_m" not in found.map_layers()["lanes"][0]
-
-
 @pytest.mark.parametrize("height", [1e9, -10_000.0, 1e300])
 def test_heights_that_are_none_on_earth_are_refused(tmp_path, height):
     objects = json.loads(json.dumps(OBJECTS))

@@ -238,9 +238,9 @@ def shape(polygon):
     return Polygon(polygon["exterior"], polygon["holes"]).buffer(0)
 
 
-def test_cropped_areas_cover_what_shapely_finds(map_scenes):
+def test_cropped_areas_and_dividers_are_what_shapely_finds(map_scenes):
     from shapely.affinity import translate
-    from shapely.geometry import MultiPolygon, box
+    from shapely.geometry import LineString, MultiPolygon, box
     from shapely.ops import unary_union
 
     layers = {
@@ -262,18 +262,6 @@ def test_cropped_areas_cover_what_shapely_finds(map_scenes):
             expected = unary_union([p.intersection(crop) for p in whole if p.intersects(crop)])
             got = unary_union([shape(p) for p in ours[name]] or [MultiPolygon()])
             assert got.symmetric_difference(expected).area < 1e-4 * expected.area + 0.5, name
-
-
-def test_cropped_dividers_have_the_length_shapely_finds(map_scenes):
-    from shapely.affinity import translate
-    from shapely.geometry import LineString, box
-
-    for scene, nusc_map in map_scenes:
-        tracks = scene.tracks()
-        points = tracks["position"][tracks["valid"]]
-        crop = box(*(points.min(axis=0) - 60), *(points.max(axis=0) + 60))
-        shift = (-scene.origin[0], -scene.origin[1])
-        ours = scene.map_layers()
         for name, table in (("road_dividers", "road_divider"), ("lane_dividers", "lane_divider")):
             lines = [nusc_map.extract_line(r["line_token"]) for r in getattr(nusc_map, table)]
             expected = sum(translate(li, *shift).intersection(crop).length for li in lines)

@@ -7,7 +7,6 @@ import pytest
 
 import ccdiff_env
 from ccdiff_env import errors
-from ccdiff_env.scenes.scenarionet import load_scenario_dict
 
 T = 11
 
@@ -112,22 +111,6 @@ def test_description_becomes_a_scene(tmp_path, protocol):
         ("PEDESTRIAN", "fewer than 2 steps"): 1,
     }
     assert any("STOP_SIGN" in note for note in report.scenes[0].notes)
-
-
-def test_damaged_files_are_refused(tmp_path):
-    path = save(tmp_path, scenario())
-    whole = path.read_bytes()
-    for cut in (0, 1, 10, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:cut])
-        with pytest.raises(errors.DatasetError, match=r"sd_1\.pkl"):
-            load_scenario_dict(path)
-    with pytest.raises(errors.DatasetNotFoundError):
-        ccdiff_env.load_scenarionet(tmp_path / "none")
-    with pytest.raises(errors.DatasetError, match="list, expected a dictionary"):
-        ccdiff_env.load_scenarionet(save(tmp_path, []))
-    path.write_text("hello")
-    with pytest.raises(errors.DatasetError, match="no pickle, expected a scenario description"):
-        ccdiff_env.load_scenarionet(path)
 
 
 def nan_at(step):

@@ -27,15 +27,6 @@ def same(a, b):
     return all(np.array_equal(x, y) for s, t in steps for x, y in zip(s, t, strict=True))
 
 
-def test_plans_are_explained(scenes):
-    play = driven(scenes[:1], ccdiff={"criticality": 2.0})
-    play.step(12)
-    plan = play.worlds.explain(0)
-    assert plan.made_at == 10
-    assert plan.samples.shape[2] == 5
-    assert plan.guided.any()
-
-
 def test_who_is_parked_or_walks_does_as_logged(scenes):
     moved = driven(scenes).positions(10)
     for i, scene in enumerate(scenes):
@@ -196,21 +187,3 @@ def test_a_dial_is_fitted_on_enough_scenes(tmp_path, capsys):
     words = ["--scenes", "embedded/val", "--fit-scenes", "embedded/val?limit=3"]
     assert main(["distil", *words, "--out", str(tmp_path)]) == 2
     assert "at least 10" in capsys.readouterr().err
-
-
-def test_egos_train_are_judged_and_shown_in_it(scenes, tmp_path):
-    """``train-ego``, stable-baselines3 as in README.md, the benchmark of planners, pages."""
-    pytest.importorskip("torch")
-    pytest.importorskip("stable_baselines3")
-    from stable_baselines3 import PPO
-
-    from ccdiff_env.envs.sb3 import SB3VecEnv
-
-    out = ["--out", str(tmp_path / "ego")]
-    assert main(["train-ego", "--smoke", "--traffic", SWIFT, "idm", "--threads", "1", *out]) == 0
-    worlds = ccdiff_env.make_vec(4, scenes=scenes, traffic=SWIFT, decision_steps=3)
-    PPO("MlpPolicy", SB3VecEnv(worlds), n_steps=8, batch_size=32, device="cpu").learn(32)
-    words = ["bench", "planners", "--planners", "idm", "--traffic", "swift,swift-1", "--limit", "2"]
-    assert main([*words, "--quiet", "--out", str(tmp_path / "bench")]) == 0
-    words = ["view", scenes[0].name, "--traffic", SWIFT, "--criticality", "2"]
-    assert main([*words, "--out", str(tmp_path / "page.html")]) == 0
