@@ -160,7 +160,7 @@ def naming(name: str) -> list[str]:
         ("ccdiff_released", ["ccdiff_env/bench/methods.py"]),  # a method of benchmarks
         # planners: where one is made, and its title
         ("diffusion", ["ccdiff_env/planners/rules.py", "ccdiff_env/view/captions.py"]),
-        ("arbiter", ["ccdiff_env/planners/built_in.py", "ccdiff_env/view/captions.py"]),
+        ("noop", ["ccdiff_env/planners/built_in.py", "ccdiff_env/view/captions.py"]),
     ],
 )
 def test_an_entry_of_a_table_is_named_there_alone(entry, files):
