@@ -24,7 +24,6 @@ from ccdiff_env.traffic import (
     NamedDriver,
     PythonTraffic,
     driver_names,
-    read_ranking,
 )
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import (
@@ -281,8 +280,6 @@ def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
             expected = f"{kind.__name__} or a dictionary of its fields"
             raise ConfigError(f"config: {path} is {value!r}, expected {expected}")
         return _made(kind, old if isinstance(old, kind) else None, value, path + ".")
-    if hint == Ranking and str(value).endswith(".json"):
-        return read_ranking(value)
     if hint in (Ranking, Controlled) and isinstance(value, Mapping):  # as Rust writes them
         forms = ("list",) if hint == Ranking else ("ids", "per_scene")
         value = next((value[form] for form in forms if set(value) == {form}), value)

@@ -36,13 +36,6 @@ def test_episodes_draw_from_the_range_by_seed_and_number():
     assert Curriculum(0.7).draw(1, 2) == 0.7
 
 
-def test_progress_moves_a_function_along():
-    curriculum = Curriculum(growing)
-    assert curriculum.draw(1, 1) == 0.0
-    curriculum.progress = 0.5
-    assert 0.0 < curriculum.draw(1, 1) <= 0.5
-
-
 def test_every_environment_says_and_sets_it(scenes):
     single = EgoEnv(scenes=scenes, criticality=(0.0, 1.0), **QUICK)
     _, info = single.reset(seed=3)

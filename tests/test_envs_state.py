@@ -197,17 +197,3 @@ def test_copies_of_many_worlds_go_on_where_the_original_stands(mode, make, scene
         native = [one.worlds.native for one in (env, twin)]
         assert [native[0].digest(i) for i in range(5)] == [native[1].digest(i) for i in range(5)]
     assert np.array_equal(make(env).reset()[0], env.reset()[0])
-
-
-def test_copies_of_rows_of_vehicles_go_on_alike(scenes):
-    env = ccdiff_env.AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm", adversaries=1)
-    env.reset(seed=0)
-    still = np.zeros((4, 2), np.float32)
-    for _ in range(20):
-        env.step(still)
-    copies = copy.deepcopy(env), pickle.loads(pickle.dumps(env))
-    for _ in range(100):  # to the next episodes
-        mine = env.step(still)
-        for theirs in (one.step(still) for one in copies):
-            assert all(same(a, b) for a, b in zip(mine[:4], theirs[:4], strict=True))
-            assert same(mine[4]["active"], theirs[4]["active"])

@@ -32,7 +32,6 @@ from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, unpack
 from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.system.tensors import read_tensors, write_tensors
-from ccdiff_env.traffic import read_ranking
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.sources import log_rollout, play_scene
 
@@ -85,7 +84,6 @@ DOORS = {
     "pages": (lambda path: write_pages(path.parent, path.parent / "out"), "a.npz"),
     "certificate": (Certificate.load, "a.json"),
     "configuration": (lambda path: WorldConfig.from_json(path.read_text()), "a.json"),
-    "ranking": (read_ranking, "a.json"),
     "leaderboard": (board, "run.json"),
     "result": (lambda path: results([Job("a", "", {})], path.parent), "a.json"),
     "settings of a run": (run_in, "run.json"),
@@ -302,14 +300,6 @@ def run_json(text):
     return read
 
 
-def ranking(text):
-    def read(path: Path) -> object:
-        path.write_text(text)
-        return read_ranking(path)
-
-    return read
-
-
 NESTED = "[" * 100_000
 F4 = np.float32
 #: What is read after one change, and words of the refusal.
@@ -412,10 +402,6 @@ DAMAGES = {
     ),
     "bank bomb": (packed_bank(lambda: [bytes(200 << 20)]), "0.scenes"),
     "bank of wide scenes": (packed_bank(wide_scenes), "far more.*0.scenes"),
-    **{
-        f"ranking {text}": (ranking(text), r"a\.x.*list of agent ids")
-        for text in ('{"a": "ego"}', '{"a": [1]}', '{"a": [["ego"]]}', '{"a": {"ego": 1}}')
-    },
     "half a letter": (run_json('"\\ud800"'), "run.json"),
 }  # fmt: skip
 

@@ -1,7 +1,6 @@
 """Networks as drivers of the world: plans, guidance, rankings, snapshots, refusals."""
 
 import dataclasses
-import json
 import math
 
 import numpy as np
@@ -12,8 +11,6 @@ from traffic_play import FIELDS, Play
 import ccdiff_env
 from ccdiff_env.errors import (
     ConfigError,
-    DatasetError,
-    DatasetNotFoundError,
     ResetNeededError,
     SceneError,
     UnknownNameError,
@@ -108,21 +105,18 @@ def test_the_shift_of_guidance_grows_where_its_cost_saturates(scenes, steps):
 
 @pytest.mark.parametrize(
     "ranking",
-    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "ttc", "list", "file"],
+    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "ttc", "list"],
 )
-def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking, tmp_path):
+def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking):
     scene = scenes[0]
-    listed = {scene.name: scene.agent_ids[2:3]}
-    path = tmp_path / "people_say.json"
-    path.write_text(json.dumps(listed))
-    wanted = {"list": listed, "file": str(path)}.get(ranking, ranking)
+    wanted = {scene.name: scene.agent_ids[2:3]} if ranking == "list" else ranking
     play = Play(scenes[:1], ccdiff={"ranking": wanted, "num_guided": 1, "criticality": 1.0})
     play.step()
     plan = play.native.explain(0)
     ours = plan["agents"][plan["follows_plan"]]
     assert sorted(plan["ranking"]) == sorted(ours)
     assert plan["guided"].sum() == 1
-    if ranking in ("list", "file") and 2 in ours:
+    if ranking == "list" and 2 in ours:
         assert plan["ranking"][0] == 2
 
 
@@ -168,16 +162,6 @@ def test_unguided_traffic_is_nearer_to_the_log_than_constant_velocity(scenes):
     # that knows no route leaves the drawn town where it turns
     ours = error({"traffic": "ccdiff", "ccdiff": {"num_samples": 4, "follow_route": True}})
     assert ours < error({"traffic": "constant_velocity"})
-
-
-@pytest.mark.parametrize("text", ["{", "[]", '{"scene-1": "ego"}', '{"scene-1": [3]}'])
-def test_a_file_that_holds_no_ranking_is_refused_by_name(scenes, tmp_path, text):
-    path = tmp_path / "people_say.json"
-    path.write_text(text)
-    with pytest.raises(DatasetError, match=r"people_say\.json"):
-        Play(scenes[:1], ccdiff={"ranking": str(path)})
-    with pytest.raises(DatasetNotFoundError, match=r"nobody\.json"):
-        Play(scenes[:1], ccdiff={"ranking": str(tmp_path / "nobody.json")})
 
 
 def test_a_scene_without_a_map_is_refused_by_name():

@@ -101,7 +101,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
             name: copy.deepcopy(self.worlds.action_space) for name in self.possible_agents
         }
         rows = self.worlds.num_slots
-        box = self.worlds.layout.flat_space()
+        box: Any = self.worlds.layout.space("flat")
         self.state_space = spaces.Box(
             np.minimum(np.tile(box.low, rows), 0.0), np.maximum(np.tile(box.high, rows), 0.0)
         )

@@ -48,15 +48,12 @@ def replay(
     if not isinstance(certificate, Certificate):
         certificate = Certificate.load(certificate)
     known = scene_set("all" if scenes is None else scenes)
-    if certificate.scene not in known:
-        raise SnapshotError(
-            f"certificate: scene {certificate.scene!r} is not among the scenes given"
-        )
-    scene = known[certificate.scene]
+    if (name := certificate.scene) not in known:
+        raise SnapshotError(f"certificate: scene {name!r} is not among the scenes given")
+    scene = known[name]
     if scene.hash != certificate.scene_hash:
         raise SnapshotError(
-            f"certificate: scene {scene.name!r} has hash {scene.hash}, "
-            f"expected {certificate.scene_hash}"
+            f"certificate: scene {name!r} has hash {scene.hash}, expected {certificate.scene_hash}"
         )
     env = EgoEnv(
         scenes=[scene],
@@ -71,8 +68,7 @@ def replay(
         )
     chosen: dict[str, Any] = {"style": certificate.style}
     if certificate.ego is not None:
-        start = {"ego": certificate.ego, "start": certificate.start_step}
-        chosen |= {"scene": scene.name, **start}
+        chosen |= {"scene": name, "ego": certificate.ego, "start": certificate.start_step}
     for i in range(certificate.episode_idx + 1):
         last = i == certificate.episode_idx
         env.reset(seed=None if i else certificate.seed, options=chosen if last else None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ccdiff_env.traffic.ccdiff import PAPER_PROTOCOL, TrafficPlan, read_ranking
+from ccdiff_env.traffic.ccdiff import PAPER_PROTOCOL, TrafficPlan
 from ccdiff_env.traffic.kinds import (
     EGOS,
     KINDS,
@@ -19,5 +19,5 @@ from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 __all__ = [
     "EGOS", "KINDS", "NETWORKS", "PAPER_PROTOCOL", "SWIFT", "CcdiffConfig", "EgosConfig",
     "IdmConfig", "Kind", "LoggedFuture", "NamedDriver", "PythonTraffic", "TrafficBatch",
-    "TrafficPlan", "driver_names", "driver_titles", "read_ranking",
+    "TrafficPlan", "driver_names", "driver_titles",
 ]  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env import _native
-from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
-from ccdiff_env.system.files import parsed_object, read_text, reading
+from ccdiff_env.errors import ShapeError, expect_shape
 from ccdiff_env.traffic.plan_fields import PlanFields
 
 _KINDS = {"Vec<usize>": np.int64, "Vec<bool>": np.bool_, "Vec<Real>": np.float32}
@@ -75,18 +73,3 @@ PAPER_PROTOCOL: Mapping[str, Any] = {
         "criticality": 1.0,
     },
 }
-
-
-def read_ranking(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
-    """Read who matters in each scene, most important first, as a person may have listed it.
-
-    The file is JSON: ``{"scene-0103": ["<instance token>", "ego", ...], ...}``. Vehicles that are
-    not listed come after these: nearest time to contact first, then distance. Anything else is a
-    :class:`DatasetError` that names the scene.
-    """
-    with reading("ranking", path):
-        found = parsed_object(read_text(path))
-    for scene, ids in found.items():
-        if not isinstance(ids, list) or not all(isinstance(i, str) for i in ids):
-            raise DatasetError(f"{os.fspath(path)}: {scene}: {ids!r}, expected a list of agent ids")
-    return {scene: tuple(ids) for scene, ids in found.items()}

@@ -400,8 +400,7 @@ class CcdiffConfig(Options):
     follow_route: bool = False
     graph: GraphMode = "causal"  #: The decision causal graph G that the network sees.
     num_guided: int | None = 5  #: Vehicles that are guided K (in [0, 512]); ``None``: all.
-    #: How they are found; a list may be a mapping or the path of a JSON file
-    #: (``ccdiff_env.traffic.read_ranking``).
+    #: How they are found; ids by the name of the scene are a list of one's own.
     ranking: Ranking = "cliques"
     #: Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the
     #: ranking: ``"learned"``, the shipped policy, or the file of one

@@ -44,7 +44,6 @@ class Entry:
     name: str
     shape: tuple[int, ...]
     offset: int
-    is_mask: bool
     columns: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
@@ -56,11 +55,9 @@ class Entry:
 
     def bounds(self) -> tuple[F32, F32]:
         """Least and greatest values, in the entry's shape."""
-        low, high = ((0.0,), (1.0,)) if self.is_mask else (self.low, self.high)
-        return (
-            np.broadcast_to(np.array(low, np.float32), self.shape),
-            np.broadcast_to(np.array(high, np.float32), self.shape),
-        )
+        ends = (self.low, self.high) if self.columns else ((0.0,), (1.0,))
+        low, high = (np.broadcast_to(np.array(end, np.float32), self.shape) for end in ends)
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -84,15 +81,13 @@ class Layout:
                 name=entry["name"],
                 shape=tuple(entry["shape"]),
                 offset=entry["offset"],
-                is_mask=entry["kind"] == "mask",
                 columns=tuple(c["name"] for c in entry["columns"]),
                 low=tuple(c["low"] for c in entry["columns"]),
                 high=tuple(c["high"] for c in entry["columns"]),
             )
             for entry in schema["entries"]
         )
-        bev = schema["bev"]
-        if bev is None:
+        if (bev := schema["bev"]) is None:
             return cls(entries, schema["size"])
         channels = tuple(channel["name"] for channel in bev["channels"])
         return cls(entries, schema["size"], tuple(bev["shape"]), channels)
@@ -102,46 +97,36 @@ class Layout:
         a MultiBinary for each mask) and the raster, or a Box uint8 of the raster alone.
         """
         if form == "flat":
-            return self.flat_space()
+            ends = zip(*(entry.bounds() for entry in self.entries), strict=True)
+            low, high = (np.concatenate([part.ravel() for part in end]) for end in ends)
+            return spaces.Box(low, high, dtype=np.float32)
         raster = None if self.raster is None else spaces.Box(0, 255, self.raster, np.uint8)
         if form == "bev":
             assert raster is not None, "this form goes with a raster"
             return raster
         parts: dict[str, gymnasium.Space[Any]] = {
-            entry.name: spaces.MultiBinary(entry.shape[0])
-            if entry.is_mask
-            else spaces.Box(*entry.bounds(), dtype=np.float32)
+            entry.name: spaces.Box(*entry.bounds(), dtype=np.float32)
+            if entry.columns
+            else spaces.MultiBinary(entry.shape[0])
             for entry in self.entries
         }
         return spaces.Dict(parts if raster is None else {**parts, "bev": raster})
 
     def observation(self, form: Form, rows: F32, bev: U8 | None) -> Any:
-        """Observations in a form, of rows [..., D] and rasters [..., channels, S, S]: views."""
+        """Observations in a form, of rows [..., D] and rasters [..., channels, S, S]: views, int8
+        arrays for masks.
+        """
         if form == "bev":
             assert bev is not None, "this form goes with a raster"
             return bev
         if form == "flat":
             return rows
-        parts = self.split(rows)
-        return parts if bev is None else {**parts, "bev": bev}
-
-    def flat_space(self) -> spaces.Box:
-        """Box [D] float32 of the flat row."""
-        bounds = [entry.bounds() for entry in self.entries]
-        low = np.concatenate([low.ravel() for low, _ in bounds])
-        high = np.concatenate([high.ravel() for _, high in bounds])
-        return spaces.Box(low, high, dtype=np.float32)
-
-    def split(self, rows: F32) -> dict[str, npt.NDArray[Any]]:
-        """Dictionary form of flat rows [..., D]: views of the values, int8 arrays for masks."""
         parts: dict[str, npt.NDArray[Any]] = {}
         for entry in self.entries:
             part = rows[..., entry.offset : entry.offset + entry.size]
-            if entry.is_mask:
-                parts[entry.name] = (part > 0.5).view(np.int8)
-            else:
-                parts[entry.name] = part.reshape(*rows.shape[:-1], *entry.shape)
-        return parts
+            shaped = part.reshape(*rows.shape[:-1], *entry.shape)
+            parts[entry.name] = shaped if entry.columns else (part > 0.5).view(np.int8)
+        return parts if bev is None else {**parts, "bev": bev}
 
 
 class StepArrays(NamedTuple):

@@ -160,7 +160,7 @@ options! {
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
         num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
-        /// How they are found; a list may be a mapping or the path of a JSON file (`ccdiff_env.traffic.read_ranking`).
+        /// How they are found; ids by the name of the scene are a list of one's own.
         ranking: Ranking = Ranking::Cliques;
         /// Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the ranking: `"learned"`, the shipped
         /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
