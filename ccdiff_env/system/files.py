@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import math
 import os
@@ -146,14 +145,6 @@ def write_aside(path: Path, data: str | bytes) -> None:
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[io.StringIO]:
-    """Give a text to write into, which becomes the file at the end, as by :func:`write_aside`."""
-    text = io.StringIO(newline="")
-    yield text
-    write_aside(path, text.getvalue())
 
 
 def file_name(name: str, suffix: str = "") -> str:

@@ -5,13 +5,14 @@ first.
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ccdiff_env.system.files import writing
+from ccdiff_env.system.files import write_aside
 
 #: A value, and the ends of its interval; NaN where there is none.
 Figure = tuple[float, float, float]
@@ -107,12 +108,13 @@ class Table:
         for i, column in enumerate(self.columns):
             wide = any(isinstance(row[i], tuple) for row in self.rows)
             heads += [column.name + end for end in ("", "_low", "_high")[: 3 if wide else 1]]
-        with writing(path) as file:
-            writer = csv.writer(file)
-            writer.writerow(heads)
-            for row in self.rows:
-                flat = [x for cell in row for x in (cell if isinstance(cell, tuple) else (cell,))]
-                writer.writerow(["" if x is None or x != x else x for x in flat])
+        file = io.StringIO(newline="")
+        writer = csv.writer(file)
+        writer.writerow(heads)
+        for row in self.rows:
+            flat = [x for cell in row for x in (cell if isinstance(cell, tuple) else (cell,))]
+            writer.writerow(["" if x is None or x != x else x for x in flat])
+        write_aside(path, file.getvalue())
 
 
 _LATEX = {
