@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-TORCH_GB = 2.7  #: What is fetched with torch.
 MODULE = ROOT / "ccdiff_env" / "_models.abi3.so"
 
 
@@ -75,60 +74,26 @@ def make_models() -> None:
     aside.replace(MODULE)
 
 
-def _say() -> None:
-    """Say on the terminal, as pip keeps the output, what is made and how long it takes."""
-    networks = f", with {_torch()} ({TORCH_GB} GB, fetched once for the build)" if _wanted() else ""
-    try:
-        with open("/dev/tty", "w", encoding="utf-8") as terminal:
-            print(f"\nccdiff-env: compiling Rust, 3 to 13 minutes{networks}", file=terminal)
-            if _wanted():
-                print("  CCDIFF_MODELS=0 leaves out what needs torch: 2 minutes", file=terminal)
-    except OSError:  # no terminal
-        return
-
-
-def _requirements(maturins: list[str]) -> list[str]:
-    return [*maturins, _torch()] if _wanted() and _libtorch() is None else maturins
-
-
-def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
-    """Return what pip installs before it builds: torch only where nobody says where libtorch is."""
-    import maturin
-
-    return _requirements(maturin.get_requires_for_build_wheel(config_settings))
-
-
-def get_requires_for_build_editable(config_settings: Any = None) -> list[str]:
-    """As for a wheel."""
-    import maturin
-
-    return _requirements(maturin.get_requires_for_build_editable(config_settings))
-
-
-def build_wheel(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
-    """Make both modules and a wheel of them."""
-    import maturin
-
-    _say()
-    make_models()
-    return str(maturin.build_wheel(folder, config_settings, metadata))
-
-
-def build_editable(folder: str, config_settings: Any = None, metadata: str | None = None) -> str:
-    """Make both modules where the sources are."""
-    import maturin
-
-    make_models()
-    return str(maturin.build_editable(folder, config_settings, metadata))
-
-
 def __getattr__(name: str) -> Any:
-    """Return maturin's hooks of source distributions: the files that git tracks."""
-    if name not in ("build_sdist", "get_requires_for_build_sdist"):
+    """Return maturin's hooks; those of wheels make `_models` as well, and want torch for it where
+    nobody says where libtorch is.
+    """
+    if not re.fullmatch(r"(get_requires_for_)?build_(wheel|editable|sdist)", name):
         raise AttributeError(name)
     import maturin
 
-    return getattr(maturin, name)
+    hook = getattr(maturin, name)
+    if name.endswith("sdist"):  # the files that git tracks
+        return hook
+    if name.startswith("get_requires"):
+        torch = [_torch()] if _wanted() and _libtorch() is None else []
+        return lambda *given, **named: [*hook(*given, **named), *torch]
+
+    def build(*given: Any, **named: Any) -> Any:
+        make_models()
+        return hook(*given, **named)
+
+    return build
 
 
 if __name__ == "__main__":
