@@ -1,11 +1,11 @@
 """The playground in a real Chromium: its worlds are those of the package."""
 
+import functools
 import re
 import shutil
 
 import numpy as np
 import pytest
-from browser_page import Page
 
 from ccdiff_env import cli
 from ccdiff_env.errors import ConfigError
@@ -23,30 +23,19 @@ NAMES = ("cut-in-04", "pedestrians-00")
 
 
 @pytest.fixture(scope="module")
-def page_file(browser, tmp_path_factory):
+def files(tmp_path_factory):
     if shutil.which("cargo") is None or not target_is_installed():
         pytest.skip("no compiler for WebAssembly: rustup target add wasm32-unknown-unknown")
-    path = tmp_path_factory.mktemp("playground") / "playground.html"
+    folder = tmp_path_factory.mktemp("playground")
     scenes = [embedded_scenes()[name] for name in NAMES]
-    path.write_text(playground_html(compiled(), scenes), encoding="utf-8")
-    return path
+    (folder / "drive.html").write_text(playground_html(compiled(), scenes), encoding="utf-8")
+    return folder
 
 
 @pytest.fixture
-def visit(browser, page_file):
-    """Open the page; at the end nothing may have failed and nothing may have been asked for."""
-    pages = []
-
-    def go(hash="", **options):
-        pages.append(Page(browser, page_file, hash, **options))
-        return pages[-1]
-
-    yield go
-    for page in pages:
-        assert page.faults == []
-        # the page itself, and its workers
-        assert len([r for r in page.requests if not r.startswith("blob:")]) == 1
-        page.context.close()
+def playground(visit):
+    """Open the playground."""
+    return functools.partial(visit, "drive.html")
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -69,8 +58,8 @@ def test_the_first_drive_meets_an_attacker():
     assert outcome(held).mishap == "is hit"
 
 
-def test_guided_vehicles_are_orange_and_in_the_legend_as_in_a_replay(visit):
-    page = visit("#scene=cut-in-04&traffic=ccdiff&criticality=2&drive=b3f2a4j2a30")
+def test_guided_vehicles_are_orange_and_in_the_legend_as_in_a_replay(playground):
+    page = playground(hash="#scene=cut-in-04&traffic=ccdiff&criticality=2&drive=b3f2a4j2a30")
     page.until("(drive.steps > 0 && !drive.going && !drive.asked) || drive.outcome", 60)
     page.frames()
     drivers = page.evaluate("drive.runs[0].agents.map((agent) => agent.driver)")
@@ -84,8 +73,10 @@ def test_guided_vehicles_are_orange_and_in_the_legend_as_in_a_replay(visit):
     assert "guided" in page.inner_text("#legend")
 
 
-def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(visit):
-    page = visit("#scene=cut-in-04&traffic=replay&drive=b150", reduced_motion="no-preference")
+def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(playground):
+    page = playground(
+        hash="#scene=cut-in-04&traffic=replay&drive=b150", reduced_motion="no-preference"
+    )
     page.until("drive.outcome", 60)
     top = top_speed_mps(embedded_scenes()["cut-in-04"])
     fastest = page.evaluate("Math.max(...drive.runs[0].a.vx.slice(0, drive.steps).map(Math.abs))")
@@ -94,8 +85,8 @@ def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(visit):
     assert page.evaluate("drive.time >= drive.ended - 2.01")
 
 
-def test_keys_drive_and_time_waits_for_the_first_one(visit):
-    page = visit("#scene=cut-in-04&traffic=idm")
+def test_keys_drive_and_time_waits_for_the_first_one(playground):
+    page = playground(hash="#scene=cut-in-04&traffic=idm")
     page.frames(10)
     assert page.evaluate("drive.steps") == 0
     page.keyboard.down("w")
@@ -114,8 +105,8 @@ def test_keys_drive_and_time_waits_for_the_first_one(visit):
     assert page.is_visible("#help")
 
 
-def test_an_ego_at_its_goal_stays_to_be_seen(visit):
-    page = visit("#scene=pedestrians-00&traffic=replay&drive=c10a30b110")
+def test_an_ego_at_its_goal_stays_to_be_seen(playground):
+    page = playground(hash="#scene=pedestrians-00&traffic=replay&drive=c10a30b110")
     page.until("drive.outcome", 60)
     assert page.inner_text("#verdict").startswith("ego reached its goal")
     assert page.evaluate("drive.runs[0].pose(0, drive.steps) !== null")
@@ -124,9 +115,9 @@ def test_an_ego_at_its_goal_stays_to_be_seen(visit):
     assert page.evaluate("drive.runs[0].arrived(0, 149)") is False
 
 
-def test_touch_drives(visit):
+def test_touch_drives(playground):
     phone = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
-    page = visit("#scene=cut-in-04", **phone)
+    page = playground(hash="#scene=cut-in-04", **phone)
     assert page.is_visible("[data-key=gas]")
     box = page.locator("[data-key=gas]").bounding_box()
     assert min(box["width"], box["height"]) >= 44
@@ -139,8 +130,8 @@ def test_touch_drives(visit):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_keeps_people_from_using_it(visit, axe, scheme):
-    page = visit(color_scheme=scheme, bypass_csp=True)
+def test_nothing_keeps_people_from_using_it(playground, axe, scheme):
+    page = playground(color_scheme=scheme, bypass_csp=True)
     assert page.evaluate("document.documentElement.dataset.theme") == scheme
     page.evaluate(axe)
     found = page.evaluate("axe.run().then((r) => r.violations)")
@@ -148,8 +139,8 @@ def test_nothing_keeps_people_from_using_it(visit, axe, scheme):
     assert serious == []
 
 
-def test_what_the_world_refuses_is_said(visit):
-    page = visit()
+def test_what_the_world_refuses_is_said(playground):
+    page = playground()
     said = page.evaluate(
         """() => drive.engine.ask("reset", '{"traffic": "nobody"}').catch((e) => e.message)"""
     )
@@ -169,8 +160,8 @@ def test_what_the_world_refuses_is_said(visit):
         ("scene=cut-in-04&traffic=swift&criticality=1.5&drive=b2a8j3a30", 5),
     ],
 )
-def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
-    page = visit(f"#{hash}")
+def test_a_link_replays_in_python_with_the_bits_of_the_page(playground, hash, least):
+    page = playground(hash=f"#{hash}")
     page.until("(drive.steps > 0 && !drive.going && !drive.asked) || drive.outcome", 60)
     seen = page.evaluate(
         """() => { const run = drive.runs[0];
@@ -200,8 +191,8 @@ def test_a_link_replays_in_python_with_the_bits_of_the_page(visit, hash, least):
         assert np.array_equal(page_side[there], python_side[there])
 
 
-def test_an_end_card_names_the_rivals(visit):
-    page = visit("#scene=cut-in-04&traffic=replay&drive=c150")
+def test_an_end_card_names_the_rivals(playground):
+    page = playground(hash="#scene=cut-in-04&traffic=replay&drive=c150")
     page.until("drive.outcome && drive.results.idm && drive.results.trained", 60)
     text = page.inner_text("#card")
     assert "IDM: " in text
@@ -211,8 +202,8 @@ def test_an_end_card_names_the_rivals(visit):
 
 @pytest.mark.parametrize("drive", ["b150", "c150", "e40a110"])
 @pytest.mark.parametrize("traffic", ["ccdiff&criticality=2", "replay"])
-def test_a_verdict_has_the_words_of_replays(visit, traffic, drive):
-    page = visit(f"#scene=cut-in-04&traffic={traffic}&drive={drive}")
+def test_a_verdict_has_the_words_of_replays(playground, traffic, drive):
+    page = playground(hash=f"#scene=cut-in-04&traffic={traffic}&drive={drive}")
     page.until("drive.outcome", 60)
     rollout = play_drive(page.evaluate("drive.link"))
     assert page.inner_text("#verdict") == outcome(rollout).text

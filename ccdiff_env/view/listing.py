@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 
+from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
 from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
-from ccdiff_env.view.notebook import HEADS, scene_row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,5 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a table of the scenes."""
-    say(str(Table(HEADS, [scene_row(scene) for scene in scenes_from(args)])))
+    heads = ("scene", "location", "seconds", "agents", "vehicles")
+    say(str(Table(heads, [_row(scene) for scene in scenes_from(args)])))
     return 0
+
+
+def _row(scene: Scene) -> tuple[str, str, str, int, int]:
+    seconds = f"{(scene.num_steps - 1) * scene.dt:.1f}"
+    vehicles = scene.agent_types.count("vehicle")
+    return scene.name, scene.location, seconds, scene.num_agents, vehicles

@@ -141,15 +141,9 @@ class Actors {
     const hollow = kind === "vehicle" && still;
     if (hollow && !hit) context.strokeStyle = colour;
     shape(context, this.run.agents[agent], pixel);
-    if (kind === "vehicle" && !hollow && theme === "light" && pixel < 0.25) {
-      context.shadowColor = "rgba(20,28,38,.20)";
-      context.shadowBlur = 6;
-      context.shadowOffsetY = 2;
-    }
     context.globalAlpha = hollow ? LOOK.PARKED_ALPHA : 1;
     context.fill();
     context.globalAlpha = 1;
-    context.shadowColor = "transparent";
     context.stroke();
     if (kind === "vehicle" && !hollow && pixel < 0.4) windscreen(context, length, width, colours.outline);
     else if (kind !== "static" && kind !== "vehicle" && pixel < 0.2) nose(context, length, colours.outline);

@@ -208,7 +208,6 @@ class Drive extends View {
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
     this.time = run.start + this.steps * run.dt;
-    this.states = states;
     this.done = done;
     this.info = this.named(info);
   }
