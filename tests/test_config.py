@@ -34,7 +34,7 @@ def as_float32(value):
 
 
 def test_defaults_are_those_of_rust():
-    rust = json.loads(_native.default_world_config())
+    rust = json.loads(_native.schema("default_config"))
     assert as_float32(json.loads(WorldConfig(traffic="idm").to_json())) == as_float32(
         {**rust, "traffic": "idm"}
     )
@@ -193,7 +193,7 @@ PLACES = {
 
 
 def test_fields_of_a_plan_are_those_of_rust():
-    rust = [entry["name"] for entry in json.loads(_native.plan_fields_json())]
+    rust = [entry["name"] for entry in json.loads(_native.schema("plan_fields"))]
     assert [field.name for field in dataclasses.fields(TrafficPlan)] == rust
 
 

@@ -230,11 +230,6 @@ def test_map_queries_answer_for_a_level(tmp_path):
         known = np.isfinite(expected)
         np.testing.assert_allclose(found[known], np.array(expected)[known], atol=0.05)
     for elevation_m, along in ((low, 0.0), (high, 1.0)):
-        lines = map_queries.nearest_lines(
-            scene, places, np.zeros(3), count=4, kinds=("lane",), elevation_m=elevation_m
-        )
-        way = lines.end_m - lines.start_m
-        np.testing.assert_allclose(np.abs(way[..., 0]) > np.abs(way[..., 1]), along)
         heads = np.array([np.pi / 2 + 0.2, -0.2])
         lanes = map_queries.lane_ahead(scene, places[[2, 2]], heads, elevation_m=elevation_m[:2])
         np.testing.assert_array_equal(lanes.valid[:, 0], [along == 0.0, along == 1.0])

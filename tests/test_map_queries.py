@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 import shapely
 from array_scenes import agent, array_scene
-from shapely import affinity
 from shapely.ops import unary_union
 
 import ccdiff_env
 from ccdiff_env.errors import ConfigError, SceneError, ShapeError, UnknownNameError
 from ccdiff_env.scenes import map_queries
-from ccdiff_env.scenes.map_queries import LINE_KINDS
 
 
 @pytest.fixture(scope="module")
@@ -53,26 +51,6 @@ def road(scene):
     return unary_union(own or polygons([lane["polygon"] for lane in layers["lanes"]]))
 
 
-def lines_of(scene):
-    """All lines of a map by kind, rings closed."""
-    layers = scene.map_layers()
-    found = {kind: [] for kind in LINE_KINDS}
-    for lane in layers["lanes"]:
-        found["lane" if lane["kind"] == "lane" else "connector"].append(lane["centreline"])
-    found["road_divider"] = layers["road_dividers"]
-    found["lane_divider"] = layers["lane_dividers"]
-    for kind, name in (
-        ("road_edge", "drivable_area"),
-        ("crossing", "ped_crossings"),
-        ("stop_line", "stop_lines"),
-        ("walkway", "walkways"),
-    ):
-        for polygon in layers[name]:
-            for ring in (polygon["exterior"], *polygon["holes"]):
-                found[kind].append(np.concatenate([ring, ring[:1]]))
-    return found
-
-
 def test_the_distance_to_the_roads_edge_is_that_of_shapely(maps):
     for scene in maps:
         points, _ = places(scene, 400)
@@ -105,66 +83,7 @@ def test_shapes_and_several_scenes(scenes):
     for scene, own, expected in zip(scenes, points, together, strict=True):
         np.testing.assert_array_equal(map_queries.road_distance(scene, own), expected)
     assert map_queries.road_distance(scenes[0], points[0, 0, 0]).shape == ()
-    # seen by who stands at (1, 1) and looks north
-    seen = map_queries.in_frame([[[3.0, 1.0], [1.0, 5.0]]], [[1.0, 1.0]], [np.pi / 2])
-    np.testing.assert_allclose(seen, [[[0.0, -2.0], [4.0, 0.0]]], atol=1e-6)
     assert map_queries.road_distance(scenes[0], np.zeros((0, 2))).shape == (0,)
-
-
-def check_lines(scene):
-    """The pieces are the map's lines, and the nearest of them are found."""
-    whole = map_queries.nearest_lines(scene, [[0.0, 0.0]], [0.0], count=10_000)
-    assert not whole.valid.all()
-    kept = whole.valid[0]
-    start, end, kind = whole.start_m[0, kept], whole.end_m[0, kept], whole.kind[0, kept]
-    assert np.linalg.norm(end - start, axis=1).max() < 5.02
-    lines = lines_of(scene)
-    for number, name in enumerate(LINE_KINDS):
-        drawn = shapely.MultiLineString(lines[name]) if lines[name] else shapely.MultiLineString()
-        pieces = shapely.MultiLineString(
-            np.stack([start[kind == number], end[kind == number]], axis=1).tolist()
-        )
-        if drawn.is_empty:
-            assert pieces.is_empty
-            continue
-        assert pieces.difference(drawn.buffer(0.5)).is_empty, name
-        if name in ("lane", "connector", "road_divider", "lane_divider"):
-            assert drawn.difference(pieces.buffer(0.5)).is_empty, name
-    position, heading = places(scene, 50, 1)
-    found = map_queries.nearest_lines(scene, position, heading, count=32)
-    for row, (at, turn) in enumerate(zip(position, heading, strict=True)):
-        both = np.stack([start, end], axis=1)
-        away = shapely.distance(shapely.linestrings(both), shapely.Point(at))
-        order = np.argsort(away, kind="stable")[:32]
-        np.testing.assert_allclose(found.distance_m[row], away[order], atol=1e-3)
-        # every piece is one of the map's, in the agent's frame
-        moved = affinity.rotate(
-            shapely.MultiLineString(both.tolist()), -turn, origin=tuple(at), use_radians=True
-        )
-        ends = np.array([np.array(line.coords) for line in moved.geoms]) - at
-        mine = np.stack([found.start_m[row], found.end_m[row]], axis=1)
-        gap = np.abs(ends[None] - mine[:, None]).max(axis=(2, 3))
-        assert (gap.min(axis=1) < 2e-3).all()
-        np.testing.assert_array_equal(kind[gap.argmin(axis=1)], found.kind[row])
-
-
-def test_the_nearest_lines_are_those_of_brute_force(maps):
-    for scene in maps[:2]:
-        check_lines(scene)
-
-
-def test_kinds_are_chosen_and_what_is_not_there_is_masked(scenes):
-    position, heading = places(scenes[0], 4)
-    found = map_queries.nearest_lines(
-        scenes[0], position, heading, count=5000, kinds=("crossing", "road_edge")
-    )
-    names = {LINE_KINDS[k] for k in found.kind[found.valid]}
-    assert names <= {"crossing", "road_edge"}
-    assert "road_edge" in names
-    for array in (found.start_m, found.end_m, found.kind, found.distance_m):
-        assert not array[~found.valid].any()
-    far = np.where(found.valid, found.distance_m, np.inf)
-    assert (np.sort(far, axis=1) == far).all()
 
 
 def check_lane(scene):
@@ -243,14 +162,13 @@ def test_lanes_in_a_circle_come_to_an_end():
 
 def test_maps_without_lanes_or_road_say_so():
     scene = road_scene()
-    assert not map_queries.nearest_lines(scene, [[0.0, 0.0]], [0.0]).valid.any()
     assert map_queries.lane_ahead(scene, [[0.0, 0.0]], [0.0]).lane.tolist() == [-1]
     with pytest.raises(SceneError, match=r"bare.*no road"):
         map_queries.road_distance(scene, [[0.0, 0.0]])
 
 
 HERE = [[0.0, 0.0]]
-DISTANCE, LINES, LANE = map_queries.road_distance, map_queries.nearest_lines, map_queries.lane_ahead
+DISTANCE, LANE = map_queries.road_distance, map_queries.lane_ahead
 
 
 @pytest.mark.parametrize(
@@ -264,12 +182,9 @@ DISTANCE, LINES, LANE = map_queries.road_distance, map_queries.nearest_lines, ma
         (lambda s: DISTANCE(s, "here"), ShapeError, "position_m"),
         (lambda s: DISTANCE(s, HERE, world=[1]), UnknownNameError, "world 1, expected 0 to 0"),
         (lambda s: DISTANCE(s, HERE, world=[0.0]), ShapeError, "1 integers"),
-        (lambda s: LINES(s, HERE, [0, 0]), ShapeError, "heading_rad"),
-        (lambda s: LINES(s, HERE, [0], count=0), ConfigError, "count"),
-        (lambda s: LINES(s, HERE, [0], kinds=["kerb"]), UnknownNameError, "kerb"),
+        (lambda s: LANE(s, HERE, [0, 0]), ShapeError, "heading_rad"),
         (lambda s: LANE(s, HERE, [0], reach_m=11), ConfigError, "reach_m"),
         (lambda s: LANE(s, HERE, [0], points=1.5), ConfigError, "points"),
-        (lambda s: map_queries.in_frame(HERE, [[0, 0], [1, 1]], [0, 0]), ShapeError, "points"),
     ],
 )
 def test_wrong_arguments_are_refused(scenes, call, error, match):

@@ -249,7 +249,6 @@ def test_mistakes_have_their_own_exceptions(root):
         (root, VERSION, {"kinds": ["tram"]}, errors.UnknownNameError, "tram"),
         (root, VERSION, {"min_annotations": 0}, errors.ConfigError, "min_annotations"),
         (root, VERSION, {"map_margin": -1.0}, errors.ConfigError, "map_margin"),
-        (root, VERSION, {"require_map": True}, FileNotFoundError, r"town\.json"),
         (damaged, VERSION, {}, errors.DatasetError, r"size is \[0\.0, 4\.5, 1\.6\].*sample_annot"),
     ):
         with pytest.raises(error, match=match):

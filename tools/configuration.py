@@ -89,7 +89,7 @@ def tables() -> list[Table]:
     require_networks()
     from ccdiff_env import _models
 
-    return [*json.loads(_native.config_tables()), *json.loads(_models.config_tables())]
+    return [*json.loads(_native.schema("config_tables")), *json.loads(_models.config_tables())]
 
 
 def _parts(form: Any, tables: bool) -> Iterator[Any]:

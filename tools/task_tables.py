@@ -50,7 +50,7 @@ _OBSERVED = ("column", "scale", "range", "what")
 
 def _observation() -> str:
     """Entries of the default observation."""
-    layout, *_ = json.loads(_native.observation_json())
+    layout, *_ = json.loads(_native.schema("observation"))
     parts = [f"Default configuration: {layout['size']} floats."]
     for entry in layout["entries"]:
         parts.append(f"## `{entry['name']}` {entry['shape']}, from float {entry['offset']}")
@@ -62,7 +62,7 @@ def _observation() -> str:
 
 def _on_request() -> str:
     """Columns that the default observation does not have."""
-    layout, columns, _ = json.loads(_native.observation_json())
+    layout, columns, _ = json.loads(_native.schema("observation"))
     entries = [entry for entry in layout["entries"] if entry["kind"] != "mask"]
     shown = {entry["name"]: {c["name"] for c in entry["columns"]} for entry in entries}
     rows = [
@@ -75,13 +75,13 @@ def _on_request() -> str:
 
 
 def _raster() -> str:
-    *_, channels = json.loads(_native.observation_json())
+    *_, channels = json.loads(_native.schema("observation"))
     rows = ((str(k), c["name"], c["doc"]) for k, c in enumerate(channels))
     return _table(("channel", "name", "bytes"), rows)
 
 
 def _candidates() -> str:
-    _, features = json.loads(_native.candidate_features_json())
+    _, features = json.loads(_native.schema("candidates"))
     rows = (
         (f"`{name}`", f"{doc} ({unit})" if unit else doc, f"{scale:g}")
         for name, unit, scale, doc in features
@@ -91,8 +91,8 @@ def _candidates() -> str:
 
 #: Maker of each table by its name in the page.
 TABLES: dict[str, Callable[[], str]] = {
-    "info": lambda: _unweighted(read_columns(_native.columns_json())),
-    "rewards": lambda: _rewards(read_columns(_native.columns_json()), RewardConfig()),
+    "info": lambda: _unweighted(read_columns(_native.schema("columns"))),
+    "rewards": lambda: _rewards(read_columns(_native.schema("columns")), RewardConfig()),
     "selection_info": lambda: _unweighted(INFO_COLUMNS),
     "selection_observation": _candidates,
     "observation": _observation,

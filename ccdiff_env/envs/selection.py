@@ -38,7 +38,7 @@ Choice = tuple[Sequence[int] | None, float]
 #: those that the ego is at fault for.
 Counts = Literal["all", "ego_at_fault"]
 
-_BOUND, _TABLE = json.loads(_native.candidate_features_json())
+_BOUND, _TABLE = json.loads(_native.schema("candidates"))
 #: Columns of an observation, and what each is divided by.
 FEATURES: tuple[str, ...] = tuple(name for name, *_ in _TABLE)
 SCALES: tuple[float, ...] = tuple(scale for _, _, scale, _ in _TABLE)

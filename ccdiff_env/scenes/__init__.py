@@ -150,10 +150,8 @@ def load_nuscenes(
     interpolation: Literal["smooth", "linear"] = "smooth",
     ego_reference: EgoReference = "rear_axle",
     kinds: Sequence[str] | None = None,
-    categories: Sequence[str] | None = None,
     map_margin: float = 60.0,
     min_annotations: int = 2,
-    require_map: bool = False,
     cache: bool | str | os.PathLike[str] = True,
 ) -> SceneSet:
     """Load scenes of nuScenes, or of any data set written in its schema.
@@ -179,12 +177,8 @@ def load_nuscenes(
             centres.
         kinds: Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
             ``static``; all by default. The ego is always kept.
-        categories: Categories to keep, by name or dotted prefix (``"vehicle.bus"``); all by
-            default.
         map_margin: How far the map reaches beyond the tracks, metres.
         min_annotations: Tracks with fewer annotations are dropped and reported.
-        require_map: Whether a missing map file is an error; otherwise such scenes have an empty map
-            and the report says so.
         cache: ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path
             names the folder.
 
@@ -192,7 +186,7 @@ def load_nuscenes(
         SceneSet: The scenes, in the order of the scene table (or of ``scenes``), and ``.report``.
 
     Raises:
-        DatasetNotFoundError: The data set, a table or a required map is missing (also a
+        DatasetNotFoundError: The data set or a table is missing (also a
             :class:`FileNotFoundError`).
         DatasetError: A file is damaged or contradicts itself; the message names file, record, field
             and value.
@@ -216,10 +210,8 @@ def load_nuscenes(
         interpolation=interpolation,
         ego_reference=ego_reference,
         kinds=None if kinds is None else list(kinds),
-        categories=None if categories is None else list(categories),
         map_margin=map_margin,
         min_annotations=min_annotations,
-        require_map=require_map,
         cache_directory=cache_folder(cache),
     )
     if '"missing_maps":[]' not in report:

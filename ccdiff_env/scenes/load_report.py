@@ -1,4 +1,4 @@
-"""The report of a load: what was kept, what was left out and why, where the time went."""
+"""The report of a load: what was kept, what was left out and why."""
 
 from __future__ import annotations
 
@@ -58,20 +58,8 @@ class CacheReport:
     directory: str | None  #: Folder; ``None`` where the cache is off.
     hits: int  #: Scenes taken from the cache.
     built: int  #: Scenes built from files.
-    files_hashed: int  #: Files whose contents were hashed because they are new or have changed.
     #: Damaged files that were built again, folders that could not be written.
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Where the time went, seconds."""
-
-    hash_s: float  #: Finding out whether files have changed.
-    cache_s: float  #: Reading scenes from the cache.
-    read_s: float  #: Reading tables and maps.
-    build_s: float  #: Building scenes and writing them to the cache.
-    total_s: float  #: All of it.
 
 
 @dataclass(frozen=True)
@@ -87,14 +75,12 @@ class LoadReport:
     #: Map files that were read; none where all scenes came from the cache.
     maps: tuple[MapReport, ...]
     cache: CacheReport  #: What the cache did.
-    timing: Timing  #: Where the time went.
+    seconds: float  #: How long it took.
 
     @classmethod
     def blank(cls) -> LoadReport:
         """Return a report of nothing."""
-        return cls(
-            "", "", (), (), (), (), (), CacheReport(None, 0, 0, 0, ()), Timing(0, 0, 0, 0, 0)
-        )
+        return cls("", "", (), (), (), (), (), CacheReport(None, 0, 0, ()), 0.0)
 
     @classmethod
     def from_json(cls, text: str) -> LoadReport:
@@ -198,5 +184,5 @@ def _lines(report: LoadReport) -> list[str]:
     used = f"{cache.hits} from the cache, {cache.built} built"
     rows.append(("cache", used if cache.directory else "off"))
     rows += [("  note", note) for note in cache.notes]
-    rows.append(("time", f"{report.timing.total_s:.2f} s"))
+    rows.append(("time", f"{report.seconds:.2f} s"))
     return [f"{name:<32} {text}" for name, text in rows]

@@ -1,4 +1,4 @@
-"""What the maps of scenes say of places: pieces of lines near an agent, the road's edge, its lane.
+"""What the maps of scenes say of places: how far the road's edge is, and which lane an agent is on.
 
 Every function takes one scene, or several with the scene of each place: ``world`` [M], as
 :class:`~ccdiff_env.traffic.TrafficBatch` has it. Positions and headings are those of the scene's
@@ -12,18 +12,14 @@ Examples:
     >>> scene = ccdiff_env.embedded_scenes("val")[0]
     >>> log = scene.tracks()
     >>> there = log["valid"][:, 30]
-    >>> position, heading = log["position"][there, 30], log["heading"][there, 30]
-    >>> lines = map_queries.nearest_lines(scene, position, heading, count=8)
-    >>> lines.start_m.shape == (there.sum(), 8, 2)
-    True
+    >>> position = log["position"][there, 30]
     >>> bool(map_queries.road_distance(scene, position)[0] > 0)
     True
 """
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,31 +28,13 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
-from ccdiff_env.errors import ConfigError, ShapeError, UnknownNameError
+from ccdiff_env.errors import ConfigError, ShapeError
 
-__all__ = [
-    "LINE_KINDS", "LaneAhead", "NearLines", "in_frame", "lane_ahead", "nearest_lines",
-    "road_distance",
-]  # fmt: skip
+__all__ = ["LaneAhead", "lane_ahead", "road_distance"]
 
 F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
-
-#: Name of each number in :attr:`NearLines.kind`.
-LINE_KINDS: tuple[str, ...] = tuple(_native.LINE_KINDS)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class NearLines:
-    """Straight pieces of lines in the frames of M agents, nearest first; zero where not valid."""
-
-    #: Starts of the pieces by the direction of their lines, x ahead, y to the left, m, [M, K, 2].
-    start_m: F32
-    end_m: F32  #: Ends of the pieces, m, [M, K, 2].
-    kind: npt.NDArray[np.uint8]  #: Kinds of their lines, indices of :data:`LINE_KINDS`, [M, K].
-    distance_m: F32  #: Distances from the agents' positions, m, [M, K].
-    valid: Bool  #: Whether there are so many pieces, [M, K].
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,56 +90,6 @@ def _placed(
     if elevation_m is not None:
         level = _floats("elevation_m", elevation_m, (len(position),))
     return (*_worlds(scenes, world, len(position)), position, heading, level)
-
-
-def _at_least(name: str, value: Any, least: int) -> int:
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = -1
-    if not least <= number <= 10_000:
-        raise ConfigError(f"{name} is {value!r}, expected an integer from {least} to 10000")
-    return number
-
-
-def nearest_lines(
-    scenes: Scene | Sequence[Scene],
-    position_m: Any,
-    heading_rad: Any,
-    *,
-    count: int = 64,
-    kinds: Collection[str] = LINE_KINDS,
-    elevation_m: Any = None,
-    world: Any = None,
-) -> NearLines:
-    """Return the pieces of the map's lines nearest to agents, in the agents' frames.
-
-    Lines are cut into straight pieces of at most 5 m, which follow them to half a metre. Edges on
-    which the map was cut out are left out: nothing ends there.
-
-    Args:
-        scenes: One scene, or several.
-        position_m, heading_rad: Poses of the agents, scene frame, [M, 2] m and [M] rad.
-        count: Pieces of each agent K, 1 to 10000.
-        kinds: Kinds of lines that count, of :data:`LINE_KINDS`.
-        elevation_m: Elevations of the agents [M], m: lines of their levels alone.
-        world: Scene of each agent, index of ``scenes``, [M]; left out for one scene.
-
-    Raises:
-        ShapeError: If an array has another shape.
-        ConfigError: If a number is not finite, or ``count`` out of its range.
-        UnknownNameError: If there is no kind or scene of that name or number.
-    """
-    places = _placed(scenes, position_m, heading_rad, elevation_m, world)
-    unknown = [kind for kind in kinds if kind not in LINE_KINDS]
-    if unknown:
-        known = ", ".join(LINE_KINDS)
-        raise UnknownNameError(f"kinds: {unknown[0]!r} is no kind of line, there are {known}")
-    wanted = bytes(LINE_KINDS.index(kind) for kind in kinds)
-    count = _at_least("count", count, 1)
-    ends, kind, distance, valid = _native.map_near_pieces(places, count, wanted)
-    start, end = ends[:, :, 0], ends[:, :, 1]
-    return NearLines(start_m=start, end_m=end, kind=kind, distance_m=distance, valid=valid)
 
 
 def road_distance(
@@ -235,31 +163,9 @@ def lane_ahead(
     for name, value, most in (("spacing_m", spacing_m, 1000.0), ("reach_m", reach_m, 10.0)):
         if not isinstance(value, (int, float)) or not 0.0 < value <= most:
             raise ConfigError(f"{name} is {value!r}, expected a number above 0, at most {most:g}")
-    way, valid, lane, lateral, error = _native.map_lane_ahead(
-        places, _at_least("points", points, 1), spacing_m, reach_m
-    )
+    if not isinstance(points, (int, np.integer)) or not 1 <= points <= 10_000:
+        raise ConfigError(f"points is {points!r}, expected an integer from 1 to 10000")
+    way, valid, lane, lateral, error = _native.map_lane_ahead(places, points, spacing_m, reach_m)
     return LaneAhead(
         position_m=way, valid=valid, lane=lane, lateral_m=lateral, heading_error_rad=error
     )
-
-
-def in_frame(points_m: Any, position_m: Any, heading_rad: Any) -> F32:
-    """Return points of the scene's frame in the frames of agents: x ahead, y to the left.
-
-    Args:
-        points_m: Points of each agent, scene frame, m, [M, ..., 2].
-        position_m, heading_rad: Poses of the agents, scene frame, [M, 2] m and [M] rad.
-
-    Raises:
-        ShapeError: If an array has another shape.
-    """
-    position = _floats("position_m", position_m, (None, 2))
-    heading = _floats("heading_rad", heading_rad, (len(position),))
-    points = np.asarray(points_m, np.float32)
-    if points.ndim < 2 or points.shape[0] != len(position) or points.shape[-1] != 2:
-        raise ShapeError(f"points_m has shape {points.shape}, expected [{len(position)}, ..., 2]")
-    between = (1,) * (points.ndim - 2)
-    offset = points - position.reshape(-1, *between, 2)
-    cos, sin = (of(heading).reshape(-1, *between) for of in (np.cos, np.sin))
-    x, y = offset[..., 0], offset[..., 1]
-    return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport, Timing
+from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport
 from ccdiff_env.scenes.scenario_fields import F64, Heights, ScenarioFields, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, MapLayers, Polygon
@@ -488,13 +488,12 @@ def read_scenarios(
         reports.append(report)
     if not scenes:
         raise DatasetError(f"no scenario with agents in {path}; without agents: {empty}")
-    seconds = time.perf_counter() - started
     return scenes, replace(
         LoadReport.blank(),
         dataroot=os.fspath(path),
         version="scenarionet",
         scenes=tuple(reports),
         empty=tuple(empty),
-        cache=CacheReport(None, 0, len(scenes), 0, ()),
-        timing=Timing(0.0, 0.0, 0.0, seconds, seconds),
+        cache=CacheReport(None, 0, len(scenes), ()),
+        seconds=time.perf_counter() - started,
     )

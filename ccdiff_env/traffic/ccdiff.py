@@ -17,7 +17,7 @@ _KINDS = {"Vec<usize>": np.int64, "Vec<bool>": np.bool_, "Vec<Real>": np.float32
 #: Arrays of a plan: type, axes (as in :class:`PlanFields`), whether it may be missing.
 PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {
     entry["name"]: (_KINDS[entry["kind"]], "".join(entry["axes"]), entry["optional"])
-    for entry in json.loads(_native.plan_fields_json())
+    for entry in json.loads(_native.schema("plan_fields"))
     if entry["kind"] in _KINDS
 }
 

@@ -162,7 +162,7 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
         known = config.get("named_drivers")
         used = {n: known[n] for n in known if n in drivers} if isinstance(known, dict) else {}
         config = {**config, "named_drivers": used}
-        captions.extend(_changes(config, json.loads(_native.default_world_config())))
+        captions.extend(_changes(config, json.loads(_native.schema("default_config"))))
     return [(name, value) for name, value in captions if value]
 
 

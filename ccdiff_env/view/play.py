@@ -92,7 +92,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         **look(),
         # places of the drivers that every world has; the next is that of the network
         "policies": ["replay", "constant_velocity", "idm"],
-        "columns": [column["name"] for column in json.loads(_native.columns_json())],
+        "columns": [column["name"] for column in json.loads(_native.schema("columns"))],
         "collisions": {
             "at fault": AT_FAULT,
             "not at fault": {**COLLISIONS, "collision_front": STOPPED},

@@ -148,9 +148,9 @@ class Worlds:
         self.criticality: dict[int, float] = {}
         self.num_slots = config.num_slots
         self.layout = Layout.from_json(self.native.layout_json)
-        self.columns = read_columns(_native.columns_json())
+        self.columns = read_columns(_native.schema("columns"))
         self.column_names = tuple(column.name for column in self.columns)
-        self.metrics = read_columns(_native.metrics_json())
+        self.metrics = read_columns(_native.schema("metrics"))
         self.metric_names = tuple(metric.name for metric in self.metrics)
         self.discrete = self.native.num_actions is not None
         #: Shape of an agent's action.

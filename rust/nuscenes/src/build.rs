@@ -159,8 +159,8 @@ fn collect(
 /// The kind of a track that is to be kept, or why it is not.
 fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Result<AgentKind, String> {
     let kind = kind_of_category(&track.category).ok_or("unknown category")?;
-    if let Some(reason) = options.refuses(kind, &track.category) {
-        return Err(reason.to_owned());
+    if options.kinds.as_ref().is_some_and(|kinds| !kinds.contains(&kind)) {
+        return Err("kind not asked for".to_owned());
     }
     if track.keys.len() < options.min_annotations {
         return Err(format!("fewer than {} annotations", options.min_annotations));

@@ -1,28 +1,27 @@
-//! Built scenes on disk: one file per scene, named by the content it was built from.
+//! Built scenes on disk: one file per scene, named by what it was built from.
 //!
-//! A scene's key is a hash of the contents of all tables, of its location's map, of the options and of this format's
-//! version, so a changed file or option simply leads to another name. Files are written aside and renamed, carry a
-//! checksum of their name and contents, and can be deleted at any time. The checksum finds damage, not forgers. To find out whether a table has changed without reading it, its hash is
-//! kept under its path, size and times.
+//! A scene's key is a hash of the paths, sizes and times of all tables and of its location's map, of the options and of
+//! this format's version, so a changed file or option simply leads to another name. Files are written aside and renamed,
+//! carry a checksum of their name and contents, and can be deleted at any time. The checksum finds damage, not forgers.
 
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::report::CacheReport;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
-use std::fs::{self, Metadata, OpenOptions};
-use std::io::{ErrorKind, Read, Write};
+use std::fs::{self, OpenOptions};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::UNIX_EPOCH;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// Raised whenever scenes are built or encoded differently.
-const FORMAT: u32 = 4;
+const FORMAT: u32 = 5;
 const MAGIC: &[u8; 8] = b"ccdscene";
 const CHECKSUM_BYTES: usize = 16;
 
-/// A 128-bit content hash.
+/// A 128-bit hash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Hash(pub(crate) u128);
 
@@ -39,57 +38,33 @@ impl Hash {
 #[derive(Debug)]
 pub(crate) struct Cache {
     folder: Option<PathBuf>,
-    files_hashed: AtomicUsize,
     notes: Mutex<Vec<String>>,
 }
 
-/// A file's hash and the facts under which it holds.
-#[derive(Serialize, Deserialize, PartialEq)]
-struct Memo {
-    path: PathBuf,
-    stamp: Stamp,
-    hash: Hash,
-}
-
-#[derive(Serialize, Deserialize, PartialEq, Clone, Copy)]
-struct Stamp {
-    len: u64,
-    modified_ns: u128,
-    /// Change time and inode where the system has them: they also tell a file that was swapped with its old times.
-    changed: [i64; 3],
-}
-
-impl Stamp {
-    fn of(metadata: &Metadata) -> Self {
-        #[cfg(unix)]
-        let changed = {
-            use std::os::unix::fs::MetadataExt;
-            [metadata.ctime(), metadata.ctime_nsec(), metadata.ino() as i64]
-        };
-        #[cfg(not(unix))]
-        let changed = [0; 3];
-        let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
-        let modified_ns = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
-        Self { len: metadata.len(), modified_ns, changed }
-    }
-
-    /// Whether the file is so fresh that another write could leave the same times.
-    fn is_fresh(&self) -> bool {
-        // a whole number of seconds: a file system with coarse times
-        let settled_ms = if self.modified_ns.is_multiple_of(1_000_000_000) { 2100 } else { 100 };
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let settled = Duration::from_millis(settled_ms).as_nanos();
-        now.as_nanos() < self.modified_ns + settled
-    }
+/// What changes with a file: its path, size and times, and its inode where the system has them, which also tell a file that
+/// was swapped with its old times.
+///
+/// # Errors
+/// A missing or unreadable file; `what` it is is for the message.
+pub(crate) fn stamp(path: &Path, what: &str) -> Result<Hash> {
+    let failed = |e| NuscenesError::from_io(path, what, e);
+    let metadata = fs::metadata(path).map_err(failed)?;
+    #[cfg(unix)]
+    let changed = {
+        use std::os::unix::fs::MetadataExt;
+        [metadata.ctime(), metadata.ctime_nsec(), metadata.ino() as i64]
+    };
+    #[cfg(not(unix))]
+    let changed = [0_i64; 3];
+    let modified = metadata.modified().unwrap_or(UNIX_EPOCH);
+    let modified_ns = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+    let full_path = std::path::absolute(path).map_err(failed)?;
+    Hash::of(&(full_path.to_string_lossy(), metadata.len(), modified_ns, changed))
 }
 
 impl Cache {
     pub(crate) fn new(folder: Option<&Path>) -> Self {
-        Self {
-            folder: folder.map(|f| f.join(format!("scenes-{FORMAT}"))),
-            files_hashed: AtomicUsize::new(0),
-            notes: Mutex::default(),
-        }
+        Self { folder: folder.map(|f| f.join(format!("scenes-{FORMAT}"))), notes: Mutex::default() }
     }
 
     pub(crate) fn is_on(&self) -> bool {
@@ -109,7 +84,6 @@ impl Cache {
         notes.dedup();
         CacheReport {
             directory: self.folder.as_ref().map(|f| f.display().to_string()),
-            files_hashed: self.files_hashed.load(Ordering::Relaxed),
             notes,
             ..CacheReport::default()
         }
@@ -119,31 +93,10 @@ impl Cache {
         Some(self.folder.as_ref()?.join(kind).join(format!("{:032x}", name.0)))
     }
 
-    /// Hash of a file's contents, from the memo where the file has not changed.
-    pub(crate) fn file_hash(&self, path: &Path, what: &str) -> Result<Hash> {
-        let missing = |e| NuscenesError::from_io(path, what, e);
-        let full_path = fs::canonicalize(path).map_err(missing)?;
-        let stamp = Stamp::of(&fs::metadata(path).map_err(missing)?);
-        let name = Hash::of(&full_path.as_os_str().to_string_lossy())?;
-        if let Some(memo) = self.get::<Memo>("memo", name)
-            && memo.path == full_path
-            && memo.stamp == stamp
-        {
-            return Ok(memo.hash);
-        }
-        self.files_hashed.fetch_add(1, Ordering::Relaxed);
-        let hash = hash_contents(path).map_err(missing)?;
-        let unchanged = fs::metadata(path).is_ok_and(|m| Stamp::of(&m) == stamp);
-        if unchanged && !stamp.is_fresh() {
-            self.put("memo", name, &Memo { path: full_path, stamp, hash });
-        }
-        Ok(hash)
-    }
-
     /// The value of that name; `None` where there is none or where it is damaged (noted).
     pub(crate) fn get<T: DeserializeOwned>(&self, kind: &str, name: Hash) -> Option<T> {
         let path = self.file(kind, name)?;
-        let bytes = match file::read(&path) {
+        let bytes = match file::read(&path, file::MOST_BYTES) {
             Err(e) if e.kind() == ErrorKind::NotFound => return None,
             found => found.unwrap_or_default(),
         };
@@ -160,18 +113,6 @@ impl Cache {
         if let Err(reason) = write_aside(&path, kind, name, value) {
             let folder = path.parent().unwrap_or(&path).display();
             self.note(format!("cannot write to {folder}: {reason}"));
-        }
-    }
-}
-
-fn hash_contents(path: &Path) -> std::io::Result<Hash> {
-    let mut file = file::open(path)?;
-    let mut hasher = Xxh3::new();
-    let mut block = vec![0; 1 << 20];
-    loop {
-        match file.read(&mut block)? {
-            0 => return Ok(Hash(hasher.digest128())),
-            read => hasher.update(&block[..read]),
         }
     }
 }

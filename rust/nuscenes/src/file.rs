@@ -5,7 +5,7 @@ use std::io::{Error, ErrorKind, Read, Result};
 use std::path::Path;
 
 /// Files that are read at once are far smaller.
-const MOST_BYTES: u64 = 1 << 30;
+pub(crate) const MOST_BYTES: u64 = 1 << 30;
 
 /// Opens a file, or what a link to one leads to.
 ///
@@ -24,14 +24,15 @@ pub(crate) fn open(path: &Path) -> Result<File> {
 /// The bytes of a file.
 ///
 /// # Errors
-/// As [`open`], and for a file of more than 1 GiB.
-pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
+/// As [`open`], and for a file of more than `most` bytes.
+pub(crate) fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
     let file = open(path)?;
     let len = file.metadata()?.len();
-    if len > MOST_BYTES {
-        return Err(Error::new(ErrorKind::InvalidInput, "it has more than 1 GiB"));
+    if len > most {
+        let message = format!("it is {len} bytes long, expected at most {most}");
+        return Err(Error::new(ErrorKind::InvalidInput, message));
     }
     let mut bytes = Vec::with_capacity(len as usize + 1);
-    file.take(MOST_BYTES).read_to_end(&mut bytes)?;
+    file.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
 }

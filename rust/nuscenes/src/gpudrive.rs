@@ -5,11 +5,12 @@
 //! is made from them, and lanes follow each other where one ends and another begins.
 
 use crate::build::count_layers;
-use crate::cache::{Cache, Hash};
+use crate::cache::{Cache, Hash, stamp};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::load::Loaded;
 use crate::report::{CacheReport, LoadReport, Road, SceneReport};
+use crate::stream::parse;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
     Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, LaneKind, Map, PartElevations, RoadParts, Scene,
@@ -18,7 +19,6 @@ use ccdiff_sim::scene::{
 use rayon::prelude::*;
 use serde::Deserialize;
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -100,15 +100,7 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
     let started = Instant::now();
     let cache = Cache::new(cache_directory);
     let load = |path: &PathBuf| {
-        check_file(path)?;
-        let key = match cache.is_on() {
-            true => {
-                // files of the same contents are scenes of other names
-                let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-                Some(Hash::of(&("gpudrive", name, cache.file_hash(path, "scene")?))?)
-            }
-            false => None,
-        };
+        let key = cache.is_on().then(|| Hash::of(&("gpudrive", stamp(path, "scene")?))).transpose()?;
         let known = key.and_then(|key| cache.get::<(Scene, SceneReport)>("scene", key));
         if let Some((scene, report)) =
             known.and_then(|(scene, report)| Some((scene.validated().ok()?, report)))
@@ -125,7 +117,7 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
     let hits = loaded.iter().filter(|(_, _, hit)| *hit).count();
     let mut report = LoadReport { version: "gpudrive".into(), ..LoadReport::default() };
     report.cache = CacheReport { hits, built: paths.len() - hits, ..cache.report() };
-    report.timing.total_s = started.elapsed().as_secs_f64();
+    report.seconds = started.elapsed().as_secs_f64();
     let mut scenes = Vec::with_capacity(loaded.len());
     for (scene, of_scene, _) in loaded {
         scenes.push(scene);
@@ -134,27 +126,9 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
     Ok(Loaded { scenes, report })
 }
 
-/// Refuses what is no regular file of a bearable size, before it is opened.
-fn check_file(path: &Path) -> Result<()> {
-    let found = fs::metadata(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
-    if found.is_file() && found.len() <= MAX_FILE_BYTES {
-        return Ok(());
-    }
-    let got = if found.is_file() { format!("{} bytes long", found.len()) } else { "no regular file".into() };
-    fault(path, "", "file", got, "a regular file of at most 64 MiB")
-}
-
-fn fault<T>(path: &Path, place: &str, field: &'static str, got: String, expected: &'static str) -> Result<T> {
-    Err(NuscenesError::value(path, place, field, got, expected))
-}
-
 fn read_scene(path: &Path) -> Result<(Scene, SceneReport)> {
-    let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
-    let file: File = serde_json::from_slice(&bytes).map_err(|error| {
-        let lines = bytes.split_inclusive(|b| *b == b'\n').take(error.line().saturating_sub(1));
-        let offset = lines.map(<[u8]>::len).sum::<usize>() + error.column().saturating_sub(1);
-        NuscenesError::Json { path: path.to_owned(), offset: offset as u64, message: error.to_string() }
-    })?;
+    let bytes = file::read(path, MAX_FILE_BYTES).map_err(|e| NuscenesError::from_io(path, "scene", e))?;
+    let file = parse(&bytes, path, 0)?;
     drop(bytes);
     Reader { path, file }.scene()
 }
@@ -172,7 +146,7 @@ impl Reader<'_> {
         got: impl ToString,
         expected: &'static str,
     ) -> Result<T> {
-        fault(self.path, &place, field, got.to_string(), expected)
+        Err(NuscenesError::value(self.path, place, field, got.to_string(), expected))
     }
 
     fn scene(&self) -> Result<(Scene, SceneReport)> {

@@ -44,4 +44,4 @@ pub use options::{
     BuildOptions, EGO_AXLE_TO_CENTRE_M, EgoReference, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming,
     LoadOptions, Selection,
 };
-pub use report::{CacheReport, Dropped, LoadReport, MapReport, Road, SceneReport, Timing};
+pub use report::{CacheReport, Dropped, LoadReport, MapReport, Road, SceneReport};

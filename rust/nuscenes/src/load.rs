@@ -1,7 +1,7 @@
 //! A load from beginning to end: choose scenes, take them from the cache, build the others.
 
 use crate::build::build_scene;
-use crate::cache::{Cache, Hash};
+use crate::cache::{Cache, Hash, stamp};
 use crate::error::{NuscenesError, Result};
 use crate::map_file::{GlobalMap, map_path, read_map};
 use crate::options::{LoadOptions, Selection};
@@ -56,7 +56,7 @@ pub fn load(dataroot: &Path, version: &str, options: &LoadOptions) -> Result<Loa
     let scenes = load.run()?;
     let (hits, built) = (load.report.cache.hits, load.report.cache.built);
     load.report.cache = crate::report::CacheReport { hits, built, ..load.cache.report() };
-    load.report.timing.total_s = started.elapsed().as_secs_f64();
+    load.report.seconds = started.elapsed().as_secs_f64();
     Ok(Loaded { scenes, report: load.report })
 }
 
@@ -85,28 +85,15 @@ struct Load<'a> {
     report: LoadReport,
 }
 
-/// Seconds since the last call.
-struct Lap(Instant);
-
-impl Lap {
-    fn take(&mut self) -> f64 {
-        let now = Instant::now();
-        now.duration_since(std::mem::replace(&mut self.0, now)).as_secs_f64()
-    }
-}
-
 impl Load<'_> {
     fn run(&mut self) -> Result<Vec<Arc<Scene>>> {
-        let mut lap = Lap(Instant::now());
-        let tables_hash = self.cache.is_on().then(|| self.hash_tables()).transpose()?;
+        let tables_hash = self.cache.is_on().then(|| self.stamp_tables()).transpose()?;
         let entries = self.entries(tables_hash)?;
         let wanted = self.select(&entries)?;
         let keys = tables_hash.map(|hash| self.scene_keys(hash, &entries, &wanted)).transpose()?;
-        self.report.timing.hash_s = lap.take();
 
         let mut built = self.cached(keys.as_deref(), wanted.len());
         self.report.cache.hits = built.iter().flatten().count();
-        self.report.timing.cache_s = lap.take();
 
         let lost: Vec<usize> = (0..wanted.len()).filter(|i| built[*i].is_none()).collect();
         if !lost.is_empty() {
@@ -122,7 +109,6 @@ impl Load<'_> {
                 || self.read_maps(indices.iter().map(|i| &entries[*i])),
             );
             let (logged, maps) = (logged?, maps?);
-            self.report.timing.read_s = lap.take();
             let build = |(logged, (slot, scene_idx)): (_, (&usize, &usize))| {
                 let entry = &entries[*scene_idx];
                 drop(std::hint::black_box(Vec::<u8>::with_capacity(SCENE_BYTES)));
@@ -144,7 +130,6 @@ impl Load<'_> {
             self.report.maps = read.map(|(_, report)| report).collect();
             // tens of thousands of small vectors: given back while the caller goes on
             rayon::spawn(move || drop((logged, used)));
-            self.report.timing.build_s = lap.take();
         }
         self.note_missing_maps(wanted.iter().map(|i| &entries[*i]));
         self.finish(built.into_iter().flatten())
@@ -169,10 +154,9 @@ impl Load<'_> {
         Ok(scenes)
     }
 
-    fn hash_tables(&self) -> Result<Hash> {
-        let hash = |table: &&str| self.cache.file_hash(&self.tables.path(table), &format!("table {table}"));
-        let hashes: Vec<Hash> = TABLES.par_iter().map(hash).collect::<Result<_>>()?;
-        Hash::of(&(hashes, &self.source))
+    fn stamp_tables(&self) -> Result<Hash> {
+        let stamp = |table: &&str| stamp(&self.tables.path(table), &format!("table {table}"));
+        Hash::of(&(TABLES.iter().map(stamp).collect::<Result<Vec<_>>>()?, &self.source))
     }
 
     /// The scene table; from the cache where the tables are known.
@@ -228,8 +212,8 @@ impl Load<'_> {
             let entry = &entries[*index];
             if !maps.contains_key(entry.location.as_str()) {
                 let path = self.map_path(&entry.location);
-                let hash = match self.cache.file_hash(&path, "map expansion") {
-                    Err(NuscenesError::Missing { .. }) if !self.options.build.require_map => None,
+                let hash = match stamp(&path, "map expansion") {
+                    Err(NuscenesError::Missing { .. }) => None,
                     other => Some(other?),
                 };
                 maps.insert(&entry.location, hash);
@@ -249,16 +233,14 @@ impl Load<'_> {
         keys.par_iter().map(read).collect()
     }
 
-    /// Maps of the locations, read once each; a missing one is an error only where maps are required.
+    /// Maps of the locations, read once each; `None` where there is no file.
     fn read_maps<'e>(&self, entries: impl Iterator<Item = &'e SceneEntry>) -> Result<Maps> {
         let mut locations: Vec<&str> = entries.map(|e| e.location.as_str()).collect();
         locations.sort_unstable();
         locations.dedup();
         let read = |location: &&str| {
             let map = match read_map(&self.map_path(location), location) {
-                Err(NuscenesError::Missing { .. }) if !self.options.build.require_map => {
-                    (None, MapReport::default())
-                }
+                Err(NuscenesError::Missing { .. }) => (None, MapReport::default()),
                 other => other.map(|(map, report)| (Some(map), report))?,
             };
             Ok(((*location).to_owned(), map))

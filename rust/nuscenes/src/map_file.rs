@@ -113,7 +113,8 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
 /// # Errors
 /// Unreadable files, invalid JSON, references to nodes, polygons or lines that do not exist, damaged centre lines.
 pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
-    let bytes = file::read(path).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
+    let bytes =
+        file::read(path, file::MOST_BYTES).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
     let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&bytes);
     // serde would take an array for the layers in their order
     if text.trim_ascii_start().first() != Some(&b'{') {

@@ -70,14 +70,10 @@ pub struct BuildOptions {
     pub ego_reference: EgoReference,
     /// Kinds to keep; `None` keeps all. The ego is always kept.
     pub kinds: Option<Vec<AgentKind>>,
-    /// Categories to keep, by full name or by a prefix that ends at a dot (`vehicle`, `vehicle.bus`); `None` keeps all.
-    pub categories: Option<Vec<String>>,
     /// How far the map reaches beyond the tracks, metres.
     pub map_margin_m: f64,
     /// Tracks with fewer annotations are dropped.
     pub min_annotations: usize,
-    /// Whether a missing map file is an error instead of an empty map.
-    pub require_map: bool,
 }
 
 impl Default for BuildOptions {
@@ -88,10 +84,8 @@ impl Default for BuildOptions {
             interpolation: Interpolation::Smooth,
             ego_reference: EgoReference::RearAxle,
             kinds: None,
-            categories: None,
             map_margin_m: 60.0,
             min_annotations: 2,
-            require_map: false,
         }
     }
 }
@@ -118,20 +112,6 @@ impl BuildOptions {
             });
         }
         Ok(())
-    }
-
-    /// Why a track of this kind and category is not wanted.
-    pub(crate) fn refuses(&self, kind: AgentKind, category: &str) -> Option<&'static str> {
-        if self.kinds.as_ref().is_some_and(|kinds| !kinds.contains(&kind)) {
-            return Some("kind not asked for");
-        }
-        let matches = |wanted: &String| {
-            category
-                .strip_prefix(wanted.as_str())
-                .is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-        };
-        let refused = self.categories.as_ref().is_some_and(|wanted| !wanted.iter().any(matches));
-        refused.then_some("category not asked for")
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a load did: what was kept, what was left out and why, where time went.
+//! What a load did: what was kept, what was left out and why.
 
 use ccdiff_sim::scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -126,25 +126,8 @@ pub struct CacheReport {
     pub hits: usize,
     /// Scenes built from the tables.
     pub built: usize,
-    /// Files whose contents had to be hashed because they are new or have changed.
-    pub files_hashed: usize,
     /// Damaged files that were built again, and folders that could not be written.
     pub notes: Vec<String>,
-}
-
-/// Where the time went, seconds.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Timing {
-    /// Finding out whether files have changed.
-    pub hash_s: f64,
-    /// Reading scenes from the cache.
-    pub cache_s: f64,
-    /// Reading tables and maps.
-    pub read_s: f64,
-    /// Building scenes and writing them to the cache.
-    pub build_s: f64,
-    /// All of it.
-    pub total_s: f64,
 }
 
 /// Everything a load has to say.
@@ -166,6 +149,6 @@ pub struct LoadReport {
     pub maps: Vec<MapReport>,
     /// What the cache did.
     pub cache: CacheReport,
-    /// Where the time went.
-    pub timing: Timing,
+    /// How long it took, seconds.
+    pub seconds: f64,
 }

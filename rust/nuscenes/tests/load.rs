@@ -74,7 +74,7 @@ fn the_map_is_cropped_round_the_tracks_and_keeps_holes_and_links() {
 }
 
 #[test]
-fn options_select_kinds_categories_and_step_lengths() {
+fn options_select_kinds_and_step_lengths() {
     let folder = DataSet::new().written();
     let with = |build: BuildOptions| {
         load(&folder.0, VERSION, &LoadOptions { build, ..LoadOptions::default() })
@@ -82,10 +82,6 @@ fn options_select_kinds_categories_and_step_lengths() {
     };
     let vehicles = BuildOptions { kinds: Some(vec![AgentKind::Vehicle]), ..BuildOptions::default() };
     assert_eq!(with(vehicles).unwrap().num_agents(), 2);
-    let by_prefix = BuildOptions { categories: Some(vec!["vehicle".into()]), ..BuildOptions::default() };
-    assert_eq!(with(by_prefix).unwrap().num_agents(), 3);
-    let no_prefix = BuildOptions { categories: Some(vec!["vehi".into()]), ..BuildOptions::default() };
-    assert_eq!(with(no_prefix).unwrap().num_agents(), 1);
     let all = BuildOptions { min_annotations: 1, dt_s: 0.05, ..BuildOptions::default() };
     let scene = with(all).unwrap();
     assert_eq!((scene.num_agents(), scene.num_steps), (6, 51));
@@ -93,8 +89,6 @@ fn options_select_kinds_categories_and_step_lengths() {
         let error = with(BuildOptions { dt_s, ..BuildOptions::default() }).unwrap_err();
         assert!(matches!(error, NuscenesError::Option { field: "dt", .. }), "{dt_s}: {error}");
     }
-    let strict = BuildOptions { require_map: true, ..BuildOptions::default() };
-    assert!(matches!(with(strict).unwrap_err(), NuscenesError::Missing { .. }));
 }
 
 #[test]
@@ -196,15 +190,12 @@ fn files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
 #[test]
 fn the_cache_gives_the_same_scenes_and_report_without_reading_a_table() {
     let (folder, cache) = (DataSet::new().written(), Folder::new());
-    // older than the time in which a file may still be written to
-    std::thread::sleep(std::time::Duration::from_millis(150));
     let options = cached(&cache);
     let plain = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
     let first = load(&folder.0, VERSION, &options).unwrap();
     let second = load(&folder.0, VERSION, &options).unwrap();
     assert_eq!((first.report.cache.built, first.report.cache.hits), (2, 0));
     assert_eq!((second.report.cache.built, second.report.cache.hits), (0, 2));
-    assert_eq!((first.report.cache.files_hashed, second.report.cache.files_hashed), (11, 0));
     assert_eq!(plain.scenes, first.scenes);
     assert_eq!(plain.scenes, second.scenes);
     assert_eq!(plain.report.scenes, second.report.scenes);
@@ -220,7 +211,7 @@ fn another_option_or_another_content_is_another_entry() {
     let other = load(&folder.0, VERSION, &LoadOptions { build: linear, ..options.clone() }).unwrap();
     assert_eq!(other.report.cache.built, 2);
     let mut data = DataSet::new();
-    data.tables.get_mut("sample_annotation").unwrap()[0]["translation"] = json!([111.0, 204.0, 0.0]);
+    data.tables.get_mut("sample_annotation").unwrap()[0]["translation"] = json!([111.25, 204.0, 0.0]);
     data.write(&folder.0, false);
     let changed = load(&folder.0, VERSION, &options).unwrap();
     assert_eq!(changed.report.cache.built, 2);

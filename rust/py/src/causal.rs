@@ -14,19 +14,10 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    let GraphThresholds { ttc_s, distance_m } = GraphThresholds::PAPER;
-    module.add("GRAPH_THRESHOLDS", (ttc_s, distance_m))?;
-    module.add_function(wrap_pyfunction!(causal_pairs, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_graph, module)?)?;
-    module.add_function(wrap_pyfunction!(causal_rank, module)?)
-}
-
 /// Times to contact, seconds, or distances of the centres, metres, [T, M, M], from states x, y, heading, speed [T, M, 4] and
 /// sizes [M, 2].
 #[pyfunction]
-fn causal_pairs<'py>(
+pub(crate) fn causal_pairs<'py>(
     py: Python<'py>,
     of_contact: bool,
     states: PyReadonlyArray3<'py, f32>,
@@ -57,7 +48,7 @@ fn causal_pairs<'py>(
 
 /// The decision causal graph [M, M].
 #[pyfunction]
-fn causal_graph<'py>(
+pub(crate) fn causal_graph<'py>(
     py: Python<'py>,
     ttc_s: PyReadonlyArray2<'py, f32>,
     distance_m: PyReadonlyArray2<'py, f32>,
@@ -74,7 +65,7 @@ fn causal_graph<'py>(
 /// Key agents by a named ranker, filled up; how many the ranker named; whether clique searches were completed.
 #[pyfunction]
 #[pyo3(signature = (ranker, top_k, valid, ttc, distance, agents, scores, weights, seed, settings))]
-fn causal_rank(
+pub(crate) fn causal_rank(
     py: Python<'_>,
     ranker: &str,
     top_k: usize,

@@ -51,13 +51,6 @@ fn of(name: &str) -> Option<&'static Kind> {
     kinds().find(|kind| kind.name == name)
 }
 
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(networks_wanted, module)?)?;
-    module.add_function(wrap_pyfunction!(driver_kinds, module)?)?;
-    module.add_function(wrap_pyfunction!(drivers, module)?)
-}
-
 /// How images show a kind of driver.
 fn drawn(kind: &str) -> DrawStyle {
     let style = of(kind).map_or(kind, |kind| kind.style);
@@ -83,7 +76,7 @@ type Row = (&'static str, &'static str, u8);
 /// Name, title and number in images of everybody who may move an agent: those that images tell apart, in
 /// the order of their numbers, then the kinds that look like one of them.
 #[pyfunction]
-fn drivers() -> Vec<Row> {
+pub(crate) fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
     let others = kinds().filter(|kind| drawn(kind.name).name() != kind.name);
     styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
@@ -92,7 +85,7 @@ fn drivers() -> Vec<Row> {
 /// All kinds of drivers, one dictionary each: `name`, `title`, `options` (name of their table or `None`), `always` (every batch
 /// has one), and of networks `weights`, `denoises`, `attends`, `one_plan`, `distilled`.
 #[pyfunction]
-fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
+pub(crate) fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
     let network_of = |kind: &Kind| NETWORKS.iter().find(|network| network.kind.name == kind.name);
     kinds()
         .map(|kind| {
@@ -171,7 +164,7 @@ fn recipes<'a>(
 
 /// Policies of a configuration (JSON) that are made of files: name, kind, options as JSON.
 #[pyfunction]
-fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
+pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
     let none = BTreeMap::new();
     let wanted = recipes(&config, &none)?;

@@ -14,12 +14,6 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::collections::BTreeMap;
 
-/// Adds the function and the class of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<EgoNetwork>()?;
-    module.add_function(wrap_pyfunction!(egos_policy, module)?)
-}
-
 /// Weights by name.
 type Arrays<'py> = BTreeMap<String, PyReadonlyArrayDyn<'py, f32>>;
 
@@ -33,7 +27,7 @@ fn taken(arrays: Arrays<'_>) -> PyResult<Tensors> {
 
 /// A policy of worlds: `observation` and `action` are configurations as JSON, `tensors` weights by name.
 #[pyfunction]
-fn egos_policy<'py>(
+pub(crate) fn egos_policy<'py>(
     py: Python<'py>,
     observation: &str,
     action: &str,
@@ -51,7 +45,7 @@ fn egos_policy<'py>(
 
 /// The network of an ego: actions for observations. Configurations and weights as in `egos_policy`.
 #[pyclass(module = "ccdiff_env._native")]
-struct EgoNetwork(NetworkOfEgo);
+pub(crate) struct EgoNetwork(NetworkOfEgo);
 
 #[pymethods]
 impl EgoNetwork {

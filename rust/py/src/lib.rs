@@ -21,36 +21,63 @@ mod world;
 mod world_plans;
 mod world_state;
 
-use pyo3::prelude::*;
+#[pyo3::pymodule]
+mod _native {
+    #[pymodule_export]
+    use crate::causal::{causal_graph, causal_pairs, causal_rank};
+    #[pymodule_export]
+    use crate::drivers::{driver_kinds, drivers, networks_wanted};
+    #[pymodule_export]
+    use crate::egos::{EgoNetwork, egos_policy};
+    #[pymodule_export]
+    use crate::logged_batch::traffic_batch_from_log;
+    #[pymodule_export]
+    use crate::map_queries::{map_lane_ahead, map_road_distance};
+    #[pymodule_export]
+    use crate::metrics::NativeMotion;
+    #[pymodule_export]
+    use crate::networks::{guidance_preset, load_network, needs_torch, traffic_policy};
+    #[pymodule_export]
+    use crate::planner::PyPlanner;
+    #[pymodule_export]
+    use crate::render::{render_arrays, render_legend, render_look};
+    #[pymodule_export]
+    use crate::scene::{PyScene, load_gpudrive, load_nuscenes};
+    #[pymodule_export]
+    use crate::scene_map::complete_map;
+    #[pymodule_export]
+    use crate::schemas::{check_options, schema};
+    #[pymodule_export]
+    use crate::swift::swift_bins;
+    #[pymodule_export]
+    use crate::world::{PyVecWorld, PyWorldStatus};
+    #[pymodule_export]
+    use ccdiff_bridge::PyTrajectoryModel;
 
-/// A number that `_models` compares with its own: how the simulator within was compiled.
-#[pyfunction]
-fn build_mark() -> u64 {
-    ccdiff_sim::build_mark()
-}
+    use crate::traffic_batch::ROUTE_SPACING_M;
+    use ccdiff_nuscenes::EGO_AXLE_TO_CENTRE_M;
+    use ccdiff_sim::causal::graph::GraphThresholds;
+    use ccdiff_sim::scene::LEVEL_M;
+    use pyo3::prelude::*;
 
-/// Holds all later work of the process to the instructions that every processor has; the bits stay the same.
-#[pyfunction]
-fn hold_to_base() {
-    ccdiff_sim::hold_to_base();
-}
+    #[pymodule_init]
+    fn constants(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let GraphThresholds { ttc_s, distance_m } = GraphThresholds::PAPER;
+        module.add("GRAPH_THRESHOLDS", (ttc_s, distance_m))?;
+        module.add("EGO_AXLE_TO_CENTRE_M", EGO_AXLE_TO_CENTRE_M)?;
+        module.add("LEVEL_M", LEVEL_M)?;
+        module.add("ROUTE_SPACING_M", ROUTE_SPACING_M)
+    }
 
-#[pymodule]
-fn _native(m: &Bound<'_, PyModule>) -> PyResult<()> {
-    causal::register(m)?;
-    logged_batch::register(m)?;
-    map_queries::register(m)?;
-    metrics::register(m)?;
-    networks::register(m)?;
-    drivers::register(m)?;
-    egos::register(m)?;
-    swift::register(m)?;
-    planner::register(m)?;
-    render::register(m)?;
-    scene::register(m)?;
-    schemas::register(m)?;
-    world::register(m)?;
-    m.add_function(wrap_pyfunction!(build_mark, m)?)?;
-    m.add_function(wrap_pyfunction!(hold_to_base, m)?)?;
-    Ok(())
+    /// A number that `_models` compares with its own: how the simulator within was compiled.
+    #[pyfunction]
+    fn build_mark() -> u64 {
+        ccdiff_sim::build_mark()
+    }
+
+    /// Holds all later work of the process to the instructions that every processor has; the bits stay the same.
+    #[pyfunction]
+    fn hold_to_base() {
+        ccdiff_sim::hold_to_base();
+    }
 }

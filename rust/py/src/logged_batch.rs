@@ -1,7 +1,7 @@
 //! Batches for traffic models in Python from logs: what a model is told in a world that stands there, and what came after.
 
 use crate::scene::PyScene;
-use crate::traffic_batch::{ROUTE_SPACING_M, Row, Told, arrays, set_states};
+use crate::traffic_batch::{Row, Told, arrays, set_states};
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError};
 use ccdiff_sim::scene::{AgentKind, EGO_ID, Scene};
 use ccdiff_sim::stage::{History, PreparedScene};
@@ -9,12 +9,6 @@ use ccdiff_sim::world::Rng;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::sync::Arc;
-
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("ROUTE_SPACING_M", ROUTE_SPACING_M)?;
-    module.add_function(wrap_pyfunction!(traffic_batch_from_log, module)?)
-}
 
 /// Refuses scenes and steps that make no batch.
 fn check(scenes: &[Arc<Scene>], steps: &[usize]) -> PyResult<()> {
@@ -43,7 +37,7 @@ fn check(scenes: &[Arc<Scene>], steps: &[usize]) -> PyResult<()> {
 /// The arrays of a batch at steps of logged scenes, and the logged states after them: `position_m` [M, F, 2],
 /// `heading_rad`, `speed_mps`, `valid` [M, F].
 #[pyfunction]
-fn traffic_batch_from_log<'py>(
+pub(crate) fn traffic_batch_from_log<'py>(
     py: Python<'py>,
     scenes: Vec<PyRef<'py, PyScene>>,
     steps: Vec<usize>,

@@ -4,25 +4,15 @@ use crate::enter::enter;
 use crate::scene::PyScene;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
 use ccdiff_sim::geom::{Point2, Pose2};
-use ccdiff_sim::observe::SegmentKind;
 use ccdiff_sim::stage::PreparedScene;
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,
-    PyUntypedArrayMethods,
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use std::sync::Arc;
 
 /// Nothing is farther from the origin of a scene along an axis, metres.
 const FARTHEST_M: f32 = 1e6;
-
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("LINE_KINDS", SegmentKind::ALL.map(SegmentKind::name))?;
-    module.add_function(wrap_pyfunction!(map_near_pieces, module)?)?;
-    module.add_function(wrap_pyfunction!(map_road_distance, module)?)?;
-    module.add_function(wrap_pyfunction!(map_lane_ahead, module)?)
-}
 
 /// Places on the maps of scenes.
 struct Places {
@@ -85,47 +75,12 @@ impl Places {
     }
 }
 
-/// Ends [M, K, 2, 2], kinds, distances and whether there are so many [M, K].
-type Pieces<'py> = (
-    Bound<'py, PyArray4<f32>>,
-    Bound<'py, PyArray2<u8>>,
-    Bound<'py, PyArray2<f32>>,
-    Bound<'py, PyArray2<bool>>,
-);
-
-/// The pieces of lines nearest to poses, in their frames.
-#[pyfunction]
-fn map_near_pieces<'py>(
-    py: Python<'py>,
-    places: AskedPlaces<'py>,
-    count: usize,
-    kinds: Vec<u8>,
-) -> PyResult<Pieces<'py>> {
-    let places = Places::new(py, &places)?;
-    let (m, wanted) = (places.poses.len(), |kind: SegmentKind| kinds.contains(&(kind as u8)));
-    let (mut ends, mut kind) = (vec![0.0; m * count * 4], vec![0; m * count]);
-    let (mut distance_m, mut valid) = (vec![0.0; m * count], vec![false; m * count]);
-    enter(py, || {
-        for (row, (scene, pose, z)) in places.each().enumerate() {
-            for (k, piece) in (row * count..).zip(scene.near_pieces(pose, z, count, wanted)) {
-                let [from, to] = piece.ends;
-                ends[4 * k..4 * k + 4].copy_from_slice(&[from.x, from.y, to.x, to.y]);
-                (kind[k], distance_m[k], valid[k]) = (piece.kind as u8, piece.distance_m, true);
-            }
-        }
-        Ok(())
-    })?;
-    Ok((
-        PyArray1::from_vec(py, ends).reshape([m, count, 2, 2])?,
-        PyArray1::from_vec(py, kind).reshape([m, count])?,
-        PyArray1::from_vec(py, distance_m).reshape([m, count])?,
-        PyArray1::from_vec(py, valid).reshape([m, count])?,
-    ))
-}
-
 /// Distances [M] to the edge of the road, negative off it.
 #[pyfunction]
-fn map_road_distance<'py>(py: Python<'py>, places: AskedPlaces<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+pub(crate) fn map_road_distance<'py>(
+    py: Python<'py>,
+    places: AskedPlaces<'py>,
+) -> PyResult<Bound<'py, PyArray1<f32>>> {
     let places = Places::new(py, &places)?;
     let distances = enter(py, || {
         let of = |(scene, pose, z): (&PreparedScene, &Pose2, Option<f32>)| {
@@ -152,7 +107,7 @@ type Ways<'py> = (
 
 /// The ways along lanes ahead of poses, in their frames.
 #[pyfunction]
-fn map_lane_ahead<'py>(
+pub(crate) fn map_lane_ahead<'py>(
     py: Python<'py>,
     places: AskedPlaces<'py>,
     num_points: usize,

@@ -9,11 +9,6 @@ use ccdiff_sim::state::Footprint;
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<NativeMotion>()
-}
-
 type PyF32<'py> = PyReadonlyArray2<'py, f32>;
 type Rings = (Vec<[f32; 2]>, Vec<Vec<[f32; 2]>>);
 

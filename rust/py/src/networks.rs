@@ -13,18 +13,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::PathBuf;
 
-/// Adds the class and functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyTrajectoryModel>()?;
-    module.add_function(wrap_pyfunction!(needs_torch, module)?)?;
-    module.add_function(wrap_pyfunction!(load_network, module)?)?;
-    module.add_function(wrap_pyfunction!(traffic_policy, module)?)?;
-    module.add_function(wrap_pyfunction!(guidance_preset, module)?)
-}
-
 /// Whether the network of a weight file has layers that are there on torch alone.
 #[pyfunction]
-fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
+pub(crate) fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
     let found = py.detach(|| {
         let (header, _) = weights::read(&path)?;
         Ok(header["kind"] != SWIFT.name && check_cpu(&described(&path, &header)?).is_err())
@@ -34,14 +25,14 @@ fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
 
 /// The network of a weight file.
 #[pyfunction]
-fn load_network(py: Python<'_>, path: PathBuf) -> PyResult<PyTrajectoryModel> {
+pub(crate) fn load_network(py: Python<'_>, path: PathBuf) -> PyResult<PyTrajectoryModel> {
     py.detach(|| TrajectoryModel::load(&path)).map(PyTrajectoryModel::new).map_err(from_model)
 }
 
 /// A policy of worlds with this step over these scenes, which plans on this many threads; `options` is a
 /// `CcdiffConfig` as JSON.
 #[pyfunction]
-fn traffic_policy<'py>(
+pub(crate) fn traffic_policy<'py>(
     py: Python<'py>,
     name: &str,
     kind: &str,
@@ -60,7 +51,7 @@ fn traffic_policy<'py>(
 
 /// Settings of a guidance preset, as JSON.
 #[pyfunction]
-fn guidance_preset(name: &str) -> PyResult<String> {
+pub(crate) fn guidance_preset(name: &str) -> PyResult<String> {
     let preset = GuidanceConfig::preset(name).map_err(from_model)?;
     serde_json::to_string(&preset).map_err(|e| py::ConfigError::new_err(e.to_string()))
 }

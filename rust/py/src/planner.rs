@@ -8,11 +8,6 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 
-/// Adds the class of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyPlanner>()
-}
-
 /// A planner of the package, `pdm`, `idm` or `plan`: drives the first slots of worlds, the last one by the plans of a network.
 #[pyclass(name = "Planner", module = "ccdiff_env._native")]
 pub(crate) struct PyPlanner {

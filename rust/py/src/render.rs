@@ -1,4 +1,4 @@
-//! Bindings of `ccdiff_render`: images from arrays and from the log of a scene.
+//! Bindings of `ccdiff_render`: images from arrays.
 
 use crate::enter::flags;
 use ccdiff_bridge::Handed;
@@ -13,13 +13,6 @@ use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-
-/// Adds the functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(render_arrays, module)?)?;
-    module.add_function(wrap_pyfunction!(render_look, module)?)?;
-    module.add_function(wrap_pyfunction!(render_legend, module)?)
-}
 
 /// The Python exception for a renderer's error.
 pub(crate) fn from_render(error: RenderError) -> PyErr {
@@ -65,7 +58,7 @@ pub(crate) fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
     Ok(layers)
 }
 
-/// What `Scene.render` puts in the middle.
+/// What is in the middle of an image.
 #[derive(FromPyObject)]
 pub(crate) enum CentreArg {
     /// Id of an agent.
@@ -177,7 +170,7 @@ fn boxes(
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
     route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme, svg))]
-fn render_arrays<'py>(
+pub(crate) fn render_arrays<'py>(
     py: Python<'py>,
     position_m: Points<'py>,
     heading_rad: PyReadonlyArray1<'py, f32>,
@@ -260,7 +253,7 @@ fn lines(list: &[(Vec<Point2>, DrawStyle)]) -> Vec<Line<'_>> {
 
 /// Times, lengths and strengths that images and the replay page share, by name.
 #[pyfunction]
-fn render_look() -> Vec<(&'static str, f32)> {
+pub(crate) fn render_look() -> Vec<(&'static str, f32)> {
     look::LOOK.to_vec()
 }
 
@@ -269,6 +262,6 @@ type LegendRow = (&'static str, (u8, u8, u8));
 
 /// Names and colours (red, green, blue) of everything in an image, drivers first.
 #[pyfunction]
-fn render_legend(theme: &str) -> PyResult<Vec<LegendRow>> {
+pub(crate) fn render_legend(theme: &str) -> PyResult<Vec<LegendRow>> {
     Ok(palette::legend(theme_of(theme)?).into_iter().map(|(name, c)| (name, (c.0, c.1, c.2))).collect())
 }

@@ -5,13 +5,12 @@ use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
-    BuildOptions, EGO_AXLE_TO_CENTRE_M, LoadOptions, Loaded, NuscenesError, Selection, decode_scene,
-    encode_scene, load, scene_hash,
+    BuildOptions, LoadOptions, Loaded, NuscenesError, Selection, decode_scene, encode_scene, load, scene_hash,
 };
 use ccdiff_render::{Frame, Shown};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::options;
-use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, LEVEL_M, Scene, Tracks};
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
 use ccdiff_sim::stage::{PreparedScene, hitches};
 use ccdiff_sim::world::{VehicleRanking, ranked_vehicles};
 use numpy::{
@@ -23,16 +22,6 @@ use pyo3::types::{PyBytes, PyCapsule, PyDict};
 use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
-
-/// Adds the classes and functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyScene>()?;
-    module.add("LEVEL_M", LEVEL_M)?;
-    module.add("EGO_AXLE_TO_CENTRE_M", EGO_AXLE_TO_CENTRE_M)?;
-    module.add_function(wrap_pyfunction!(scene_map::complete_map, module)?)?;
-    module.add_function(wrap_pyfunction!(load_gpudrive, module)?)?;
-    module.add_function(wrap_pyfunction!(load_nuscenes, module)?)
-}
 
 /// The Python exception for a loader error.
 fn from_nuscenes(error: NuscenesError) -> PyErr {
@@ -407,9 +396,9 @@ fn named<T: serde::de::DeserializeOwned>(field: &str, name: &str, expected: &str
 
 /// Loads nuScenes scenes; returns them with the report as JSON.
 #[pyfunction]
-#[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, ego_reference, kinds, categories,
-    map_margin, min_annotations, require_map, cache_directory))]
-fn load_nuscenes(
+#[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, ego_reference, kinds, map_margin,
+    min_annotations, cache_directory))]
+pub(crate) fn load_nuscenes(
     py: Python<'_>,
     dataroot: PathBuf,
     version: &str,
@@ -420,10 +409,8 @@ fn load_nuscenes(
     interpolation: &str,
     ego_reference: &str,
     kinds: Option<Vec<String>>,
-    categories: Option<Vec<String>>,
     map_margin: f64,
     min_annotations: usize,
-    require_map: bool,
     cache_directory: Option<PathBuf>,
 ) -> PyResult<(Vec<PyScene>, String)> {
     let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
@@ -438,10 +425,8 @@ fn load_nuscenes(
         interpolation: named("interpolation", interpolation, "\"smooth\" or \"linear\"")?,
         ego_reference: named("ego_reference", ego_reference, "\"rear_axle\" or \"centre\"")?,
         kinds,
-        categories,
         map_margin_m: map_margin,
         min_annotations,
-        require_map,
     };
     let options = LoadOptions { selection, build, cache_directory };
     with_report(py.detach(|| load(&dataroot, version, &options)))
@@ -450,7 +435,7 @@ fn load_nuscenes(
 /// Loads Waymo scenes from GPUDrive's JSON, one from each file; returns them with the report as JSON.
 #[pyfunction]
 #[pyo3(signature = (paths, *, cache_directory))]
-fn load_gpudrive(
+pub(crate) fn load_gpudrive(
     py: Python<'_>,
     paths: Vec<PathBuf>,
     cache_directory: Option<PathBuf>,

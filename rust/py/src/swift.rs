@@ -12,14 +12,9 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 use std::path::Path;
 
-/// Adds the function of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_function(wrap_pyfunction!(swift_bins, module)?)
-}
-
 /// Bins [n, 2] of changes of speed (m/s in half a second) and yaw rates (rad/s).
 #[pyfunction]
-fn swift_bins(changes: Vec<(f32, f32)>) -> Vec<[usize; 2]> {
+pub(crate) fn swift_bins(changes: Vec<(f32, f32)>) -> Vec<[usize; 2]> {
     changes.into_iter().map(|(speed, yaw_rate)| token_of(speed, yaw_rate)).collect()
 }
 

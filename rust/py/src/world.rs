@@ -23,12 +23,6 @@ use pyo3::types::{IntoPyDict, PyBytes, PyCapsule, PyDict, PyTuple};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
-/// Adds the classes and functions of this file to the module.
-pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<PyVecWorld>()?;
-    module.add_class::<PyWorldStatus>()
-}
-
 /// Ego (index), start (step) and style (factors by name) of an episode, where they are asked for.
 type WantedEpisode = (Option<usize>, Option<usize>, BTreeMap<String, f32>);
 

@@ -33,12 +33,18 @@ fn the_ego_is_in_the_middle_and_the_road_and_the_ground_are_where_the_map_says()
     let boxes = [car(0.0, 0.0, 0.0, DrawStyle::Ego)];
     let drawing = Drawing { map: Some(&map), boxes: &boxes, ..Drawing::default() };
     for camera in [north_up(80.0), north_up(80.0).heading_up(0.7), north_up(40.0).heading_up(-2.5)] {
-        let image = render(&drawing, &camera).unwrap();
-        assert_eq!(image.rgb.len(), 400 * 300 * 3);
-        assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour(Theme::Light));
-        assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::LIGHT.drivable);
-        assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::LIGHT.ground);
-        assert_eq!(colour_at(&image, &camera, -10.0, 9.0), palette::LIGHT.walkway);
+        for theme in Theme::ALL {
+            let image = render(&Drawing { theme, ..drawing }, &camera).unwrap();
+            assert_eq!(image.rgb.len(), 400 * 300 * 3);
+            for (x, y, colour) in [
+                (0.0, 0.0, DrawStyle::Ego.colour(theme)),
+                (3.0, -10.0, theme.palette().drivable),
+                (-10.0, -10.0, theme.palette().ground),
+                (-10.0, 9.0, theme.palette().walkway),
+            ] {
+                assert_eq!(colour_at(&image, &camera, x, y), colour);
+            }
+        }
     }
 }
 
@@ -141,51 +147,13 @@ fn a_trail_grows_stronger_towards_the_present() {
 }
 
 #[test]
-fn drivers_have_different_colours_and_none_is_a_colour_of_the_map() {
-    for theme in Theme::ALL {
-        let mut legend = palette::legend(theme);
-        legend.retain(|(name, _)| *name != "outline"); // as dark as ink or paper
-        for (i, (name, a)) in legend.iter().enumerate() {
-            for (other, b) in &legend[..i] {
-                assert_ne!(a, b, "{name} and {other}");
-            }
-        }
-    }
-    assert!(DrawStyle::ALL.iter().enumerate().all(|(i, d)| DrawStyle::from_number(i as u8) == Some(*d)));
-    assert_eq!(DrawStyle::from_number(DrawStyle::ALL.len() as u8), None);
-}
-
-#[test]
-fn things_that_are_not_finite_or_have_no_size_are_refused_by_kind_and_index() {
-    let good = car(0.0, 0.0, 0.0, DrawStyle::Idm);
+fn routes_and_maps_that_are_not_finite_are_refused() {
     let nan = Real::NAN;
-    for (bad, kind) in [
-        (car(nan, 0.0, 0.0, DrawStyle::Idm), "position of agent"),
-        (car(0.0, 0.0, nan, DrawStyle::Idm), "heading of agent"),
-        (AgentBox { width_m: 0.0, ..good }, "size of agent"),
-        (AgentBox { length_m: nan, ..good }, "size of agent"),
-    ] {
-        let boxes = [good, bad];
-        let error = render(&Drawing { boxes: &boxes, ..Drawing::default() }, &north_up(50.0)).unwrap_err();
-        assert!(matches!(error, RenderError::Item { what, index: 1, .. } if what == kind), "{error}");
-    }
     let route = points(&[(0.0, 0.0), (nan, 1.0)]);
     let error = render(&Drawing { route: &route, ..Drawing::default() }, &north_up(50.0)).unwrap_err();
     assert!(matches!(error, RenderError::Item { what: "route", .. }));
     let map = Map { walkways: vec![rectangle((0.0, nan), (0.0, 1.0))], ..Map::default() };
     assert_eq!(MapLayers::new(&map).unwrap_err(), RenderError::Map { layer: "walkways" });
-}
-
-#[test]
-fn on_dark_ground_the_same_things_are_drawn_in_the_colours_of_the_dark() {
-    let map = MapLayers::new(&crossroads()).unwrap();
-    let boxes = [car(0.0, 0.0, 0.0, DrawStyle::Ego)];
-    let drawing = Drawing { map: Some(&map), boxes: &boxes, theme: Theme::Dark, ..Drawing::default() };
-    let camera = north_up(80.0);
-    let image = render(&drawing, &camera).unwrap();
-    assert_eq!(colour_at(&image, &camera, 0.0, 0.0), DrawStyle::Ego.colour(Theme::Dark));
-    assert_eq!(colour_at(&image, &camera, 3.0, -10.0), palette::DARK.drivable);
-    assert_eq!(colour_at(&image, &camera, -10.0, -10.0), palette::DARK.ground);
 }
 
 #[test]

@@ -133,11 +133,6 @@ impl MapSegments {
         self.segments.iter().copied()
     }
 
-    /// One of them.
-    pub(crate) fn segment(&self, idx: usize) -> Segment {
-        self.segments[idx]
-    }
-
     /// What rows of some columns are made from, made when it is first asked for.
     pub(super) fn numbers(&self, columns: &[usize], make: impl FnOnce() -> Arc<[F32x8]>) -> Arc<[F32x8]> {
         let mut made = self.numbers.lock().unwrap_or_else(PoisonError::into_inner);

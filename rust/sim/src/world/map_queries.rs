@@ -1,20 +1,8 @@
 //! What the map of a scene says of a place, asked from outside: that of the level of an elevation, where one is given.
 
-use crate::geom::{Point2, Polyline, Pose2, Real, Vector2};
-use crate::observe::{Segment, SegmentKind};
+use crate::geom::{Point2, Polyline, Pose2, Real};
 use crate::scene::{LaneHit, follow};
 use crate::stage::PreparedScene;
-
-/// A straight piece of a line of the map in somebody's own frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct NearPiece {
-    /// Its two ends, in the order of the line's points, metres.
-    pub ends: [Point2; 2],
-    /// What it belongs to.
-    pub kind: SegmentKind,
-    /// Distance from the origin of the frame, metres.
-    pub distance_m: Real,
-}
 
 /// The lane that somebody is on, and the way along it.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,48 +22,6 @@ impl LaneAhead {
 }
 
 impl PreparedScene {
-    /// The pieces of the map's lines nearest to a pose, in its frame, nearest first, at most `count`; of some kinds alone.
-    ///
-    /// Pieces are straight, at most 5 m long, and follow their line to 0.5 m. Ties are in the order of the map.
-    pub fn near_pieces(
-        &self,
-        frame: &Pose2,
-        elevation_m: Option<Real>,
-        count: usize,
-        wanted: impl Fn(SegmentKind) -> bool,
-    ) -> Vec<NearPiece> {
-        let place = |segment: &Segment| {
-            let middle = frame.to_local(Point2::new(segment.x, segment.y));
-            (middle, frame.rotate_inverse(Vector2::new(segment.cos, segment.sin)))
-        };
-        let distance_sq = |segment: &Segment| {
-            let (middle, direction) = place(segment);
-            let half_m = segment.half_length_m;
-            let along = (-middle.coords.dot(&direction)).clamp(-half_m, half_m);
-            (middle.coords + direction * along).norm_squared()
-        };
-        let lines = &self.at(elevation_m).segments;
-        let wanted = lines.segments().enumerate().filter(|(_, s)| wanted(s.kind));
-        let mut near: Vec<(Real, usize)> = wanted.map(|(i, s)| (distance_sq(&s), i)).collect();
-        let order = |a: &(Real, usize), b: &(Real, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-        if count < near.len() {
-            near.select_nth_unstable_by(count, order);
-            near.truncate(count);
-        }
-        near.sort_unstable_by(order);
-        let piece = |(distance_sq, i): &(Real, usize)| {
-            let segment = lines.segment(*i);
-            let (middle, direction) = place(&segment);
-            let half = direction * segment.half_length_m;
-            NearPiece {
-                ends: [middle - half, middle + half],
-                kind: segment.kind,
-                distance_m: distance_sq.sqrt(),
-            }
-        };
-        near.iter().map(piece).collect()
-    }
-
     /// Distance of a place to the edge of the road, metres, negative off the road; `None` where the map has no road.
     ///
     /// The road ends where the map was cut out.

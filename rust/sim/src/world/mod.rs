@@ -53,7 +53,7 @@ pub use differences::{Drawn, Randomization};
 pub use episode::Slot;
 pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
 pub use inspect::WorldStatus;
-pub use map_queries::{LaneAhead, NearPiece};
+pub use map_queries::LaneAhead;
 pub use ranked::ranked_vehicles;
 pub use reward_columns::{
     COLUMNS, COMPONENTS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S,

@@ -1,6 +1,6 @@
 """Embedded scenes: a small procedural city and its traffic, shipped as a data set in the nuScenes
-schema. ``python -m ccdiff_env.scenes.embedded --out DIR`` writes it as files. A second set, the
-split ``city``, has 200 other scenes of the same streets: planners are compared on it.
+schema. A second set, the split ``city``, has 200 other scenes of the same streets: planners are
+compared on it.
 """
 
 from __future__ import annotations
