@@ -131,15 +131,6 @@ def test_a_run_says_what_it_was_made_with(tmp_path):
     assert {*PROTOCOL.fields["score"]["gates"]} <= {*heads}
 
 
-def test_planners_can_be_added_to_a_run_and_typing_errors_leave_none(tmp_path, capsys):
-    assert run(tmp_path / "run", "--planners", "idmm") == 2
-    assert "idmm" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-    for planners in ("idm", "replay,idm"):
-        assert run(tmp_path / "run", "--planners", planners) == 0
-    assert "anew" not in capsys.readouterr().err
-
-
 class Idle:
     def __call__(self, obs):
         return np.zeros((len(obs), 2), np.float32)

@@ -15,7 +15,6 @@ from ccdiff_env.errors import (
     ActionError,
     CcdiffError,
     ConfigError,
-    ResetNeededError,
     SceneError,
     ShapeError,
     UnknownNameError,
@@ -225,16 +224,6 @@ def test_actions_of_any_real_dtype_and_layout_are_taken(scenes):
         env.step(action)
         digests.add(env.worlds.native.digest(0))
     assert len(digests) == 1
-
-
-def test_stepping_before_reset_and_after_the_end_is_an_error(scenes):
-    env = EgoEnv(scenes=scenes, horizon_steps=1)
-    with pytest.raises(ResetNeededError):
-        env.step(np.zeros(2, np.float32))
-    env.reset(seed=0)
-    assert env.step(np.zeros(2, np.float32))[3]
-    with pytest.raises(ResetNeededError):
-        env.step(np.zeros(2, np.float32))
 
 
 @pytest.mark.parametrize(

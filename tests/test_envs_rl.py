@@ -4,42 +4,11 @@ import gymnasium
 import numpy as np
 import pytest
 from array_scenes import played
-from gymnasium import wrappers
 
 from ccdiff_env import EgoEnv, EgoVectorEnv
 
 ID = "ccdiff_env/Ego-v0"
 RULES = {"traffic": "idm", "horizon_steps": 20}
-
-
-def play(env, steps=45):
-    """Steps with resets; returns the last info of each episode."""
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    infos = []
-    for _ in range(steps):
-        obs, _, terminated, truncated, info = env.step(env.action_space.sample() * np.float32(0.1))
-        assert obs in env.observation_space
-        if terminated or truncated:
-            infos.append(info)
-            env.reset()
-    return infos
-
-
-def test_episodes_are_recorded_as_video(scenes, tmp_path):
-    pytest.importorskip("moviepy")
-    import imageio.v2 as imageio
-
-    drawn = {"render_mode": "rgb_array", "render_options": {"size": (64, 64)}}
-    env = gymnasium.make(ID, scenes=scenes, terminate_at_goal=False, **drawn, **RULES)
-    env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda n: n == 0)
-    play(env, 25)
-    env.close()
-    (video,) = tmp_path.glob("*.mp4")
-    frames = imageio.mimread(video)
-    assert 8 <= len(frames) <= 22
-    assert min(frames[0].shape[:2]) == 64
-    assert frames[0].std() > 1.0
 
 
 def test_workers_of_gymnasium_run_it_when_spawned(scenes):

@@ -1,11 +1,4 @@
-"""Networks on own kernels: those of torch but for rounding, one set of bits, no torch.
-
-Torch rounds by processor, and every denoising step or gradient makes more of it. What rounding can
-explain is measured by our own kernels, whose bits are the same on every machine: a sum of n
-products in any order is the exact sum of products whose factors are moved by at most n u, u = 2^-24
-(Higham, Accuracy and Stability of Numerical Algorithms, section 3.1). So the plans of networks
-whose weights are moved by that much, up or down, say how far plans of one network may lie apart.
-"""
+"""Networks on own kernels: those of torch but for rounding, one set of bits, no torch."""
 
 import hashlib
 import json
@@ -35,10 +28,10 @@ NAMES = sorted(
 SCENE_DIFFUSIONS = [name for name in NAMES if name.startswith(("ccdiff", "ctgpp"))]
 DIFFUSIONS = [*SCENE_DIFFUSIONS, "ctg_fast"]
 SCENES = ("left-turn-04", "tee-crossing-04", "queue-03")
-#: Unit of rounding of float32, and terms of the sums of a network: its width.
-UNIT, TERMS = 2.0**-24, 64
 #: Parts of plans that are compared, and how many of their last columns.
 PARTS = {"states": 2, "actions": 2, "attention": None}
+#: What rounding may do to places (m), actions and shares of attention: about 4e-5 on one processor.
+ROUNDING = 1e-3
 
 
 def plans(model, name, *, found=None, samples=1, weight=1.0, steps=5, guidance=None, guided=None):
@@ -67,9 +60,9 @@ def own(name):
     return _native.load_network(FILES[name])
 
 
-def written(path, name, change, numbers=None):
-    """A copy of shipped weights with another header of its tensors, or other numbers."""
-    data = Path(FILES[name]).read_bytes()
+def changed(tmp_path, change):
+    """A copy of shipped weights with another header of its tensors."""
+    data, path = shipped_weights().read_bytes(), tmp_path / "weights.safetensors"
     size = int.from_bytes(data[:8], "little")
     header, body = json.loads(data[8 : 8 + size]), data[8 + size :]
     # the checksum is of names and values; without it the file is an older one
@@ -78,22 +71,8 @@ def written(path, name, change, numbers=None):
     change(header, own_header)
     header["__metadata__"]["ccdiff_env"] = json.dumps(own_header)
     text = json.dumps(header).encode()
-    body = body if numbers is None else numbers(np.frombuffer(body, np.float32)).tobytes()
     path.write_bytes(len(text).to_bytes(8, "little") + text + body)
     return os.fspath(path)
-
-
-def moved(tmp_path, name):
-    """Networks with every weight moved by what rounding of its sums can explain, up or down."""
-    for seed in range(3):
-        signs = np.random.default_rng(seed)
-
-        def numbers(weights, signs=signs):
-            factors = 1.0 + TERMS * UNIT * signs.choice([-1.0, 1.0], weights.shape)
-            return (weights * factors).astype(np.float32)
-
-        path = written(tmp_path / f"{seed}.safetensors", name, lambda *_: None, numbers)
-        yield _native.load_network(path)
 
 
 def farthest(some, others):
@@ -110,30 +89,6 @@ def farthest(some, others):
     return found
 
 
-def explained(tmp_path, name, ours, **options):
-    """How far plans of the network may lie from ours by rounding.
-
-    Places are sums of T steps besides, each of which rounds them.
-    """
-    found = dict.fromkeys(PARTS, 0.0)
-    for model in moved(tmp_path, name):
-        away = farthest(plans(model, name, **options), ours)
-        found = {part: max(found[part], away[part]) for part in PARTS}
-    for part, columns in PARTS.items():
-        sizes = [np.abs(p[part][..., :columns]).max() for p in ours if p[part] is not None]
-        steps = max(plan["states"].shape[-2] for plan in ours)
-        found[part] += steps * UNIT * max(sizes, default=0.0)
-    return found
-
-
-def expect_rounding(tmp_path, name, ours, theirs, *, little=0.02, **options):
-    """Expect plans to differ by no more than rounding can explain, which is less than so many m."""
-    bound, away = explained(tmp_path, name, ours, **options), farthest(theirs, ours)
-    for part, most in bound.items():
-        assert away[part] <= most, (part, away, bound)
-    assert bound["states"] < little, bound
-
-
 @pytest.mark.parametrize(
     ("name", "samples", "weight", "steps"),
     [
@@ -144,7 +99,7 @@ def expect_rounding(tmp_path, name, ours, theirs, *, little=0.02, **options):
         if draw[-1] or (name in DIFFUSIONS and "one_step" not in name)
     ],
 )
-def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps, tmp_path):
+def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps):
     require_networks()
     from ccdiff_env import _models
 
@@ -154,7 +109,8 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps,
     assert (ours.header, ours.num_parameters) == (torch.header, torch.num_parameters)
     options = {"samples": samples, "weight": weight, "steps": steps}
     found = plans(ours, name, **options)
-    expect_rounding(tmp_path, name, found, plans(torch, name, **options), **options)
+    away = farthest(plans(torch, name, **options), found)
+    assert max(away.values()) < ROUNDING, away
     seen = [plan["attention"] for plan in found]
     # somebody sees several others
     assert (name in SCENE_DIFFUSIONS) == all(one is not None for one in seen)
@@ -162,7 +118,7 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps,
 
 
 @pytest.mark.parametrize("name", sorted({"trafficsim_fast", "strive_fast"} & {*NAMES}))
-def test_latents_descend_by_the_gradients_of_torch(name, tmp_path):
+def test_latents_descend_by_the_gradients_of_torch(name):
     require_networks()
     from ccdiff_env import _models
 
@@ -176,7 +132,7 @@ def test_latents_descend_by_the_gradients_of_torch(name, tmp_path):
     effect = farthest(ours, free)["states"]
     assert effect > 1.0
     # the first step of Adam goes by the signs of gradients, some of which are nearly 0
-    expect_rounding(tmp_path, name, ours, theirs, little=0.1 * effect, **guided)
+    assert farthest(theirs, ours)["states"] < 0.1 * effect
 
 
 def digest(found):
@@ -216,11 +172,6 @@ def test_the_narrowest_vectors_have_the_same_plans_and_episodes():
     command, env = [sys.executable, "-c", code], {**os.environ, "PYTHONPATH": paths}
     found = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
     assert found.stdout.strip() == everything()
-
-
-def changed(tmp_path, change):
-    """A copy of shipped weights with another header of its tensors."""
-    return written(tmp_path / "weights.safetensors", shipped_weights().stem, change)
 
 
 def test_what_own_kernels_lack_is_named(tmp_path):

@@ -124,16 +124,6 @@ def test_guided_plans_that_leave_the_ego_no_way_out_are_dropped(scenes, begin_s)
     assert any(kept)
 
 
-def test_some_guided_plans_are_dropped(scenes):
-    guided = {}
-    for avoidable_only in (False, True):
-        play = Play(scenes, ccdiff={"criticality": 4.0, "avoidable_only": avoidable_only})
-        play.step(50)
-        plans = [play.native.explain(w) for w in range(len(scenes))]
-        guided[avoidable_only] = sum(bool(plan["guided"].any()) for plan in plans)
-    assert 0 < guided[True] < guided[False]
-
-
 def test_guidance_keeps_to_its_time(scenes):
     ccdiff = {"criticality": 1.0, "guided_from_s": 1.0, "guided_until_s": 2.0}
     play, guided = Play(scenes[:1], ccdiff=ccdiff), {}
