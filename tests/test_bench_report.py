@@ -1,6 +1,5 @@
 """Reports of the benchmarks: pages of tables, plots and links to replays of what was measured."""
 
-import json
 from html.parser import HTMLParser
 
 import pytest
@@ -73,16 +72,16 @@ def replays(folder):
 
 @pytest.fixture(scope="module")
 def planners(tmp_path_factory):
-    """A run folder with replays, and the command that made it."""
+    """A run folder with replays."""
     folder = tmp_path_factory.mktemp("planners")
     command = ["bench", "planners", "--out", str(folder), "--quiet", "--limit", "4"]
     command += ["--planners", "idm,replay", "--traffic", "replay,ccdiff-1", "--replays", "2"]
     assert cli.main(command) == 0
-    return folder, command
+    return folder
 
 
-def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(planners, capsys):
-    folder, command = planners
+def test_the_worst_scenes_of_every_planner_have_replays(planners):
+    folder = planners
     links = replays(folder)
     assert len(links) == 4
     for link in links:
@@ -91,28 +90,13 @@ def test_the_worst_scenes_of_every_planner_have_replays_of_what_was_measured(pla
     assert (folder / "table.md").read_text(encoding="utf-8").count("](replays/") == 4
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "made by <code>" in page
-    assert cli.main(command) == 0
-    assert "differ" not in capsys.readouterr().out
-
-
-def test_replays_of_something_else_are_told(planners, capsys):
-    folder, command = planners
-    raw = next((folder / "raw").glob("idm-ccdiff-1-*"))
-    entry = json.loads(raw.read_text(encoding="utf-8"))
-    for row in entry["result"]:
-        row["comfort_share"] += 0.5
-    kept = raw.read_text(encoding="utf-8")
-    raw.write_text(json.dumps(entry), encoding="utf-8")
-    assert cli.main(command) == 0
-    assert "from what was measured" in capsys.readouterr().out
-    raw.write_text(kept, encoding="utf-8")
 
 
 def test_a_report_and_its_replays_open_from_the_disc(planners, browser):
     page = browser.new_page(viewport={"width": 390, "height": 800})
     faults = []
     page.on("console", lambda m: m.type in ("error", "warning") and faults.append(m.text))
-    page.goto((planners[0] / "report.html").as_uri())
+    page.goto((planners / "report.html").as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     # the first screen says who is best, and where it breaks
     for part in ("h2 + p", "table.good"):
@@ -128,7 +112,7 @@ def test_a_report_and_its_replays_open_from_the_disc(planners, browser):
 def test_axe_finds_nothing_serious_in_a_report(planners, browser, axe, theme):
     context = browser.new_context(color_scheme=theme, bypass_csp=True)
     page = context.new_page()
-    page.goto((planners[0] / "report.html").as_uri())
+    page.goto((planners / "report.html").as_uri())
     page.evaluate(axe)
     found = page.evaluate("axe.run().then((r) => r.violations)")
     context.close()

@@ -146,10 +146,6 @@ DAMAGES = {
     "numbers as words": (declared(training_data=3), "training_data"),
     "another format": (declared(format="ccdiff-env submission 9"), "format"),
     "another run": (lambda members: members["run.json"].update(benchmark="traffic"), "planners"),
-    "a processor of lines": (
-        lambda members: members["run.json"].update(made_with={"processor": "a\nb"}), "processor",
-    ),
-    "settings of a list": (lambda members: members["run.json"].update(made_with=[3]), "damaged"),
     "no source of scenes": (arguments(source=None), "source"),
     "scenes of an older form": (arguments(source={"embedded": "val"}), "source"),
     "a seed of text": (arguments(seed="<script>"), "seed"),

@@ -406,7 +406,6 @@ def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 def _verify(args: argparse.Namespace) -> int:
     from ccdiff_env import _native
     from ccdiff_env.bench.leaderboard import leaderboard
-    from ccdiff_env.bench.provenance import processor
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
 
@@ -431,9 +430,6 @@ def _verify(args: argparse.Namespace) -> int:
             f"{found.played} of {found.there} were played (--seed {found.seed}): "
             "cite a number after all"
         )
-    there = record.processor
-    if found.differing and there != processor():
-        print(f"made on {there}, this is {processor()}: torch may round differently")
     return 1 if found.differing else 0
 
 

@@ -5,11 +5,11 @@ As in nuPlan's simulation, the ego's acceleration is that along its heading.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
+from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.interop.nuplan.devkit import find_devkit
 from ccdiff_env.interop.nuplan.settings import made_of, of_devkit
 from ccdiff_env.record.rollout import Rollout
@@ -25,23 +25,21 @@ PARTS = {
     "speed_limit": "speed_limit_compliance",
     "comfort": "ego_is_comfortable",
 }
-#: Gates and weights of the score, those of its ``closed_loop_*_agents_weighted_average.yaml``.
-_GATES = ("no_at_fault_collision", "on_road", "makes_progress", "right_way")
-_WEIGHTS = {"progress": 5.0, "ttc": 5.0, "speed_limit": 4.0, "comfort": 2.0}
 
 
 def nuplan_score(rollout: Rollout, expert_steps: int) -> dict[str, float]:
     """Return nuPlan's score of an episode, ``score``, and its parts by names of :data:`PARTS`.
 
-    Progress is compared with ``expert_steps`` of the log, from the episode's beginning.
+    Gates and weights are those of its ``closed_loop_*_agents_weighted_average.yaml``, which the
+    protocol has, too. Progress is compared with ``expert_steps`` of the log, from the episode's
+    beginning.
 
     Raises:
         MissingFeatureError: If there is no nuplan-devkit.
     """
     found = nuplan_metrics(rollout, expert_steps)
     parts = {ours: float(found[theirs].metric_score) for ours, theirs in PARTS.items()}
-    mean = sum(w * parts[name] for name, w in _WEIGHTS.items()) / sum(_WEIGHTS.values())
-    return {**parts, "score": mean * math.prod(parts[gate] for gate in _GATES)}
+    return {**parts, "score": score_of(parts)}
 
 
 def nuplan_metrics(rollout: Rollout, expert_steps: int) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def commit() -> str | None:
 
 @lru_cache(maxsize=1)
 def processor() -> str:
-    """Return the name of the processor: torch rounds differently on other kinds."""
+    """Return the name of the processor."""
     try:
         lines = read_text("/proc/cpuinfo").splitlines()
     except (OSError, DatasetError):
@@ -117,7 +117,7 @@ def source_digest(name: str) -> str | None:
     """
     path = name.partition("?")[0]
     kind, _, rest = path.partition(":")
-    if kind in ("adversary", "chooser") and rest:
+    if kind == "adversary" and rest:
         path = rest
     elif rest:
         return _of_module(name)

@@ -78,15 +78,12 @@ class Result:
 
 @dataclass(frozen=True)
 class Record:
-    """Raw results of a run folder or a submission, with what was declared and the processor in
-    words.
-    """
+    """Raw results of a run folder or a submission, with what was declared."""
 
     path: Path
     entries: tuple[Entry, ...]
     code: str | None
     training_data: str | None
-    processor: str | None
 
     @classmethod
     def read(cls, path: Path) -> Record:
@@ -114,10 +111,7 @@ class Record:
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")
             code, trained = _declared(declared.get("code"), declared.get("training_data"))
-            processor = dict(settings.get("made_with", {})).get("processor")
-            if processor is not None and not _is_plain(processor):
-                raise ValueError(f"processor {processor!a:.80}")
-            return cls(path, tuple(entries), code, trained, processor)
+            return cls(path, tuple(entries), code, trained)
 
     def results(self) -> list[Result]:
         """Return what there is of each planner.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccdiff_env.bench.jobs import Job, results
+from ccdiff_env.bench.jobs import Job
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name
 from ccdiff_env.view import address, write_page
@@ -16,27 +16,22 @@ from ccdiff_env.view.outcome import LEAD_S, outcome
 Pages = Mapping[tuple[str, str], str]  #: Addresses of pages by the names of job and scene.
 
 
-def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path) -> tuple[Pages, int]:
-    """Play scenes of finished jobs again and write pages of them.
+def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path) -> Pages:
+    """Play scenes of finished jobs again; return the addresses of their pages in the run folder.
 
     Functions of the jobs take the names of the scenes to ``record`` too, and return rows and
-    rollouts by scene; a whole batch is played, as it was. Returned are the addresses of the pages
-    from the run folder, and how many episodes are not what the job had reported: torch rounds
-    differently on other machines.
+    rollouts by scene; a whole batch is played, as it was.
     """
     scenes: dict[str, tuple[Job, list[str]]] = {}
     for job, scene in wanted:
         scenes.setdefault(job.name, (job, []))[1].append(scene)
-    pages, changed = {}, 0
+    pages = {}
     for job, some in scenes.values():
-        then = {row["scene"]: row for row in results([job], folder / "raw")[job.name]}
-        rows, rollouts = job.call(record=some)
-        now = {row["scene"]: row for row in rows}
+        _, rollouts = job.call(record=some)
         for scene in dict.fromkeys(some):
             path = folder / "replays" / file_name(f"{job.name}-{scene}", ".html")
             pages[job.name, scene] = write_replay(rollouts[scene], path)
-            changed += then.get(scene) != now[scene]
-    return pages, changed
+    return pages
 
 
 def write_replay(rollout: Rollout, path: Path) -> str:

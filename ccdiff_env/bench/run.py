@@ -60,7 +60,7 @@ class Run:
         self._options = {"workers": args.workers, "progress": not args.quiet}
         self._device: str = args.device
         self._open = bool(args.open)
-        self._start, self._num_jobs, self._num_changed = time.perf_counter(), 0, 0
+        self._start, self._num_jobs = time.perf_counter(), 0
         #: Weight files by network, in place of the shipped ones.
         self.own_weights = _weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
@@ -149,9 +149,7 @@ class Run:
     def replays(self, rows: Iterable[Mapping[str, Any]]) -> Pages:
         """Write replay pages of episodes; return their addresses from the run folder."""
         dated = {name: self._dated(job) for name, job in self._jobs.items()}
-        pages, changed = make_replays(((dated[r["job"]], r["scene"]) for r in rows), self.folder)
-        self._num_changed += changed
-        return pages
+        return make_replays(((dated[r["job"]], r["scene"]) for r in rows), self.folder)
 
     def report(
         self,
@@ -197,12 +195,6 @@ class Run:
         say(found)
         if more:
             print(f"figure by figure: {self.folder / 'table.md'}")
-        if self._num_changed:
-            differ = "replay differs" if self._num_changed == 1 else "replays differ"
-            print(
-                f"{self._num_changed} {differ} from what was measured "
-                "(by another machine or release)"
-            )
         seconds = time.perf_counter() - self._start
         print(f"{counted(self._num_jobs, 'job')} in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
