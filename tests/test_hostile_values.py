@@ -322,8 +322,8 @@ def test_any_byte_but_zero_is_true(call):
 
     def found(flags):
         if call == "causal":
-            x = np.linspace(0.0, 9.0, 40, dtype=np.float32)[None]
-            return _native.causal_distance(x, x, flags[None])
+            states = np.arange(160, dtype=np.float32).reshape(1, 40, 4)
+            return _native.causal_pairs(False, states, np.ones((40, 2), np.float32), flags[None])
         if call == "scene":
             return scene_with(valid=np.resize(flags, (1, 60))).tracks()["valid"].view(np.uint8)
         env = EgoVectorEnv(40, traffic="idm")
