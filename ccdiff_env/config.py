@@ -13,7 +13,7 @@ import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, unknown, unknown_option
 from ccdiff_env.system.files import parsed_object
@@ -46,11 +46,6 @@ from ccdiff_env.traffic.options import (
     UnicycleLimits,
     WorldOptions,
 )
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from ccdiff_env.traffic.keywords import WorldKeywords
 
 __all__ = [
     "ActionConfig", "ActionGrid", "AssistedLimits", "BevConfig", "BicycleLimits", "CcdiffConfig",
@@ -102,7 +97,7 @@ class WorldConfig(WorldOptions):
                 if name not in known and name not in also:
                     raise unknown(what, str(name), (*known, *also))
 
-    def with_options(self, **options: Unpack[WorldKeywords]) -> WorldConfig:
+    def with_options(self, **options: Any) -> WorldConfig:
         """Return a copy with some fields replaced.
 
         Args:
@@ -117,7 +112,7 @@ class WorldConfig(WorldOptions):
             ConfigError: If a name is unknown (the message names near ones) or a value has the wrong
                 type.
         """
-        given: dict[str, Any] = {**options}
+        given = dict(options)
         if "ego" in given:
             given["controlled"] = given.pop("ego")
             if given["controlled"] not in ("ego", "any"):

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from ccdiff_env.config import (
 )
 from ccdiff_env.errors import CcdiffError, ConfigError
 from ccdiff_env.traffic import TrafficPlan
-from tools.configuration import FILES, tables
+from tools.configuration import OPTIONS, classes, tables
 
 
 def as_float32(value):
@@ -174,8 +173,6 @@ def test_rules_between_options_are_checked_by_rust():
             _native.VecWorld([], WorldConfig().with_options(**change).to_json(), 1, 1)
 
 
-ROOT = Path(__file__).resolve().parents[1]
-
 #: Where a table stands in the configuration of worlds.
 PLACES = {
     "WorldConfig": (),
@@ -197,9 +194,8 @@ def test_fields_of_a_plan_are_those_of_rust():
     assert [field.name for field in dataclasses.fields(TrafficPlan)] == rust
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_classes_and_keywords_are_those_of_the_tables(name):
-    assert (ROOT / name).read_text(encoding="utf-8") == FILES[name]()
+def test_classes_are_those_of_the_tables():
+    assert OPTIONS.read_text(encoding="utf-8") == classes(tables())
 
 
 def parsed(text):

@@ -1,4 +1,4 @@
-"""Classes of options, their keywords, and tables of docs/configuration.md, from tables of Rust.
+"""Classes of options and tables of docs/configuration.md, from tables of Rust.
 
 ``python -m tools.configuration`` writes the classes, with the extension modules as they are built.
 """
@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from ccdiff_env.models import require_networks
 Table = Mapping[str, Any]
 
 ROOT = Path(__file__).resolve().parents[1]
-COMMAND = "python -m tools.configuration"
+OPTIONS = ROOT / "ccdiff_env" / "traffic" / "options.py"  #: The module that is written.
 #: Tables that Python has as dictionaries alone, or as a class written by hand.
 PLAIN = (
     "GuidanceConfig", "MapConfig", "ModelConfig", "Normalisation", "SampleOptions", "TrainConfig",
@@ -34,7 +34,7 @@ PLAIN_FORMS = {
 }
 #: Fields that classes of Python have in another form.
 OWN_FORM = {"WorldConfig": "named_drivers", "PythonOptions": "model"}
-HEAD = f'''"""Fields of configurations, written by `{COMMAND}`: do not edit.
+HEAD = '''"""Fields of configurations, written by `python -m tools.configuration`: do not edit.
 
 docs/configuration.md says what the choices mean.
 """
@@ -47,41 +47,6 @@ from typing import Any, Literal, TypeAlias
 
 from ccdiff_env.traffic.checked_options import Options
 '''
-KEYWORDS_HEAD = f'''"""Keywords of environments for checkers, written by `{COMMAND}`: do not edit.
-
-Nested configurations may be dictionaries of the fields to change.
-"""
-
-from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any, Literal, TypedDict
-
-from ccdiff_env.traffic.options import <used>
-from ccdiff_env.traffic.python import PythonTraffic
-
-'''
-#: Classes of keywords, whose they are, and those that each adds to the one before: environments
-#: have arguments of these names, or set them themselves.
-KEYWORDS = {
-    "SelectionKeywords": ("the selection of adversaries", ""),
-    "AgentKeywords": ("environments of several agents", "reward style driver decision_steps"),
-    "EgoKeywords": ("environments of one ego per world", "ego adversaries adversary_shaping"),
-    "WorldKeywords": (
-        "configurations of worlds",
-        "observation controlled num_slots ranking num_adversaries autoreset",
-    ),
-}
-#: What keywords take beside what fields hold.
-MORE = {
-    "traffic": " | PythonTraffic",
-    "driver": " | PythonTraffic",
-    "controlled": " | list[str]",
-    "reward": " | str",
-}
-#: Keywords that are no fields of the configuration of worlds: fields of its actions and rasters.
-SHORT = {"dynamics": "ActionConfig", "discrete": "ActionConfig", "grid": "ActionConfig",
-         "bev": "ObservationConfig"}  # fmt: skip
 
 
 def tables() -> list[Table]:
@@ -248,41 +213,6 @@ def _formatted(text: str) -> str:
     ).stdout
 
 
-def _keyword(name: str, form: Any) -> str:
-    """Annotation of a keyword: more is taken than fields hold."""
-    made = _annotation(form).replace("tuple[str, ...]", "list[str] | tuple[str, ...]")
-    choices = [c for c in _choices(form) if all(v["form"] is not None for v in c["variants"])]
-    for choice in choices:
-        made += f" | Literal[{', '.join(repr(v['name']) for v in choice['variants'])}]"
-    nested = bool(choices) or any(_tables_in(form))
-    last = " | None" * made.endswith(" | None")
-    made = made.removesuffix(last) + MORE.get(name, "") + " | Mapping[str, Any]" * nested
-    return made + last
-
-
-def keywords(found: list[Table]) -> str:
-    """Return the module of keywords."""
-    by_name = {t["name"]: {e["name"]: e for e in t["fields"]} for t in found}
-    fields = {name: _keyword(name, e["form"]) for name, e in by_name["WorldConfig"].items()}
-    fields["ego"] = 'Literal["ego", "any"]'
-    fields |= {name: _keyword(name, by_name[t][name]["form"]) for name, t in SHORT.items()}
-    kinds = {k["name"]: k["options"] for k in _native.driver_kinds() if k["options"]}
-    kinds["python"] = "PythonTraffic"
-    fields |= {n: f"{t} | Mapping[str, Any]" for n, t in kinds.items() if n not in fields}
-    late = {name for _, names in KEYWORDS.values() for name in names.split()}
-    lines, base = [], "TypedDict"
-    for name, (of, own) in KEYWORDS.items():
-        shown = own.split() or [n for n in fields if n not in late]
-        lines += [f"class {name}({base}, total=False):", f'    """Keywords of {of}."""', ""]
-        lines += [*(f"    {n}: {fields[n]}" for n in shown), "", ""]
-        base = name
-    text = "\n".join(lines)
-    forms = [e["form"] for t in found for e in t["fields"]]
-    known = {t["name"] for t in found} | {c["name"] for form in forms for c in _choices(form)}
-    used = ", ".join(sorted(known & set(re.findall(r"\w+", text))))
-    return _formatted(KEYWORDS_HEAD.replace("<used>", used) + text)
-
-
 def _below_plain(table: Table, found: list[Table]) -> bool:
     """Whether a table is only reached through one that is a dictionary in Python."""
     plain = [t for t in found if t["name"] in PLAIN]
@@ -330,12 +260,5 @@ def page(found: list[Table]) -> str:
     return "\n".join(lines).strip()
 
 
-#: Files that are written, and what makes each of them.
-FILES: Mapping[str, Callable[[], str]] = {
-    "ccdiff_env/traffic/options.py": lambda: classes(tables()),
-    "ccdiff_env/traffic/keywords.py": lambda: keywords(tables()),
-}
-
 if __name__ == "__main__":
-    for name, made in FILES.items():
-        (ROOT / name).write_text(made(), encoding="utf-8")
+    OPTIONS.write_text(classes(tables()), encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,11 +18,6 @@ from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from ccdiff_env.traffic.keywords import AgentKeywords
 
 Info = dict[str, Any]
 
@@ -67,7 +62,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Unpack[AgentKeywords],
+        **options: Any,
     ) -> None:
         shared = Shared(
             scenes, config, observation, info, render_mode, render_options, criticality,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,11 +22,6 @@ from ccdiff_env.worlds import Scenes, normalize_seed
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from ccdiff_env.traffic.keywords import AgentKeywords
 
 F32 = npt.NDArray[np.float32]
 Rows = dict[str, Any]
@@ -80,7 +75,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Unpack[AgentKeywords],
+        **options: Any,
     ) -> None:
         shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
         if max_cycles is not None:

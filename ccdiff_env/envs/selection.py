@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import gymnasium
 import numpy as np
@@ -19,15 +19,11 @@ from ccdiff_env.envs.as_vector import AsVector, masked
 from ccdiff_env.envs.drawing import DrawnWorld
 from ccdiff_env.envs.single import EgoEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
-from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError, unknown
+from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError
 from ccdiff_env.planners.built_in import Ego
 from ccdiff_env.traffic import KINDS
-from ccdiff_env.traffic.keywords import SelectionKeywords
-from ccdiff_env.worlds import Scenes, Worlds, scene_set
+from ccdiff_env.worlds import Worlds, scene_set
 from ccdiff_env.worlds.spaces import InfoColumn
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -61,14 +57,12 @@ INFO_COLUMNS: tuple[InfoColumn, ...] = (
 _NAMES = tuple(column.name for column in INFO_COLUMNS)
 
 
-class SelectionOptions(SelectionKeywords, total=False):
-    """What goes to :class:`~ccdiff_env.envs.vector.EgoVectorEnv`."""
-
-    scenes: Scenes
-    config: WorldConfig | None
-    num_threads: int | None
-    render_mode: str | None
-    render_options: Mapping[str, Any] | None
+#: Options of :class:`~ccdiff_env.envs.vector.EgoVectorEnv` that this task sets or has no use for.
+NOT_TAKEN = (
+    "adversaries", "adversary_shaping", "autoreset", "autoreset_mode", "controlled", "copy",
+    "criticality", "decision_steps", "driver", "info", "num_slots", "observation", "ranking",
+    "reward", "style",
+)  # fmt: skip
 
 
 class AdversarySelectionVectorEnv(AsVector):
@@ -110,12 +104,12 @@ class AdversarySelectionVectorEnv(AsVector):
         num_adversaries: int = 1,
         counts: Counts = "all",
         shift_cost: float = 0.03,
-        **options: Unpack[SelectionOptions],
+        **options: Any,
     ) -> None:
-        known, given = SelectionOptions.__optional_keys__, dict[str, Any](options)
-        for name in given:
-            if name not in known:
-                raise unknown("option", name, known)
+        given = dict(options)
+        for name in NOT_TAKEN:
+            if name in given:
+                raise ConfigError(f"{name} is not an option of the choice of adversaries")
         known_counts, sound = get_args(Counts), [0.0 < float(one) <= 10.0 for one in strengths]
         several, rows = (type(k) is int and 1 <= k <= 64 for k in (num_adversaries, max_candidates))
         for name, value, fits, expected in (
@@ -311,17 +305,6 @@ class AdversarySelectionVectorEnv(AsVector):
             self.candidates[e], self.obs[e] = self.worlds.native.candidates(e, self.max_candidates)
 
 
-class SingleOptions(SelectionOptions, total=False):
-    """Options of :class:`AdversarySelectionVectorEnv`."""
-
-    ego: Ego
-    max_candidates: int
-    strengths: Sequence[float]
-    num_adversaries: int
-    counts: Counts
-    shift_cost: float
-
-
 class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
     """:class:`AdversarySelectionVectorEnv` with one world, which does not restart by itself.
 
@@ -331,7 +314,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     metadata = EgoEnv.metadata
 
-    def __init__(self, **options: Unpack[SingleOptions]) -> None:
+    def __init__(self, **options: Any) -> None:
         self.render_mode = options.get("render_mode")
         if self.render_mode == "human":
             options["render_mode"] = "rgb_array"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -21,11 +21,6 @@ from ccdiff_env.worlds import Scenes, normalize_seed
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import Form
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from ccdiff_env.traffic.keywords import EgoKeywords
 
 F32 = npt.NDArray[np.float32]
 
@@ -96,7 +91,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Unpack[EgoKeywords],
+        **options: Any,
     ) -> None:
         shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
         self._take_ego(shared, options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -19,11 +19,6 @@ from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.snapshot import Snapshot
 from ccdiff_env.worlds.spaces import F32, Bool, Form
-
-if TYPE_CHECKING:
-    from typing_extensions import Unpack
-
-    from ccdiff_env.traffic.keywords import EgoKeywords
 
 Info = dict[str, Any]
 
@@ -88,7 +83,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         criticality: Criticality | None = None,
-        **options: Unpack[EgoKeywords],
+        **options: Any,
     ) -> None:
         mode = _mode(autoreset_mode)
         shared = Shared(
