@@ -74,7 +74,9 @@ def still(rollout: Rollout) -> npt.NDArray[np.bool_]:
     reach = [
         reach_m(way[there]) for way, there in zip(rollout.position, rollout.valid, strict=True)
     ]
-    return (np.array(reach) <= LOOK["PARKED_M"]) & (np.array(rollout.agent_ids) != "ego")
+    own = np.array(rollout.agent_ids) == "ego"
+    stays: npt.NDArray[np.bool_] = (np.array(reach) <= LOOK["PARKED_M"]) & ~own
+    return stays
 
 
 def reach_m(way: npt.NDArray[np.float32]) -> float:

@@ -115,13 +115,12 @@ class Video:
         caption = f"{self._title}  {at * run.dt_s:.1f} s"
         if at * run.dt_s > self._fate.decided_s - 1e-6:
             caption += f"  {self._fate.text}"
-        plain = lambda array: np.ascontiguousarray(array, np.float32)  # noqa: E731
         numbers = [[AGENT_KINDS.index(kinds[i]), NUMBERS[self._drivers[i]]] for i in there]
         looks = np.array(numbers, np.uint8).reshape(-1, 2)
         return _native.render_arrays(
-            plain(position[there]),
-            plain(heading[there]),
-            plain(run.scene.sizes[there, :2]),
+            np.ascontiguousarray(position[there], np.float32),
+            np.ascontiguousarray(heading[there], np.float32),
+            np.ascontiguousarray(run.scene.sizes[there, :2], np.float32),
             looks[:, 0].copy(),
             looks[:, 1].copy(),
             np.array([i in hit for i in there], bool),
