@@ -233,7 +233,7 @@ class EgoNetwork:
 
 @final
 class Planner:
-    def __new__(cls, kind: str, network: object = None) -> Planner: ...
+    def __new__(cls, kind: str) -> Planner: ...
 
 @final
 class VecWorld:

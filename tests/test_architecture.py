@@ -159,7 +159,6 @@ def naming(name: str) -> list[str]:
         ("gpudrive", ["ccdiff_env/scenes/sources.py", "nuscenes/gpudrive.rs"]),  # a data source
         ("ccdiff_released", ["ccdiff_env/bench/methods.py"]),  # a method of benchmarks
         # planners: where one is made, and its title
-        ("diffusion", ["ccdiff_env/planners/rules.py", "ccdiff_env/view/captions.py"]),
         ("noop", ["ccdiff_env/planners/built_in.py", "ccdiff_env/view/captions.py"]),
     ],
 )

@@ -97,7 +97,7 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
         Job(f"cv-K2-T5-{i:03d}", "ccdiff_env.bench.traffic:evaluate", {**arguments, "names": n})
         for i, n in enumerate(names)
     ]
-    jobs += planner_jobs(VAL, ["pdm", "diffusion"], ["idm"])  # with digests of every bit
+    jobs += planner_jobs(VAL, ["pdm", "ego"], ["idm"])  # with digests of every bit
     run_jobs(jobs, tmp_path / "one", progress=False)
     run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
     assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")

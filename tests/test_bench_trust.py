@@ -257,7 +257,7 @@ def on_a_narrow_processor(*words):
 
 def test_wider_processors_verify_what_those_with_fewer_instructions_made(tmp_path, capsys):
     """Learned planners in networks' traffic, scenes of the city."""
-    words = ["--planners", "pdm_ccdiff,ego,ego_replay", "--traffic", "ccdiff-2,tokens"]
+    words = ["--planners", "pdm,ego,ego_replay", "--traffic", "ccdiff-2,tokens"]
     few = ["--scenes", "embedded/city", "--limit", "2", "--seeds", "0", "--quiet"]
     on_a_narrow_processor("planners", *words, *few, "--out", tmp_path)
     assert cli.main(["bench", "verify", str(tmp_path)]) == 0

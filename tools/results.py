@@ -53,8 +53,7 @@ class Made:
 
 _PLANNERS = Made(
     "bench planners --protocol planner-1.2 --level smoke --planners "
-    "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,diffusion,ego_replay,"
-    "pdm_ccdiff",
+    "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,ego_replay",
     ("planner",),
     {
         "mean": Column("mean"),
@@ -155,8 +154,7 @@ TABLES: dict[str, Made] = {
     ),
     "matrix": Made(
         "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
-        "pdm_ccdiff,diffusion,ccdiff,ego --planners "
-        "idm,lane_idm,constant_velocity,pdm,pdm_ccdiff,diffusion,ego",
+        "ccdiff,ego --planners idm,lane_idm,constant_velocity,pdm,ego",
         ("planner",),
         {
             "collides": Column("collision", interval=False),

@@ -32,7 +32,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
-from ccdiff_env.planners.rules import RULES, NoOp
+from ccdiff_env.planners.rules import LaneIdm, NoOp, PdmClosed
 from ccdiff_env.system.files import read_bytes, reading
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
@@ -48,7 +48,7 @@ __all__ = [
 ]  # fmt: skip
 
 #: Planners of the package by name, without weights of their own.
-BUILT_IN: dict[str, type] = {**RULES, "noop": NoOp}
+BUILT_IN: dict[str, type] = {"pdm": PdmClosed, "lane_idm": LaneIdm, "noop": NoOp}
 #: From observations of N worlds to actions [N, W], or indices [N].
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.

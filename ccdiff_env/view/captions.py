@@ -21,13 +21,11 @@ from ccdiff_env.view.render import LOOK
 DRIVER_TITLES = {**driver_titles(), "static": "obstacle"}
 #: Titles of planners of the ego, where they are no drivers.
 PLANNER_TITLES = {
-    "diffusion": "CCDiff with its route",
     "ego": "trained ego",
     "ego_replay": "ego trained in log replay",
     "lane_idm": "IDM on lanes",
     "noop": "no action",
     "pdm": "PDM-Closed",
-    "pdm_ccdiff": "PDM with CCDiff's forecast",
 }
 
 

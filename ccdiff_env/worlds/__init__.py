@@ -10,9 +10,9 @@ from ccdiff_env.worlds.configured import (
     world_config,
 )
 from ccdiff_env.worlds.spaces import StepArrays
-from ccdiff_env.worlds.worlds import Worlds, network_policies
+from ccdiff_env.worlds.worlds import Worlds
 
 __all__ = [
-    "SceneChoice", "Scenes", "StepArrays", "Worlds", "network_policies", "normalize_seed",
-    "scene_set", "world_config",
+    "SceneChoice", "Scenes", "StepArrays", "Worlds", "normalize_seed", "scene_set",
+    "world_config",
 ]  # fmt: skip

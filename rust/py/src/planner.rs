@@ -6,9 +6,8 @@ use ccdiff_sim::planner::Planner;
 use ccdiff_sim::world::VecWorld;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyCapsule;
 
-/// A planner of the package, `pdm`, `idm` or `plan`: drives the first slots of worlds, the last one by the plans of a network.
+/// A planner of the package, `pdm` or `idm`: drives the first slots of worlds.
 #[pyclass(name = "Planner", module = "ccdiff_env._native")]
 pub(crate) struct PyPlanner {
     planner: Planner,
@@ -17,10 +16,8 @@ pub(crate) struct PyPlanner {
 #[pymethods]
 impl PyPlanner {
     #[new]
-    #[pyo3(signature = (kind, network=None))]
-    fn new(kind: &str, network: Option<&Bound<'_, PyCapsule>>) -> PyResult<Self> {
-        let network = network.map(ccdiff_bridge::taken_policy).transpose()?;
-        Ok(Self { planner: Planner::new(kind, network).map_err(from_sim)? })
+    fn new(kind: &str) -> PyResult<Self> {
+        Ok(Self { planner: Planner::new(kind).map_err(from_sim)? })
     }
 }
 

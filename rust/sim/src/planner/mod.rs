@@ -1,23 +1,18 @@
 //! Planners that drive an agent through its action: PDM-Closed, and the intelligent driver model on the centre line.
 
 mod egos;
-mod network;
 mod network_of_ego;
 
 pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
 pub use network_of_ego::{NetworkOfEgo, Tensors};
 
-use crate::dynamics::{Action, Dynamics, KinState, UnicycleLimits};
+use crate::dynamics::{Action, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan, steering};
-use crate::policy::{IdmConfig, TrafficPolicy, idm_towards};
+use crate::policy::{IdmConfig, idm_towards};
 use crate::world::VecWorld;
-use network::Network;
-
-/// Acceleration of an ego that its network does not plan for, m/s².
-const WITHOUT_PLAN_MPS2: Real = -4.0;
 
 /// What an ego does from here: its acceleration (m/s²) and yaw rate (rad/s).
 type Act = fn(&Asked<'_>) -> [Real; 2];
@@ -32,49 +27,41 @@ pub struct PlannerKind {
 
 /// All of them: a new one is a function and a line here.
 pub static PLANNERS: &[PlannerKind] = &[
-    // proposals, rolled out and scored; against the samples of a network where there is one, else at constant velocity
+    // proposals, rolled out and scored
     PlannerKind { name: "pdm", act: pdm },
     // the intelligent driver model of the worlds, along the centre line at the road's limit
     PlannerKind { name: "idm", act: idm },
-    // the plan of a network
-    PlannerKind { name: "plan", act: follow },
 ];
 
 struct Asked<'a> {
     scene: Scene<'a>,
     idm: &'a IdmConfig,
-    network: Option<&'a Network>,
-    world_idx: usize,
 }
 
-/// Drives the first slot of worlds. Holds nothing but what its network has seen.
+/// Drives the first slot of worlds.
 #[derive(Debug)]
 pub struct Planner {
     act: Act,
-    network: Option<Network>,
 }
 
 impl Planner {
-    /// A planner for any number of worlds, of [`PLANNERS`] by name, and its network.
+    /// A planner for any number of worlds, of [`PLANNERS`] by name.
     ///
     /// # Errors
     /// [`SimError::Unknown`] for any other name.
-    pub fn new(name: &str, network: Option<Box<dyn TrafficPolicy>>) -> Result<Self> {
+    pub fn new(name: &str) -> Result<Self> {
         let kind = PLANNERS.iter().find(|kind| kind.name == name).ok_or_else(|| {
             let names: Vec<&str> = PLANNERS.iter().map(|kind| kind.name).collect();
             SimError::unknown("planner", format!("{name:?}"), format!("one of {}", names.join(", ")))
         })?;
-        Ok(Self { act: kind.act, network: network.map(Network::new) })
+        Ok(Self { act: kind.act })
     }
 
     /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
     ///
     /// # Errors
-    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics; what stops the network.
-    pub fn act(&mut self, world: &VecWorld, worlds: &[usize]) -> Result<Vec<Action>> {
-        if let Some(network) = &mut self.network {
-            network.plan(world, worlds)?;
-        }
+    /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics.
+    pub fn act(&self, world: &VecWorld, worlds: &[usize]) -> Result<Vec<Action>> {
         worlds.iter().map(|i| self.act_in(world, *i)).collect()
     }
 
@@ -86,7 +73,7 @@ impl Planner {
         let prepared = world.prepared(status.scene_idx)?;
         let config = world.config();
         let scene = Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps);
-        let asked = Asked { scene, idm: &config.idm, network: self.network.as_ref(), world_idx };
+        let asked = Asked { scene, idm: &config.idm };
         Ok(encoded(world, &asked.scene, (self.act)(&asked)))
     }
 }
@@ -108,27 +95,13 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
 }
 
 fn pdm(asked: &Asked<'_>) -> [Real; 2] {
-    let Asked { scene, network, world_idx, .. } = asked;
-    let num_futures = network.map_or(1, |n| n.num_samples(*world_idx));
-    let path = |sample, agent| (*network)?.path(scene.states, *world_idx, sample, agent);
-    let plan = plan(scene, num_futures, path);
-    [plan.acceleration_mps2, scene.yaw_rate(plan.offset_m)]
-}
-
-/// Acceleration and yaw rate towards a pose and speed after the step; braking where there is none.
-fn follow(asked: &Asked<'_>) -> [Real; 2] {
-    let scene = &asked.scene;
-    let next = asked.network.and_then(|n| n.next(asked.world_idx, scene.ego));
-    let Some((pose, speed_mps)) = next else { return [WITHOUT_PLAN_MPS2, 0.0] };
-    let to = KinState { x: pose.position.x, y: pose.position.y, heading_rad: pose.heading_rad, speed_mps };
-    let from = scene.states.kin_state(scene.ego);
-    let action = Dynamics::default().inverse(&from, &to, scene.dt_s, scene.footprint(scene.ego));
-    [action[0], action[1]]
+    let plan = plan(&asked.scene, 1, |_, _| None);
+    [plan.acceleration_mps2, asked.scene.yaw_rate(plan.offset_m)]
 }
 
 /// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.
 fn idm(asked: &Asked<'_>) -> [Real; 2] {
-    let Asked { scene, idm, .. } = asked;
+    let Asked { scene, idm } = asked;
     let (states, ego, line, place) = (scene.states, scene.ego, scene.line, scene.place);
     let speed = states.speed_mps[ego].max(0.0);
     let now = line.at(place.s_m);
