@@ -182,6 +182,13 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         _GUIDED,
     ),
+    "interventional": Made(
+        "bench traffic --k 5 --methods ccdiff_unguided,ccdiff_cfg-1.3_unguided,"
+        "ccdiff_cfg-1.6_unguided,ccdiff_cfg-1.9_unguided,"
+        "ccdiff,ccdiff_cfg-1.3,ccdiff_cfg-1.6,ccdiff_cfg-1.9",
+        ("method",),
+        _GUIDED,
+    ),
     "steps": Made(
         "bench traffic --k 5 --methods ccdiff_one_sample,ccdiff_one_step_one_sample,"
         "ccdiff,ccdiff_one_step",

@@ -151,6 +151,15 @@ for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
         f"CCDiff, criticality {_strength:g}", "ccdiff", ccdiff={**_GUIDED, "criticality": _strength}
     )
 
+# classifier-free guidance by the causal graph, from the paper's range of weights
+for _weight in (1.3, 1.6, 1.9):
+    _cfg = {"cfg_weight": _weight, "num_samples": 5}
+    _label = f"CCDiff, w = {_weight:g}"
+    METHODS[f"ccdiff_cfg-{_weight:g}"] = Method(_label, "ccdiff", ccdiff={**_GUIDED, **_cfg})
+    METHODS[f"ccdiff_cfg-{_weight:g}_unguided"] = Method(
+        f"{_label}, no guidance", "ccdiff", ccdiff=_cfg
+    )
+
 #: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
 _NETWORKS = {
     **{
