@@ -98,11 +98,9 @@ TABLES: dict[str, Made] = {
         for level in PROTOCOL.levels
     },
     "realism": Made(
-        "bench realism --samples 16 --methods replay,constant_velocity,idm,ccdiff_one_sample,"
+        "bench realism --samples 16 --methods replay,constant_velocity,idm,swift,ccdiff_one_sample,"
         "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
-        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful,simnet_unguided,"
-        "trafficsim_one_sample,strive_one_sample,bits_one_sample,ctg_one_sample,ctgpp_one_sample,"
-        "ccdiff_equal_one_sample",
+        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful",
         ("method",),
         {
             "realism": Column("realism", digits=3),
