@@ -179,13 +179,12 @@ def _figure(row: Mapping[str, Any], column: str, factor: float = 1.0) -> Figure:
 
 #: Methods of the chart of realism: what they are called, and their look.
 REALISM = {
+    "swift": ("swift", ("green", "s")),
     "tokens_routes_careful": ("tokens, routes, care", ("green", "s")),
     "ccdiff_routes_careful": ("CCDiff, routes, care", ("blue", "o")),
+    "ccdiff_careful": ("CCDiff, care", ("blue", "o")),
     "idm": ("IDM", ("orange", "^")),
     "ccdiff_one_sample": ("CCDiff", ("blue", "o")),
-    "bits_one_sample": ("BITS", ("purple", "D")),
-    "ctgpp_one_sample": ("CTG++", ("purple", "D")),
-    "simnet_unguided": ("SimNet", ("purple", "D")),
     "constant_velocity": ("constant velocity", ("grey", "^")),
 }
 #: Planners of the dial likewise.
