@@ -151,7 +151,7 @@ options! {
         /// Below 1 likely plans are drawn more often.
         temperature: f64 = 1.0, range within(0.0, 100.0).open_below();
         /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
-        /// then spread as those of the log (docs/results.md#calibration).
+        /// then spread as those of the log (docs/results.md#likelihood-of-the-log).
         keep_noise: bool = false;
         /// Whether the network is told the routes of the vehicles that it drives: the path of the log, then the lanes ahead.
         /// For weights that were trained with routes.
