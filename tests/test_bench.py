@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import shapely
+from array_scenes import agent, array_scene, wide_road
 from shapely import affinity
 
 import ccdiff_env
@@ -149,20 +150,9 @@ def test_a_row_of_an_episode_has_its_keys_and_figures_and_no_tape(tmp_path):
 def test_a_corner_may_leave_the_road_by_less_than_0_3_m(first_m, last_m, on_road):
     """A box 2 m wide drifts, heading along a road that ends 4 m to its left. Who begins off the
     road has not left it."""
-    ring = np.array([[-50, -4], [200, -4], [200, 4], [-50, 4]], np.float32)
-    x, y = np.linspace(0.0, 100.0, 150), np.interp(np.arange(150), [30, 125], [first_m, last_m])
-    position = np.stack([x, y], axis=-1)[None].astype(np.float32)
-    scene = ccdiff_env.Scene.from_arrays(
-        "road",
-        agent_ids=["ego"],
-        agent_types=["vehicle"],
-        sizes=np.array([[4.0, 2.0, 1.5]], np.float32),
-        position=position,
-        heading=np.zeros((1, 150), np.float32),
-        velocity=np.gradient(position, 0.1, axis=1),
-        valid=np.ones((1, 150), bool),
-        map_layers={"drivable_area": [{"exterior": ring, "holes": []}]},
-    )
+    y = np.interp(np.arange(150), [30, 125], [first_m, last_m])
+    ego = agent("ego", np.linspace(0.0, 100.0, 150), y, size=(4.0, 2.0, 1.5))
+    scene = array_scene(ego, layers=wide_road(4.0))
     (row,) = play(SceneSet([scene]), "replay", Traffic("", "replay"))
     assert row["on_road"] == on_road
 

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene
+from array_scenes import agent, array_scene, wide_road
 from scipy.signal import savgol_filter
 
 import ccdiff_env
@@ -124,13 +124,8 @@ def street(*others, steps=150, ego_mps=None):
         way = speed * 0.1 * np.arange(steps)
         x, y = x + np.cos(heading) * way, y + np.sin(heading) * way
         agents.append(agent(f"{i}", x, y, heading=heading, kind=kind))
-    ring = np.array([[-50, -3.5], [300, -3.5], [300, 3.5], [-50, 3.5]], np.float32)
-    x = np.arange(-50, 301, dtype=np.float32)
-    lanes = [
-        {"id": name, "kind": "lane", "centreline": np.stack([line, 0 * line + y], 1, dtype="f4")}
-        for name, line, y in (("right", x, -1.75), ("left", x[::-1], 1.75))
-    ]
-    layers = {"drivable_area": [{"exterior": ring, "holes": []}], "lanes": lanes}
+    layers = wide_road(3.5, (-1.75, 1.75))
+    layers["lanes"][1]["centreline"] = layers["lanes"][1]["centreline"][::-1].copy()
     for one in agents:
         one["size"] = (4.0, 2.0, 1.5)
     return array_scene(*agents, name="street", layers=layers)
