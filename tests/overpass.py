@@ -1,12 +1,11 @@
 """A bridge over a road, and a ramp from one to the other, in GPUDrive's JSON."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gpudrive_scene import road_user
+from gpudrive_scene import road_user, save, scene
 
 STEPS = 91
 DT_S = 0.1
@@ -63,13 +62,6 @@ def roads() -> list[dict[str, Any]]:
 
 def write(path: Path, objects: list[dict[str, Any]], **replaced: Any) -> Path:
     """Write a scene of these objects, the first one the ego."""
-    file = {
-        "name": "own",
-        "scenario_id": "own",
-        "objects": objects,
-        "roads": roads(),
-        "tl_states": {},
-        "metadata": {"sdc_track_index": 0, "objects_of_interest": [], "tracks_to_predict": []},
-    }
-    path.write_text(json.dumps({**file, **replaced}))
-    return path
+    metadata = {"sdc_track_index": 0, "objects_of_interest": [], "tracks_to_predict": []}
+    made = {"objects": objects, "roads": roads(), "metadata": metadata}
+    return save(path, {**scene(), **made, **replaced})

@@ -6,7 +6,7 @@ import pytest
 import ccdiff_env
 from ccdiff_env import record_bank
 from ccdiff_env.bench.planners import Traffic, drive
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, DatasetNotFoundError
 from ccdiff_env.record.bank import load_bank
 
 NUM_SCENES = 3
@@ -61,7 +61,9 @@ def test_a_call_that_was_stopped_goes_on(scenes, folder):
     assert kept.stat().st_mtime_ns == before
 
 
-def test_other_settings_need_another_folder(scenes, folder):
+def test_other_settings_need_another_folder(scenes, folder, tmp_path):
+    with pytest.raises(DatasetNotFoundError, match="no bank"):
+        load_bank(tmp_path)
     with pytest.raises(ConfigError, match=r"criticality 1\.0, now 2\.0"):
         record_bank(scenes, folder, ego="idm", criticality=2.0, seed=5)
     with pytest.raises(ConfigError, match="draws"):

@@ -107,14 +107,16 @@ CONTENTS = {
     "folder": os.mkdir,
     "empty": lambda path: path.write_bytes(b""),
     "list": lambda path: path.write_bytes(b"[]"),
+    "pickled list": lambda path: path.write_bytes(pickle.dumps([])),
     "nested 100000 deep": lambda path: path.write_bytes(b"[" * 100_000),
     "no UTF-8": lambda path: path.write_bytes(b"\xff\xfe\x00"),
 }
+TEXTS = ("empty", "list", "nested 100000 deep")
 #: Text is opened before it is read as a configuration; a bank may hold nothing and a map be absent;
 #: what has no result or settings yet begins.
 LEFT_OUT = {
     ("bank", "empty"),
-    *(("configuration", kind) for kind in ("nothing", "pipe", "device", "folder", "no UTF-8")),
+    *(("configuration", kind) for kind in CONTENTS if kind not in TEXTS),
     *((f"settings of a {of}", "nothing") for of in ("run", "bank")),
     *((name, "nothing") for name in ("result", "bank", "map")),
 }
