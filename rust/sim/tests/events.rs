@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::events::{
-    Collisions, Contact, ContactKind, Leader, LeastTimes, OffRoad, expected_contact_s, is_at_fault, leader,
-    off_road, time_to_contact,
+    Collisions, Contact, ContactKind, Leader, LeastTimes, OffRoad, expected_contact_s, leader, off_road,
+    time_to_contact,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Region, Vector2};
 use ccdiff_sim::scene::AgentKind;
@@ -75,7 +75,7 @@ fn head_on_collisions_are_the_fault_of_both_unless_one_stands() {
 fn a_side_contact_counts_where_lanes_are_straddled_one_from_behind_never() {
     let blame = |agents: &[(f32, f32, f32, f32)], straddles: bool| {
         let (states, footprints, _) = cars(agents);
-        is_at_fault(&states, &footprints, 0, 1, || straddles)
+        Contact::between(&states, &footprints, 0, 1, || straddles).at_fault
     };
     // alongside, both moving: the corners of the fronts do not meet
     let beside = [(0.0, 0.0, 0.0, 8.0), (-1.0, 1.9, 0.0, 8.0)];

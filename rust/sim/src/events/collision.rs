@@ -3,7 +3,8 @@
 //! A contact is an overlap of two boxes of one level, touching included. Candidates come from circle tests of all pairs while
 //! there are few agents and from sorting along x when there are many; both give the same pairs.
 
-use super::fault::is_at_fault;
+use super::fault::{is_at_fault, is_slower};
+use super::limits::STOPPED_MPS;
 use crate::geom::{OrientedBox, Real};
 use crate::named::named;
 use crate::scene::AgentKind;
@@ -41,7 +42,7 @@ pub struct Contact {
     /// Speed at which the two approach along the direction of least overlap, metres per second; negative when they
     /// part.
     pub closing_speed_mps: Real,
-    /// Whether this agent is to blame by nuPlan's rule, see [`is_at_fault`](super::is_at_fault).
+    /// Whether this agent is to blame by nuPlan's `no_ego_at_fault_collisions`.
     pub at_fault: bool,
 }
 
@@ -58,12 +59,13 @@ impl Contact {
         let (i, j) = (agent_idx, partner_idx);
         let own = states.oriented_box(i, &footprints[i]);
         let other = states.oriented_box(j, &footprints[j]);
+        let stands = [i, j].map(|a| is_slower(states.velocity(a), STOPPED_MPS));
         let closing = (states.velocity(i) - states.velocity(j)).dot(&own.contact_normal(&other));
         Self {
             partner: partner_idx as u32,
             kind: contact_kind(&own, &other, own.edge_lengths_inside(&other)),
             closing_speed_mps: closing,
-            at_fault: is_at_fault(states, footprints, i, j, straddles),
+            at_fault: is_at_fault(&own, &other, stands, straddles),
         }
     }
 }

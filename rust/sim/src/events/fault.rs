@@ -1,58 +1,51 @@
 //! Whom nuPlan's closed-loop metrics blame for a contact, and whom they expect to meet.
 
-use super::limits::{AHEAD_COS, STANDING_MPS, STOPPED_MPS};
+use super::limits::{AHEAD_COS, STANDING_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
 use crate::scene::AgentKind;
 use crate::state::{AgentStates, Footprint};
 
 /// How far the rear axle lies behind the middle of a box, as a share of its length: 1.39 of the 4.08 m of nuScenes' car.
-pub const REAR_AXLE_SHARE: Real = 0.34;
+const REAR_AXLE_SHARE: Real = 0.34;
 /// Steps of time at which boxes are looked at, seconds.
 const GRID_S: Real = 0.1;
 
-/// The middle of an agent's rear axle.
-pub fn rear_axle(states: &AgentStates, agent_idx: usize, footprint: &Footprint) -> Point2 {
-    let back_m = REAR_AXLE_SHARE * 2.0 * footprint.half_length_m;
-    states.position(agent_idx) - Vector2::new(states.cos[agent_idx], states.sin[agent_idx]) * back_m
+/// The middle of the rear axle of a body.
+pub fn rear_axle(body: &OrientedBox) -> Point2 {
+    body.centre - body.forward() * (REAR_AXLE_SHARE * 2.0 * body.half_length_m)
 }
 
-/// Cosine of the bearing of another agent's centre from an agent's rear axle.
-fn bearing_cos(states: &AgentStates, agent_idx: usize, other_idx: usize, footprint: &Footprint) -> Real {
-    let way = states.position(other_idx) - rear_axle(states, agent_idx, footprint);
-    let ahead = Vector2::new(states.cos[agent_idx], states.sin[agent_idx]);
-    way.dot(&ahead) / way.norm().max(Real::MIN_POSITIVE)
+/// Cosine of the bearing of a place from the rear axle of a body.
+pub(crate) fn bearing_cos(body: &OrientedBox, place: Point2) -> Real {
+    let way = place - rear_axle(body);
+    way.dot(&body.forward()) / way.norm().max(Real::MIN_POSITIVE)
 }
 
-fn is_slower(velocity: Vector2, speed_mps: Real) -> bool {
+pub(super) fn is_slower(velocity: Vector2, speed_mps: Real) -> bool {
     velocity.norm_squared() <= speed_mps * speed_mps
 }
 
-/// Whether a contact counts against an agent, by nuPlan's `no_ego_at_fault_collisions`.
+/// Whether a contact counts against an agent, by nuPlan's `no_ego_at_fault_collisions`. `stands`: whether it and the other
+/// one drive at most [`STOPPED_MPS`](super::limits::STOPPED_MPS).
 ///
 /// An agent that stands is never to blame. One that moves is, when the other one stands, or is not behind it (more than 150
 /// degrees off, seen from the rear axle) and is hit by its front edge. All other contacts, those of the sides, count where
 /// the agent straddles lanes or is beside them.
-pub fn is_at_fault(
-    states: &AgentStates,
-    footprints: &[Footprint],
-    agent_idx: usize,
-    other_idx: usize,
+pub(crate) fn is_at_fault(
+    own: &OrientedBox,
+    other: &OrientedBox,
+    stands: [bool; 2],
     straddles: impl FnOnce() -> bool,
 ) -> bool {
-    let (i, j) = (agent_idx, other_idx);
-    if is_slower(states.velocity(i), STOPPED_MPS) {
-        return false;
+    let is_hit_by_front = || {
+        let centre = own.centre + own.forward() * own.half_length_m;
+        OrientedBox { centre, half_length_m: 0.0, ..*own }.overlaps(other)
+    };
+    match stands {
+        [true, _] => false,
+        [false, true] => true,
+        [false, false] => bearing_cos(own, other.centre) >= -AHEAD_COS && (is_hit_by_front() || straddles()),
     }
-    if is_slower(states.velocity(j), STOPPED_MPS) {
-        return true;
-    }
-    if bearing_cos(states, i, j, &footprints[i]) < -AHEAD_COS {
-        return false;
-    }
-    let own = states.oriented_box(i, &footprints[i]);
-    let front =
-        OrientedBox { centre: own.centre + own.forward() * own.half_length_m, half_length_m: 0.0, ..own };
-    front.overlaps(&states.oriented_box(j, &footprints[j])) || straddles()
 }
 
 /// Time after which an agent touches another one when all go on along their headings at their speeds, seconds; `None`
@@ -97,7 +90,7 @@ pub fn expected_contact_s(
     };
     (0..states.len())
         .filter(|j| *j != i && states.active[*j] && !ignores(*j) && states.same_level(i, *j))
-        .filter(|j| bearing_cos(states, i, *j, &footprints[i]) > least_cos)
+        .filter(|j| bearing_cos(&own, states.position(*j)) > least_cos)
         .filter_map(first_step)
         .min()
         .map(|k| k as Real * GRID_S)

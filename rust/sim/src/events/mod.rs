@@ -12,7 +12,8 @@ mod off_road;
 mod ttc;
 
 pub use collision::{Collisions, Contact, ContactKind};
-pub use fault::{REAR_AXLE_SHARE, expected_contact_s, is_at_fault, rear_axle};
+pub(crate) use fault::{bearing_cos, is_at_fault};
+pub use fault::{expected_contact_s, rear_axle};
 pub use lane_facts::{LaneFacts, in_intersection, lane_facts, lane_that_holds, straddles_lanes};
 pub use leader::{ANTICIPATION_S, Leader, leader};
 pub use off_road::{OffRoad, off_road};

@@ -1,7 +1,6 @@
 //! Comfort of a rollout: nuPlan's six limits, taken of motion that is smoothed as the original's scorer does.
 
 use super::proposals::Rollout;
-use crate::dynamics::KinState;
 use crate::events::limits;
 use crate::geom::Real;
 
@@ -10,12 +9,12 @@ pub(super) fn is_calm(rollout: &Rollout, acceleration_mps2: Real, dt_s: Real) ->
     let ahead = || std::iter::once(acceleration_mps2).chain(rollout.actions.iter().map(|[a, _]| *a));
     let [least, most] = limits::ACCELERATION_MPS2;
     let fit = Parabola::new(ahead());
-    let sideways = |([_, rate], state): (&[Real; 2], &KinState)| (rate * state.speed_mps).abs();
+    let sideways = |([_, rate], speed_mps): (&[Real; 2], &Real)| (rate * speed_mps).abs();
     fit.values().all(|a| a > least && a < most)
         && rollout
             .actions
             .iter()
-            .zip(&rollout.states)
+            .zip(&rollout.speeds_mps)
             .map(sideways)
             .all(|a| a < limits::LATERAL_ACCELERATION_MPS2)
         && fit.steepest() < limits::LONGITUDINAL_JERK_MPS3 * dt_s
@@ -26,11 +25,10 @@ pub(super) fn is_calm(rollout: &Rollout, acceleration_mps2: Real, dt_s: Real) ->
 /// Yaw rate and yaw acceleration within their limits: derivatives of parabola and cubic through five headings
 /// (Savitzky and Golay 1964), at both ends those of the outermost five.
 fn turns_calmly(rollout: &Rollout, dt_s: Real) -> bool {
-    let states = &rollout.states;
-    let last = states.len().saturating_sub(5);
+    let last = rollout.poses.len().saturating_sub(5);
     let (most_rate, most_change) =
         (limits::YAW_RATE_RADPS * dt_s, limits::YAW_ACCELERATION_RADPS2 * dt_s * dt_s);
-    states.windows(5).enumerate().all(|(i, five)| {
+    rollout.poses.windows(5).enumerate().all(|(i, five)| {
         let h = |k: usize| five[k].heading_rad - five[2].heading_rad;
         let rate = (2.0 * (h(4) - h(0)) + h(3) - h(1)) / 10.0;
         let bend = (2.0 * (h(0) + h(4)) - h(1) - h(3)) / 7.0;

@@ -19,15 +19,13 @@ const MARGIN_M: Real = 0.1;
 /// Another agent and its forecast.
 #[derive(Debug, Clone)]
 pub(super) struct Other {
-    pub position: Point2,
+    pub pose: Pose2,
     /// Along its heading, forwards or backwards: that of boxes is noisier than their headings are.
     velocity: Vector2,
     pub speed_mps: Real,
     /// Greatest speed of the forecast.
     pub most_mps: Real,
     pub is_static: bool,
-    cos: Real,
-    sin: Real,
     pub footprint: Footprint,
     /// Poses at every step from now on, until they end; none at constant velocity.
     path: Vec<Pose2>,
@@ -49,7 +47,7 @@ pub(super) struct Beside {
 impl Other {
     #[inline]
     pub(super) fn centre(&self, time_s: Real) -> Point2 {
-        let Some(last) = self.path.last() else { return self.position + self.velocity * time_s };
+        let Some(last) = self.path.last() else { return self.pose.position + self.velocity * time_s };
         let f = time_s / self.dt_s;
         let at = f as usize;
         match self.path.get(at..at + 2) {
@@ -60,20 +58,13 @@ impl Other {
 
     #[inline]
     pub(super) fn at(&self, time_s: Real) -> OrientedBox {
-        let (cos, sin) = self.direction((time_s / self.dt_s) as usize);
-        OrientedBox {
-            centre: self.centre(time_s),
-            cos,
-            sin,
-            half_length_m: self.footprint.half_length_m,
-            half_width_m: self.footprint.half_width_m,
-        }
+        let pose = self.pose_at((time_s / self.dt_s) as usize);
+        self.footprint.at(&Pose2 { position: self.centre(time_s), ..*pose })
     }
 
-    /// Cosine and sine of the heading at a step.
-    fn direction(&self, step: usize) -> (Real, Real) {
-        let pose = self.path.get(step).or(self.path.last());
-        pose.map_or((self.cos, self.sin), |pose| (pose.cos, pose.sin))
+    /// Pose at a step, its heading at constant velocity.
+    fn pose_at(&self, step: usize) -> &Pose2 {
+        self.path.get(step).or(self.path.last()).unwrap_or(&self.pose)
     }
 
     /// Velocity from a step to the next one; past the path's end, that of its last step.
@@ -88,7 +79,7 @@ impl Other {
     fn beside(&self, scene: &Scene<'_>, step: usize, hint_s_m: Option<Real>) -> Beside {
         let found = scene.line.project(self.centre(step as Real * scene.dt_s), hint_s_m);
         let direction = scene.line.polyline().tangent_at(found.s_m);
-        let (cos, sin) = self.direction(step);
+        let Pose2 { cos, sin, .. } = *self.pose_at(step);
         let along = (cos * direction.x + sin * direction.y).abs();
         let across = (sin * direction.x - cos * direction.y).abs();
         // past the line's corners the distance counts, as the offset from the segment says little there
@@ -120,25 +111,24 @@ impl Forecast {
         let num_steps = (HORIZON_S / scene.dt_s).round().clamp(1.0, 400.0) as usize;
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
         let (mut others, mut near) = (Vec::new(), Vec::new());
+        let body = scene.footprint(ego).at(&states.pose(ego));
         let half_way_m = scene.footprint(ego).half_width_m + MOST_OFFSET_M + MARGIN_M;
         let matters = |j: &usize| *j != ego && states.active[*j] && states.same_level(ego, *j);
         for j in (0..states.len()).filter(matters) {
             let is_static = scene.prepared.kinds[j] == AgentKind::Static;
-            let position = states.position(j);
+            let (pose, footprint) = (states.pose(j), *scene.footprint(j));
             let speed_mps = if is_static { 0.0 } else { states.velocity(j).norm() };
             let far_m = own_m + speed_mps * (HORIZON_S + 1.0);
-            if (position - states.position(ego)).norm() >= far_m || touches(scene, j) {
+            if (pose.position - states.position(ego)).norm() >= far_m || body.overlaps(&footprint.at(&pose)) {
                 continue;
             }
-            let (cos, sin, footprint) = (states.cos[j], states.sin[j], *scene.footprint(j));
-            let heading = Vector2::new(cos, sin);
+            let heading = Vector2::new(pose.cos, pose.sin);
             let velocity = heading * speed_mps.copysign(states.velocity(j).dot(&heading));
             let (path, dt_s) = (path(j).unwrap_or_default(), scene.dt_s);
             let moves = speed_mps > STOPPED_MPS || path.len() > 1;
             let steps_m = path.windows(2).map(|pair| (pair[1].position - pair[0].position).norm());
             let most_mps = steps_m.fold(speed_mps, |most, step_m| most.max(step_m / dt_s));
-            let other =
-                Other { position, velocity, speed_mps, most_mps, is_static, cos, sin, footprint, path, dt_s };
+            let other = Other { pose, velocity, speed_mps, most_mps, is_static, footprint, path, dt_s };
             let first = other.beside(scene, 0, None);
             let comes_m = most_mps * dt_s * num_steps as Real;
             if first.lateral_m.abs() < footprint.radius_m + half_way_m + comes_m {
@@ -164,10 +154,4 @@ impl Forecast {
         let count = self.beside.len() / self.num_steps;
         &self.beside[step * count..(step + 1) * count]
     }
-}
-
-/// Whether an agent touches the ego now.
-fn touches(scene: &Scene<'_>, agent_idx: usize) -> bool {
-    let at = |a: usize| scene.footprint(a).at(&scene.states.pose(a));
-    at(scene.ego).overlaps(&at(agent_idx))
 }

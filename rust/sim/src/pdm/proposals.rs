@@ -3,14 +3,14 @@
 use super::Scene;
 use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
 use crate::dynamics::{KinState, UnicycleLimits};
-use crate::geom::{Real, Vector2, math};
+use crate::geom::{Point2, Pose2, Real, Vector2, math};
 use crate::policy::{IdmConfig, idm_with, share_of};
 use crate::simd_dispatch::simd_dispatch;
 use crate::stage::CentreLine;
 
 /// Shares of the speed limit, and distances from the centre line, metres.
-const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
-const OFFSETS_M: [Real; 3] = [0.0, -MOST_OFFSET_M, MOST_OFFSET_M];
+pub(super) const SHARES: [Real; 5] = [0.2, 0.4, 0.6, 0.8, 1.0];
+pub(super) const OFFSETS_M: [Real; 3] = [0.0, -MOST_OFFSET_M, MOST_OFFSET_M];
 /// IDM of PDM-Closed.
 const IDM: IdmConfig = IdmConfig {
     headway_s: 1.5,
@@ -32,20 +32,12 @@ const YAW_ACCELERATION_RADPS2: Real = 0.75;
 const TURN_MPS2: Real = 4.5;
 const YAW_RATE_RADPS: Real = 0.9;
 
-/// One way to drive on.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Proposal {
-    pub share: Real,
-    pub offset_m: Real,
-}
-
 /// What a proposal would do.
 #[derive(Debug, Clone)]
 pub(super) struct Rollout {
-    /// States, one more than steps.
-    pub states: Vec<KinState>,
-    /// Cosine and sine of their headings.
-    pub directions: Vec<Vector2>,
+    /// Poses and speeds, one more than steps.
+    pub poses: Vec<Pose2>,
+    pub speeds_mps: Vec<Real>,
     /// Acceleration and yaw rate of each step.
     pub actions: Vec<[Real; 2]>,
     /// Way along the line, metres.
@@ -224,6 +216,11 @@ impl Drive {
         [state.x, state.y, state.heading_rad, state.speed_mps, heading.x, heading.y, *s_m, *a, *w]
     }
 
+    fn pose(&self) -> Pose2 {
+        let Self { state: KinState { x, y, heading_rad, .. }, heading, .. } = *self;
+        Pose2 { position: Point2::new(x, y), heading_rad, cos: heading.x, sin: heading.y }
+    }
+
     /// Where it is after a step towards a planned speed and a distance from the line.
     #[inline(always)]
     fn after(
@@ -295,22 +292,7 @@ simd_dispatch! {
     }
 }
 
-/// As [`step`], for turns of any size.
-#[cold]
-fn step_of_wide_turns(
-    pace: &Pace,
-    drives: &Lanes<9>,
-    places: &Lanes<11>,
-    aims: &Lanes<2>,
-    after: &mut Lanes<9>,
-) {
-    for k in 0..LANES {
-        let drive = Drive::from_numbers(lane(drives, k));
-        put(after, k, drive.after(pace, lane(places, k), lane(aims, k), math::turned).numbers());
-    }
-}
-
-/// Drives [`Proposal::all`] against the forecast. The speeds planned for two distances from the line are the same where the
+/// Drives all proposals, every share at each distance, against the forecast. The speeds planned for two distances from the line are the same where the
 /// same boxes are in the way.
 pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
     let own = scene.footprint(scene.ego);
@@ -318,15 +300,17 @@ pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
     let mut planned: Vec<(Way, [Vec<Real>; SHARES.len()])> = Vec::with_capacity(OFFSETS_M.len());
     let of_offset = OFFSETS_M.map(|offset_m| {
         let way = Way::new(forecast, offset_m, own.half_width_m);
-        planned.iter().position(|(known, _)| *known == way).unwrap_or_else(|| {
+        let known = planned.iter().position(|(known, _)| *known == way).unwrap_or_else(|| {
             let speeds = way.speeds(scene, look);
             planned.push((way, speeds));
             planned.len() - 1
-        })
+        });
+        (offset_m, known)
     });
-    let speeds = of_offset.iter().flat_map(|i| &planned[*i].1);
-    let proposals: Vec<(Real, &[Real])> =
-        Proposal::all().zip(speeds).map(|(p, speeds)| (p.offset_m, &speeds[look..])).collect();
+    let of_way = |(offset_m, known): (Real, usize)| {
+        planned[known].1.iter().map(move |speeds| (offset_m, &speeds[look..]))
+    };
+    let proposals: Vec<(Real, &[Real])> = of_offset.into_iter().flat_map(of_way).collect();
     let pace =
         Pace { dt_s: scene.dt_s, look_s: look as Real * scene.dt_s, limits: UnicycleLimits::default() };
     let mut track = vec![Drive::new(scene).numbers().map(|number| [number; LANES]); forecast.num_steps + 1];
@@ -340,14 +324,18 @@ pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
         }
         step(&pace, drives, &places, &aims, after, &mut is_wide);
         if is_wide {
-            step_of_wide_turns(&pace, drives, &places, &aims, after);
+            // once more, for turns of any size
+            for k in 0..LANES {
+                let drive = Drive::from_numbers(lane(drives, k));
+                put(after, k, drive.after(&pace, lane(&places, k), lane(&aims, k), math::turned).numbers());
+            }
         }
     }
     let rollout = |(k, (offset_m, _)): (usize, &(Real, &[Real]))| {
         let drives = || track.iter().map(|lanes| Drive::from_numbers(lane(lanes, k)));
         Rollout {
-            states: drives().map(|drive| drive.state).collect(),
-            directions: drives().map(|drive| drive.heading).collect(),
+            poses: drives().map(|drive| drive.pose()).collect(),
+            speeds_mps: drives().map(|drive| drive.state.speed_mps).collect(),
             actions: drives().skip(1).map(|drive| drive.last).collect(),
             progress_m: (track[forecast.num_steps][ARC_LENGTH][k] - scene.place.s_m).max(0.0),
             offset_m: *offset_m,
@@ -361,11 +349,4 @@ fn tenth_power(x: Real) -> Real {
     let x2 = x * x;
     let x4 = x2 * x2;
     x4 * x4 * x2
-}
-
-impl Proposal {
-    /// All of them.
-    pub(super) fn all() -> impl Iterator<Item = Self> {
-        OFFSETS_M.into_iter().flat_map(|offset_m| SHARES.map(|share| Self { share, offset_m }))
-    }
 }

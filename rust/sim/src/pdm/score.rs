@@ -1,12 +1,12 @@
 //! The score of proposals: what must not happen times a weighted mean of the rest, as nuPlan's closed loop.
 
 use super::comfort::is_calm;
-use super::forecast::{AHEAD_S, Forecast, Other};
+use super::forecast::{AHEAD_S, Forecast};
 use super::proposals::Rollout;
 use super::{Plan, Scene};
-use crate::events::REAR_AXLE_SHARE;
 use crate::events::limits::{ACCELERATION_MPS2, AHEAD_COS, STANDING_MPS, STOPPED_MPS};
-use crate::geom::{OrientedBox, Point2, Real, Vector2};
+use crate::events::{bearing_cos, in_intersection, is_at_fault};
+use crate::geom::{OrientedBox, Pose2, Real};
 use crate::scene::LaneKind;
 use std::cell::OnceCell;
 
@@ -57,7 +57,7 @@ pub(super) fn best(scene: &Scene<'_>, futures: &[(Forecast, Vec<Rollout>)]) -> P
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
     let hit = futures.iter().filter(|f| f.contacts(best.0).first.is_some_and(|t| t <= brake_steps)).count();
     let acceleration_mps2 = match 2 * hit > futures.len() {
-        true if first.states[0].speed_mps < SLOW_MPS => ACCELERATION_MPS2[0],
+        true if first.speeds_mps[0] < SLOW_MPS => ACCELERATION_MPS2[0],
         true => BRAKE_MPS2,
         false => first.actions[0][0],
     };
@@ -112,9 +112,8 @@ impl<'a> Future<'a> {
     }
 
     fn calm(&self, i: usize) -> bool {
-        let (scene, rollout) = (self.scene, &self.rollouts[i]);
-        let before = scene.states.acceleration_mps2[scene.ego];
-        *self.parts[i].calm.get_or_init(|| is_calm(rollout, before, scene.dt_s))
+        let before = self.scene.states.acceleration_mps2[self.scene.ego];
+        *self.parts[i].calm.get_or_init(|| is_calm(&self.rollouts[i], before, self.scene.dt_s))
     }
 
     fn contacts(&self, i: usize) -> &Contacts {
@@ -167,56 +166,27 @@ impl<'a> Future<'a> {
     }
 }
 
-fn box_at(scene: &Scene<'_>, centre: Point2, direction: Vector2) -> OrientedBox {
-    let own = scene.footprint(scene.ego);
-    let (half_length_m, half_width_m) = (own.half_length_m, own.half_width_m);
-    OrientedBox { centre, cos: direction.x, sin: direction.y, half_length_m, half_width_m }
-}
-
-/// Contacts with all others.
+/// Contacts with all others. A contact ahead is one that comes soon at constant speed: with who is ahead, or beside where
+/// the ego is not in one lane alone; the first one with another who is elsewhere ends the matter.
 pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout) -> Contacts {
     let (mut left, mut first, mut close) = (1.0, None::<usize>, false);
-    let most_mps = rollout.states.iter().map(|state| state.speed_mps).fold(0.0, Real::max);
+    let (own, dt_s) = (scene.footprint(scene.ego), scene.dt_s);
+    let ego_mps = rollout.speeds_mps.iter().copied().fold(0.0, Real::max);
     for other in &forecast.others {
-        let meets = Meets { scene, rollout, other };
-        let near = meets.near_steps(most_mps + other.most_mps);
-        if let Some(t) = near.clone().find(|t| *t > 0 && meets.touch(*t, 0.0))
-            && is_at_fault(scene, rollout, t, other)
-        {
-            left = Real::min(left, if other.is_static { STATIC } else { 0.0 });
-            first = Some(first.map_or(t, |f| f.min(t)));
-        }
-        close = close || meets.is_close(near);
-    }
-    Contacts { left, first, close }
-}
-
-/// A rollout and another agent.
-struct Meets<'a> {
-    scene: &'a Scene<'a>,
-    rollout: &'a Rollout,
-    other: &'a Other,
-}
-
-impl Meets<'_> {
-    /// Whether both touch at a step, or would some time after it at the ego's constant speed.
-    fn touch(&self, step: usize, ahead_s: Real) -> bool {
-        let (state, direction) = (&self.rollout.states[step], self.rollout.directions[step]);
-        let centre = Point2::new(state.x, state.y) + direction * (state.speed_mps * ahead_s);
-        let time_s = step as Real * self.scene.dt_s + ahead_s;
-        let reach_m = self.scene.footprint(self.scene.ego).radius_m + self.other.footprint.radius_m;
-        (centre - self.other.centre(time_s)).norm_squared() < reach_m * reach_m
-            && box_at(self.scene, centre, direction).overlaps(&self.other.at(time_s))
-    }
-
-    /// Steps at which both may touch within [`AHEAD_S`], as they approach at most at some speed.
-    fn near_steps(&self, most_mps: Real) -> impl Iterator<Item = usize> + Clone {
-        let reach_m = self.scene.footprint(self.scene.ego).radius_m + self.other.footprint.radius_m;
-        let (states, dt_s) = (&self.rollout.states, self.scene.dt_s);
-        let near = move |from: usize| {
+        let (reach_m, most_mps) = (own.radius_m + other.footprint.radius_m, ego_mps + other.most_mps);
+        // whether both touch at a step, or would some time after it at the ego's constant speed
+        let touch = |step: usize, ahead_s: Real| {
+            let mut body = own.at(&rollout.poses[step]);
+            body.centre += body.forward() * (rollout.speeds_mps[step] * ahead_s);
+            let time_s = step as Real * dt_s + ahead_s;
+            (body.centre - other.centre(time_s)).norm_squared() < reach_m * reach_m
+                && body.overlaps(&other.at(time_s))
+        };
+        // the next step at which both may touch within the time that is looked ahead
+        let near = |from: usize| {
             let mut t = from;
-            while let Some(state) = states.get(t) {
-                let way = self.other.centre(t as Real * dt_s) - Point2::new(state.x, state.y);
+            while let Some(pose) = rollout.poses.get(t) {
+                let way = other.centre(t as Real * dt_s) - pose.position;
                 let clear_m = way.norm() - reach_m - most_mps * AHEAD_S[AHEAD_S.len() - 1] - 0.01;
                 if clear_m <= 0.0 {
                     return Some(t);
@@ -226,65 +196,39 @@ impl Meets<'_> {
             }
             None
         };
-        std::iter::successors(near(0), move |t| near(t + 1))
+        let mut steps = std::iter::successors(near(0), |t| near(t + 1));
+        let body = |t: usize| own.at(&rollout.poses[t]);
+        if let Some(t) = steps.clone().find(|t| *t > 0 && touch(*t, 0.0)) {
+            let stands = [rollout.speeds_mps[t], other.speed_mps].map(|speed_mps| speed_mps <= STOPPED_MPS);
+            let there = other.at(t as Real * dt_s);
+            if is_at_fault(&body(t), &there, stands, || is_between_lanes(scene, &body(t), false)) {
+                left = Real::min(left, if other.is_static { STATIC } else { 0.0 });
+                first = Some(first.map_or(t, |f| f.min(t)));
+            }
+        }
+        let is_close = |t: &usize| {
+            rollout.speeds_mps[*t] >= STANDING_MPS && AHEAD_S.iter().any(|ahead_s| touch(*t, *ahead_s))
+        };
+        close = close
+            || steps.find(is_close).is_some_and(|t| {
+                let cos = bearing_cos(&body(t), other.centre(t as Real * dt_s));
+                cos > AHEAD_COS || cos >= -AHEAD_COS && is_between_lanes(scene, &body(t), true)
+            });
     }
-
-    /// Whether a contact would come soon at constant speed: with who is ahead, or beside where the ego is not in one lane
-    /// alone. The first such contact with another who is elsewhere ends the matter.
-    fn is_close(&self, steps: impl Iterator<Item = usize>) -> bool {
-        let (scene, rollout) = (self.scene, self.rollout);
-        let mut moving = steps.filter(|t| rollout.states[*t].speed_mps >= STANDING_MPS);
-        let first = moving.find(|t| AHEAD_S.iter().any(|ahead_s| self.touch(*t, *ahead_s)));
-        first.is_some_and(|t| {
-            let cos = bearing_cos(scene, rollout, t, self.other.centre(t as Real * scene.dt_s));
-            cos > AHEAD_COS || cos >= -AHEAD_COS && is_between_lanes(scene, rollout, t, true)
-        })
-    }
+    Contacts { left, first, close }
 }
 
-/// Cosine of the angle between the heading and the way from the rear axle to a point.
-fn bearing_cos(scene: &Scene<'_>, rollout: &Rollout, step: usize, point: Point2) -> Real {
-    let (state, direction) = (&rollout.states[step], rollout.directions[step]);
-    let back_m = 2.0 * REAR_AXLE_SHARE * scene.footprint(scene.ego).half_length_m;
-    let way = point - (Point2::new(state.x, state.y) - direction * back_m);
-    way.dot(&direction) / way.norm().max(Real::MIN_POSITIVE)
-}
-
-/// Whether a contact is the ego's fault: with its front, with who stands, or at its side where it is not in one lane alone.
-fn is_at_fault(scene: &Scene<'_>, rollout: &Rollout, step: usize, other: &Other) -> bool {
-    let (state, direction) = (&rollout.states[step], rollout.directions[step]);
-    let (centre, time_s) = (Point2::new(state.x, state.y), step as Real * scene.dt_s);
-    if state.speed_mps <= STOPPED_MPS {
-        return false;
-    }
-    if other.speed_mps <= STOPPED_MPS {
-        return true;
-    }
-    if bearing_cos(scene, rollout, step, other.centre(time_s)) < -AHEAD_COS {
-        return false;
-    }
-    let front_m = scene.footprint(scene.ego).half_length_m;
-    let bumper = OrientedBox {
-        centre: centre + direction * front_m,
-        half_length_m: 0.0,
-        ..box_at(scene, centre, direction)
-    };
-    bumper.overlaps(&other.at(time_s)) || is_between_lanes(scene, rollout, step, false)
-}
-
-/// Whether the ego is in several lanes and in none of them whole, or off the road; or in an intersection, where that is
+/// Whether a body is in several lanes and in none of them whole, or off the road; or in an intersection, where that is
 /// asked for.
-fn is_between_lanes(scene: &Scene<'_>, rollout: &Rollout, step: usize, or_in_intersection: bool) -> bool {
-    let state = &rollout.states[step];
-    let centre = Point2::new(state.x, state.y);
-    let corners = box_at(scene, centre, rollout.directions[step]).corners();
+fn is_between_lanes(scene: &Scene<'_>, body: &OrientedBox, or_in_intersection: bool) -> bool {
+    let (centre, corners) = (body.centre, body.corners());
     let ground = scene.ground(centre);
     if ground.road.as_ref().is_some_and(|road| !corners.iter().all(|c| road.contains(*c))) {
         return true;
     }
     let Some(lanes) = &ground.lanes else { return false };
     let map = &scene.prepared.scene.map;
-    if or_in_intersection && lanes.holding(map, centre).any(|i| map.lanes[i].kind == LaneKind::Connector) {
+    if or_in_intersection && in_intersection(lanes, map, centre) {
         return true;
     }
     let mut held: Vec<usize> = corners.iter().flat_map(|c| lanes.holding(map, *c)).collect();
@@ -301,15 +245,14 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
     }
     let own = scene.footprint(scene.ego);
     let (mut been_on, mut been_inside, mut off, mut near) = (false, false, 0usize, false);
-    for (state, direction) in rollout.states.iter().zip(&rollout.directions) {
-        let centre = Point2::new(state.x, state.y);
-        let Some(region) = &scene.ground(centre).road else { continue };
-        if region.holds_square(centre, own.radius_m + 1.5 * MARGIN_M) {
+    for pose in &rollout.poses {
+        let Some(region) = &scene.ground(pose.position).road else { continue };
+        if region.holds_square(pose.position, own.radius_m + 1.5 * MARGIN_M) {
             (been_on, been_inside) = (true, true);
             continue;
         }
         let inside = |margin_m: Real| {
-            let mut wide = box_at(scene, centre, *direction);
+            let mut wide = own.at(pose);
             wide.half_length_m += margin_m;
             wide.half_width_m += margin_m;
             wide.corners().iter().all(|corner| region.contains(*corner))
@@ -321,16 +264,15 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
         near |= been_inside && !is_inside;
     }
     let left = if off > 0 { 0.0 } else { 1.0 };
-    (if near { 0.5 * left } else { left }, off as Real / rollout.states.len() as Real)
+    (if near { 0.5 * left } else { left }, off as Real / rollout.poses.len() as Real)
 }
 
 /// What driving direction leaves of the score, by the longest way against traffic. Steps between which the ego drives less
 /// than [`AGAINST_M`] are not looked at if it is not against traffic at either.
 pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
-    let place = |step: usize| Point2::new(rollout.states[step].x, rollout.states[step].y);
-    let way_m = |step: usize| (place(step) - place(step - 1)).norm();
-    let against = |step: usize| is_against_traffic(scene, place(step), rollout.directions[step]);
-    let (last, mut most_m, mut clear) = (rollout.states.len() - 1, 0.0 as Real, 0);
+    let way_m = |step: usize| (rollout.poses[step].position - rollout.poses[step - 1].position).norm();
+    let against = |step: usize| is_against_traffic(scene, &rollout.poses[step]);
+    let (last, mut most_m, mut clear) = (rollout.poses.len() - 1, 0.0 as Real, 0);
     while clear < last {
         let (mut step, mut between_m) = (clear + 1, 0.0);
         while step < last && between_m + way_m(step) < AGAINST_M[0] {
@@ -355,16 +297,17 @@ pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
 }
 
 /// Whether the lanes that hold a point lead the other way; ways through intersections say nothing.
-fn is_against_traffic(scene: &Scene<'_>, at: Point2, direction: Vector2) -> bool {
-    let Some(lanes) = &scene.ground(at).lanes else { return false };
-    let near = lanes.nearest_by_direction(at, direction.x, direction.y, LANE_REACH_M);
+fn is_against_traffic(scene: &Scene<'_>, pose: &Pose2) -> bool {
+    let Some(lanes) = &scene.ground(pose.position).lanes else { return false };
+    let near = lanes.nearest_by_direction(pose.position, pose.cos, pose.sin, LANE_REACH_M);
     if near.any.is_none_or(|hit| hit.agrees()) {
         return false;
     }
     let map = &scene.prepared.scene.map;
     let mut opposed = false;
-    for lane_idx in lanes.holding(map, at) {
-        let agrees = lanes.on_lane(lane_idx, at, direction.x, direction.y).is_some_and(|hit| hit.agrees());
+    for lane_idx in lanes.holding(map, pose.position) {
+        let hit = lanes.on_lane(lane_idx, pose.position, pose.cos, pose.sin);
+        let agrees = hit.is_some_and(|hit| hit.agrees());
         if agrees || map.lanes[lane_idx].kind == LaneKind::Connector {
             return false;
         }

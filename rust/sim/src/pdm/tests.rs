@@ -1,6 +1,6 @@
 //! Rules of PDM-Closed by hand, on a straight two-way road along x: lanes of 3.5 m at y = -1.75 (ahead) and 1.75 (back).
 
-use super::proposals::Proposal;
+use super::proposals::{OFFSETS_M, SHARES};
 use super::*;
 use crate::geom::{Point2, Vector2};
 use crate::scene::synthetic::GridCity;
@@ -69,23 +69,23 @@ fn forecast(scene: &Scene<'_>) -> Forecast {
 /// The proposal at a share of the limit and a distance from the line.
 fn rolled(world: &World, share: Real, offset_m: Real) -> Rollout {
     let scene = world.scene();
-    let proposal = Proposal::all().position(|p| p == Proposal { share, offset_m }).unwrap();
+    let at = |of: &[Real], value: Real| of.iter().position(|x| *x == value).unwrap();
+    let proposal = at(&OFFSETS_M, offset_m) * SHARES.len() + at(&SHARES, share);
     roll(&scene, &forecast(&scene)).swap_remove(proposal)
 }
 
 /// A rollout with these accelerations and yaw rates from a speed, at the ego's place.
 fn made(world: &World, speed_mps: Real, actions: Vec<[Real; 2]>) -> Rollout {
-    let mut state = KinState { speed_mps, ..world.scene().present() };
-    let (mut states, mut directions) = (vec![state], vec![Vector2::new(1.0, 0.0)]);
+    let mut pose = world.states.pose(0);
+    let (mut poses, mut speeds_mps) = (vec![pose], vec![speed_mps]);
     for [acceleration, yaw_rate] in &actions {
-        state.x += DT_S * state.speed_mps * state.heading_rad.cos();
-        state.y += DT_S * state.speed_mps * state.heading_rad.sin();
-        state.heading_rad += DT_S * yaw_rate;
-        state.speed_mps += DT_S * acceleration;
-        states.push(state);
-        directions.push(Vector2::new(state.heading_rad.cos(), state.heading_rad.sin()));
+        let speed_mps = speeds_mps[speeds_mps.len() - 1];
+        let place = pose.to_outer(Point2::new(DT_S * speed_mps, 0.0));
+        pose = Pose2::new(place.x, place.y, pose.heading_rad + DT_S * yaw_rate);
+        poses.push(pose);
+        speeds_mps.push(speed_mps + DT_S * acceleration);
     }
-    Rollout { states, directions, actions, progress_m: 0.0, offset_m: 0.0 }
+    Rollout { poses, speeds_mps, actions, progress_m: 0.0, offset_m: 0.0 }
 }
 
 #[test]
@@ -159,25 +159,21 @@ fn static_obstacles_cost_half_and_agents_all() {
 }
 
 #[test]
-fn blame_is_the_fronts_or_is_owed_to_who_stands_or_to_the_side_between_lanes() {
-    let fault = |own: At, other: At, kind: LaneKind| {
-        let world = World::on(&[own, other], kind);
+fn the_ego_is_to_blame_for_a_side_between_lanes_and_never_while_it_stands() {
+    let fault = |own: At, other: At| {
+        let world = World::new(&[own, other]);
         let scene = world.scene();
-        let rollout = made(&world, own.3[0], vec![[0.0, 0.0]; 40]);
-        score::contacts(&scene, &forecast(&scene), &rollout).first
+        score::contacts(&scene, &forecast(&scene), &made(&world, own.3[0], vec![[0.0, 0.0]; 40])).first
     };
-    let lane = LaneKind::Lane;
     // hit from behind at 6 m/s more, and the other way round
-    assert_eq!(fault(ego(6.0), car(-10.0, -1.75, 12.0), lane), None);
-    assert_eq!(fault(ego(12.0), car(10.3, -1.75, 6.0), lane), Some(11));
-    // standing egos are never to blame
-    assert_eq!(fault(ego(0.0), car(-10.0, -1.75, 12.0), lane), None);
+    assert_eq!(fault(ego(6.0), car(-10.0, -1.75, 12.0)), None);
+    assert_eq!(fault(ego(12.0), car(10.3, -1.75, 6.0)), Some(11));
+    assert_eq!(fault(ego(0.0), car(-10.0, -1.75, 12.0)), None);
     // from the side, 1 m/s: the gap of 1.2 m closes while both drive at 10 m/s
     let from_side = |y: Real| (-1.0, y + 3.2, -0.1, [9.95, -1.0], AgentKind::Vehicle);
-    assert_eq!(fault(ego(10.0), from_side(-1.75), lane), None);
-    // the ego straddles both lanes
+    assert_eq!(fault(ego(10.0), from_side(-1.75)), None);
     let astride = (0.0, -0.3, 0.0, [10.0, 0.0], AgentKind::Vehicle);
-    assert!(fault(astride, from_side(-0.3), lane).is_some());
+    assert!(fault(astride, from_side(-0.3)).is_some());
 }
 
 #[test]

@@ -53,7 +53,7 @@ impl VecWorld {
         };
         let (lanes, centre, footprints) =
             (scene.at(s.elevation_m(a)).lanes.as_ref(), s.position(a), &scene.footprints);
-        let axle = rear_axle(s, a, &footprints[a]);
+        let axle = rear_axle(&s.oriented_box(a, &footprints[a]));
         let from_sides =
             straddles_lanes(s, scene, a) || lanes.is_some_and(|lanes| in_intersection(lanes, map, axle));
         let ignores = |j: usize| ignored.contains(&j);
