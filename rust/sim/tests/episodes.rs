@@ -5,7 +5,7 @@ mod common;
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, SceneOrder, WorldConfig};
-use common::{Batch, city};
+use common::{Batch, actions, city};
 use std::sync::Arc;
 
 fn base() -> WorldConfig {
@@ -175,4 +175,29 @@ fn starts_are_spread_over_the_log_by_the_seed_and_stand_where_the_log_stands() {
     let mut fixed = Batch::new(vec![city(3)], base(), 1, 1);
     fixed.reset_all(5);
     assert_eq!(fixed.world.status(0).unwrap().step_idx, base().history_steps);
+}
+
+#[test]
+fn joint_and_single_contact_detection_agree() {
+    // with one slot contacts are looked for agent by agent, with many among all at once
+    let single = WorldConfig { traffic: "replay".into(), horizon_steps: 40, ..base() };
+    let joint = WorldConfig {
+        controlled: Controlled::Vehicles,
+        num_slots: 12,
+        driver: "replay".into(),
+        ..single.clone()
+    };
+    let single = WorldConfig { driver: "replay".into(), ..single };
+    let mut one = Batch::new(vec![city(24)], single, 1, 1);
+    let mut many = Batch::new(vec![city(24)], joint, 1, 1);
+    one.reset_all(0);
+    many.reset_all(0);
+    for t in 0..39 {
+        one.step(&actions(t, 2)).unwrap();
+        many.step(&actions(t, 24)).unwrap();
+        assert_eq!(one.columns[..], many.columns[..one.columns.len()], "step {t}");
+        if one.done[0] {
+            break;
+        }
+    }
 }

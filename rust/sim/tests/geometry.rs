@@ -120,28 +120,6 @@ fn corners_run_counter_clockwise_from_the_front_left() {
 }
 
 #[test]
-fn boxes_that_touch_or_hold_each_other_overlap() {
-    let at = |x, y, size| Footprint::new(size, size).at(&Pose2::new(x, y, 0.0));
-    assert!(at(0.0, 0.0, 2.0).overlaps(&at(2.0, 0.0, 2.0)));
-    assert!(at(0.0, 0.0, 2.0).overlaps(&at(2.0, 2.0, 2.0)));
-    assert!(at(0.0, 0.0, 8.0).overlaps(&at(1.0, 1.0, 1.0)));
-    assert!(at(1.0, 1.0, 1.0).overlaps(&at(0.0, 0.0, 8.0)));
-    assert!(!at(0.0, 0.0, 2.0).overlaps(&at(2.001, 0.0, 2.0)));
-}
-
-#[test]
-fn head_on_boxes_touch_after_gap_over_closing_speed() {
-    let footprint = Footprint::new(4.5, 2.0);
-    let a = footprint.at(&Pose2::new(0.0, 0.0, 0.0));
-    let b = footprint.at(&Pose2::new(24.5, 1.0, std::f32::consts::PI));
-    let time = a.time_to_contact(Vector2::new(6.0, 0.0), &b, Vector2::new(-4.0, 0.0), 5.0).unwrap();
-    assert!((time - 2.0).abs() < 1e-5);
-    assert_eq!(a.time_to_contact(Vector2::new(6.0, 0.0), &b, Vector2::new(-4.0, 0.0), 1.9), None);
-    assert_eq!(a.time_to_contact(Vector2::zeros(), &b, Vector2::zeros(), 1e9), None);
-    assert_eq!(a.time_to_contact(Vector2::zeros(), &a, Vector2::zeros(), 1.0), Some(0.0));
-}
-
-#[test]
 fn polygons_without_enough_points_are_empty() {
     for points in [vec![], vec![Point2::origin()], vec![Point2::origin(), Point2::new(1.0, 0.0)]] {
         let p = Polygon::from_exterior(points);

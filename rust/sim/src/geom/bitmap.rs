@@ -136,36 +136,9 @@ pub(crate) fn visit_band(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
 
     fn ring(points: &[(f32, f32)]) -> Vec<Point2> {
         points.iter().map(|(x, y)| Point2::new(*x, *y)).collect()
-    }
-
-    proptest! {
-        #[test]
-        fn a_filled_polygon_has_the_pixels_whose_centres_it_holds(
-            points in prop::collection::vec((-30f32..30., -30f32..30.), 3..9),
-            hole in prop::collection::vec((-10f32..10., -10f32..10.), 3..5),
-        ) {
-            let polygon = Polygon { exterior: ring(&points), holes: vec![ring(&hole)] };
-            let mut bitmap = Bitmap::new(Point2::new(-20.0, -25.0), Point2::new(20.0, 25.0), 2.0);
-            bitmap.fill(&polygon, 1);
-            for row in 1..bitmap.height - 1 {
-                for column in 1..bitmap.width - 1 {
-                    let (x, y) = (column as f32 + 0.5, row as f32 + 0.5);
-                    let centre = bitmap.min + super::super::Vector2::new(x, y) / bitmap.px_per_m;
-                    let near = polygon.rings().any(|r| (0..r.len()).any(|i| {
-                        let (a, b) = (r[i], r[(i + 1) % r.len()]);
-                        let d = b - a;
-                        let t = ((centre - a).dot(&d) / d.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-                        (centre - (a + d * t)).norm() < 1e-3
-                    }));
-                    let set = bitmap.at_px(x, y) == 1;
-                    prop_assert!(near || set == polygon.contains(centre), "{column} {row}");
-                }
-            }
-        }
     }
 
     #[test]

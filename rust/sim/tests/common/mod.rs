@@ -68,33 +68,12 @@ impl Batch {
         self.reset(&seeds, &vec![None; n]).unwrap();
     }
 
-    pub(crate) fn reset_masked(&mut self, mask: &[bool]) -> Result<()> {
-        let n = self.world.num_worlds();
-        let request = ResetRequest {
-            seeds: &vec![None; n],
-            scenes: &vec![None; n],
-            mask: Some(mask),
-            ..ResetRequest::default()
-        };
-        self.with(|world, out| world.reset(&request, out))
-    }
-
     pub(crate) fn step(&mut self, actions: &[f32]) -> Result<()> {
         self.with(|world, out| world.step(actions, None, out))
     }
 
     pub(crate) fn step_some(&mut self, actions: &[f32], active: &[bool]) -> Result<()> {
         self.with(|world, out| world.step(actions, Some(active), out))
-    }
-
-    /// All bits that a step gives out.
-    pub(crate) fn bits(&self) -> Vec<u32> {
-        let reals = self.obs.iter().chain(&self.reward).chain(&self.columns);
-        let flags = self.terminated.iter().chain(&self.truncated).chain(&self.alive);
-        let worlds = self.done.iter().chain(&self.was_reset);
-        let bytes = self.bev.iter().map(|b| u32::from(*b));
-        let flags = flags.chain(worlds).map(|b| u32::from(*b));
-        reals.map(|x| x.to_bits()).chain(flags).chain(bytes).collect()
     }
 }
 
