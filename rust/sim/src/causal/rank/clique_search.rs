@@ -28,15 +28,6 @@ impl Clique {
     }
 }
 
-/// What a search found.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct HeaviestCliques {
-    /// Agent indices of the cliques, heaviest first; within a clique in the graph's node order.
-    pub(super) cliques: Vec<Vec<usize>>,
-    /// Whether the search was completed. If not, these are the heaviest cliques seen.
-    pub(super) exact: bool,
-}
-
 /// An undirected graph whose joined pairs have positive weights.
 #[derive(Debug, Clone)]
 pub(super) struct WeightedGraph {
@@ -105,7 +96,9 @@ impl WeightedGraph {
         others.iter().map(|&other| self.weight(node, other)).sum()
     }
 
-    /// The `count` heaviest cliques of at least `min_size` nodes, fewer where there are not as many.
+    /// The `count` heaviest cliques of at least `min_size` nodes, fewer where there are not as many: agent indices, heaviest
+    /// first, within a clique in the graph's node order. And whether the search was completed: if not, these are the heaviest
+    /// cliques seen.
     ///
     /// The search visits at most `node_limit` cliques; its result is the same on every machine. Sizes below 1
     /// count as 1.
@@ -114,7 +107,7 @@ impl WeightedGraph {
         min_size: usize,
         count: usize,
         node_limit: usize,
-    ) -> HeaviestCliques {
+    ) -> (Vec<Vec<usize>>, bool) {
         let mut search = Search {
             graph: self,
             min_size: min_size.max(1),
@@ -135,7 +128,7 @@ impl WeightedGraph {
             search.expand(0, candidates);
         }
         let agents = |c: &Clique| c.members.iter().map(|&p| self.agents[p as usize]).collect();
-        HeaviestCliques { cliques: search.best.iter().map(agents).collect(), exact: search.exact }
+        (search.best.iter().map(agents).collect(), search.exact)
     }
 }
 
@@ -330,9 +323,9 @@ mod tests {
     #[test]
     fn a_graph_with_three_to_the_twenty_cliques_of_equal_weight_is_settled_by_order() {
         let graph = WeightedGraph::from_measure(60, 0.0, |i, j| if i / 3 == j / 3 { 0.0 } else { 1.0 });
-        let found = graph.heaviest_cliques(2, 3, 100_000);
-        assert!(found.exact);
+        let (cliques, exact) = graph.heaviest_cliques(2, 3, 100_000);
+        assert!(exact);
         let first = |last: usize| (0..19).map(|k| 3 * k).chain([last]).collect::<Vec<_>>();
-        assert_eq!(found.cliques, [first(57), first(58), first(59)]);
+        assert_eq!(cliques, [first(57), first(58), first(59)]);
     }
 }

@@ -57,9 +57,10 @@ pub(super) fn clique_occurrences(
     for matrix in measure.chunks_exact(pairs.max(1)) {
         let value = |i: usize, j: usize| f64::from(matrix[i * num_agents + j]);
         let graph = WeightedGraph::from_measure(num_agents, settings.threshold, value);
-        let found = graph.heaviest_cliques(settings.min_size, settings.top_per_frame, settings.node_limit);
-        exact &= found.exact;
-        for &agent in found.cliques.iter().flatten() {
+        let (cliques, completed) =
+            graph.heaviest_cliques(settings.min_size, settings.top_per_frame, settings.node_limit);
+        exact &= completed;
+        for agent in cliques.into_iter().flatten() {
             match counts.iter_mut().find(|(a, _)| *a == agent) {
                 Some((_, count)) => *count += 1,
                 None => counts.push((agent, 1)),
