@@ -38,7 +38,6 @@ class SceneReport:
     #: ``"none"``: nothing is ever off the road.
     road: str
     map_layers: dict[str, int]  #: Elements per map layer round the scene.
-    map_bytes: int  #: Size of the scene's map, bytes.
     notes: tuple[str, ...]  #: Anything else worth knowing.
 
 
@@ -47,7 +46,6 @@ class MapReport:
     """What one location's map file holds."""
 
     location: str  #: Location.
-    layers: dict[str, int]  #: Elements per layer in the whole file.
     notes: tuple[str, ...]  #: Elements that could not be used, and why.
 
 
@@ -175,9 +173,6 @@ def _lines(report: LoadReport) -> list[str]:
     if report.missing_maps:
         rows.append(("maps missing", _some(report.missing_maps)))
     rows += [("layer empty", f"{name} in {n} scenes") for name, n in report.missing_layers.items()]
-    if any(s.map_bytes for s in scenes):
-        kib = sum(s.map_bytes for s in scenes) / len(scenes) / 1024
-        rows.append(("map per scene", f"{kib:.0f} KiB on average"))
     rows += [(f"map {m.location}", note) for m in report.maps for note in m.notes]
     rows += [(s.name, note) for s in scenes for note in s.notes]
     cache = report.cache

@@ -411,7 +411,6 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
         ego_channel=None if sdc_id is None else "sdc",
         road=road,
         map_layers=layers,
-        map_bytes=0,
         notes=tuple(source.notes),
     )
     return scene, report

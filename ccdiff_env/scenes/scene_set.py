@@ -17,7 +17,6 @@ class SceneSet(Sequence[Scene]):
         scenes: The scenes, with names that are unique in the set.
         report: What the load has to say, or a function that makes the report when it is first
             looked at; empty where the scenes were not loaded from files.
-        names: Names of scenes that are read when they are looked at; ``scenes`` is a sequence then.
 
     Examples:
         ``scenes[0]``, ``scenes[:4]`` (a :class:`SceneSet`), ``scenes["scene-0061"]``,
@@ -30,12 +29,9 @@ class SceneSet(Sequence[Scene]):
         self,
         scenes: Iterable[Scene],
         report: LoadReport | Callable[[], LoadReport] | None = None,
-        *,
-        names: Sequence[str] | None = None,
     ) -> None:
-        read_later = names is not None and isinstance(scenes, Sequence)
-        self._scenes: Sequence[Scene] = scenes if read_later else tuple(scenes)  # type: ignore[assignment]
-        self._names = tuple(names or (scene.name for scene in self._scenes))
+        self._scenes = tuple(scenes)
+        self._names = tuple(scene.name for scene in self._scenes)
         self._by_name = {name: index for index, name in enumerate(self._names)}
         if len(self._by_name) != len(self._scenes):
             raise ConfigError("two scenes of one name: names must be unique in a SceneSet")
@@ -53,12 +49,6 @@ class SceneSet(Sequence[Scene]):
         """Names of the scenes, in order."""
         return self._names
 
-    def read(self) -> SceneSet:
-        """Return the same scenes, all of them read: worlds hold them anyway."""
-        if isinstance(self._scenes, tuple):
-            return self
-        return SceneSet(self._scenes, self._report)
-
     def __len__(self) -> int:
         return len(self._scenes)
 
@@ -75,7 +65,7 @@ class SceneSet(Sequence[Scene]):
     def __getitem__(self, key: int | str | slice) -> Scene | SceneSet:
         """Return a scene by index or name, or a set by slice (with the whole load's report)."""
         if isinstance(key, slice):
-            return SceneSet(self._scenes[key], self._report, names=self._names[key])
+            return SceneSet(self._scenes[key], self._report)
         if isinstance(key, str):
             if key not in self._by_name:
                 shown = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")

@@ -126,6 +126,11 @@ def _scenarionet(place: Place) -> SceneSet:
     return load_scenarionet(place.path or "", **_options(place))
 
 
+def _gpudrive(place: Place) -> SceneSet:
+    limit = None if place.names else place.limit
+    return load_gpudrive(place.path or "", limit=limit, names=place.names)
+
+
 #: The sources by name.
 SOURCES: dict[str, Source] = {
     source.name: source
@@ -164,7 +169,7 @@ SOURCES: dict[str, Source] = {
         Source(
             "gpudrive",
             "Waymo (GPUDrive)",
-            lambda place: load_gpudrive(place.path or ""),
+            _gpudrive,
             path="FILE_OR_FOLDER_OR_PATTERN",
             lacks="surfaces of lanes; the road is made from its edges",
         ),

@@ -28,7 +28,7 @@ def scene_set(scenes: Scenes) -> SceneSet:
         text = scenes or "train"
         return embedded_scenes(text) if text.isalnum() and text not in SOURCES else load(text)
     if isinstance(scenes, SceneSet):
-        found = scenes.read()
+        found = scenes
     else:
         listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
         if not all(isinstance(scene, Scene) for scene in listed):

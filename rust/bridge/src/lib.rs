@@ -11,4 +11,4 @@ mod networks;
 
 pub use contained::contained;
 pub use handed::{Handed, Policy, check_build, policy_capsule, scene_capsule, taken_policy};
-pub use networks::{AskedDriver, PyTrajectoryModel};
+pub use networks::{AskedDriver, PyTrajectoryModel, path_of};

@@ -30,6 +30,11 @@ pub struct AskedDriver<'a> {
     pub scenes: Vec<Handed>,
 }
 
+/// Where the options of a driver stand, as the user has written it.
+pub fn path_of(name: &str, kind: &str) -> String {
+    if name == kind { kind.to_owned() } else { format!("named_drivers.{name}.{kind}") }
+}
+
 impl AskedDriver<'_> {
     /// The policy, of a network that `load` makes, in a capsule.
     ///
@@ -41,9 +46,7 @@ impl AskedDriver<'_> {
         load: impl FnOnce(CcdiffConfig) -> ccdiff_nets::Result<PlannedTraffic> + Send,
     ) -> PyResult<Bound<'py, PyCapsule>> {
         let Self { name, kind, options, dt_s, scenes } = self;
-        // as the user has written it
-        let path = if name == kind { name.to_owned() } else { format!("named_drivers.{name}.{kind}") };
-        let config: CcdiffConfig = read(&path, options).map_err(from_sim)?;
+        let config: CcdiffConfig = read(&path_of(name, kind), options).map_err(from_sim)?;
         let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
         let policy = py.detach(|| {
             let policy = load(config)?;

@@ -5,11 +5,11 @@ use crate::crop::crop;
 use crate::error::Result;
 use crate::map_file::{Bounds, GlobalMap};
 use crate::options::{BuildOptions, KEY_FRAME_INTERVAL_S, KeyFrameTiming};
-use crate::report::{Road, SceneReport, layer_counts};
+use crate::report::{Road, SceneReport};
 use crate::resample::{ANNOTATION_SMOOTHING_S3, Resampled, Steps, resample};
 use crate::tables::{Key, LoggedScene, LoggedTrack, SceneEntry};
 use ccdiff_sim::geom::{Point2, Real, Vector2};
-use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Map, Scene, Tracks};
+use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
 use std::sync::Arc;
 
 /// Category of the ego, which has none in the tables.
@@ -53,7 +53,7 @@ pub(crate) fn build_scene(
         crop(map, origin, &Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m))
     });
     let scene_map = scene_map.unwrap_or_default();
-    count_layers(&scene_map, &mut report);
+    report.count_layers(&scene_map);
     report.road = if scene_map.drivable_area.is_empty() { Road::None } else { Road::Given };
     let scene = Scene {
         name: entry.name.clone(),
@@ -166,11 +166,6 @@ fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Resu
         return Err(format!("fewer than {} annotations", options.min_annotations));
     }
     Ok(kind)
-}
-
-pub(crate) fn count_layers(map: &Map, report: &mut SceneReport) {
-    report.map_layers = layer_counts!(map);
-    report.map_bytes = postcard::experimental::serialized_size(map).unwrap_or(0);
 }
 
 /// Row-major [A, T] arrays in the scene frame.

@@ -34,7 +34,7 @@ pub enum NuscenesError {
         /// What is wrong, with the beginning of the record.
         message: String,
     },
-    /// A record breaks a rule, names one that does not exist, or claims the place of another.
+    /// A record breaks a rule, names one that does not exist, or claims the place of another; or nothing is left to load.
     #[error("{what}: {}", path.display())]
     Data {
         /// The file.
@@ -53,23 +53,8 @@ pub enum NuscenesError {
         expected: &'static str,
     },
     /// A scene that was asked for by name or token is not in the data set.
-    #[error("scene {name:?} is not among the {known} scenes of {}", path.display())]
-    UnknownScene {
-        /// The name or token.
-        name: String,
-        /// How many scenes there are.
-        known: usize,
-        /// The data set.
-        path: PathBuf,
-    },
-    /// Nothing is left of what was asked for.
-    #[error("no scene to load from {}: {why}", path.display())]
-    Empty {
-        /// The data set.
-        path: PathBuf,
-        /// Which scenes were asked for, and what became of them.
-        why: String,
-    },
+    #[error("{0}")]
+    Unknown(String),
     /// A built scene breaks a rule of the simulator.
     #[error(transparent)]
     Scene(#[from] SimError),

@@ -4,7 +4,6 @@
 //! heights are left out. Where a state is not valid its numbers are -10000. Road edges are open lines with the road to their left: the drivable area
 //! is made from them, and lanes follow each other where one ends and another begins.
 
-use crate::build::count_layers;
 use crate::cache::{Cache, Hash, stamp};
 use crate::error::{NuscenesError, Result};
 use crate::file;
@@ -174,7 +173,7 @@ impl Reader<'_> {
         report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
         let seeds = vehicles(&agents, &tracks);
         let map = self.map(origin, &seeds, &bounds, &mut report)?;
-        count_layers(&map, &mut report);
+        report.count_layers(&map);
         let scene = Scene {
             token,
             name,

@@ -148,8 +148,9 @@ impl Load<'_> {
         }
         if scenes.is_empty() {
             let (missing, empty) = (&self.report.missing, &self.report.empty);
-            let why = format!("not in the data set: {missing:?}; without agents: {empty:?}");
-            return Err(NuscenesError::Empty { path: self.tables.folder.clone(), why });
+            let what =
+                format!("no scene to load, not in the data set: {missing:?}, without agents: {empty:?}");
+            return Err(NuscenesError::Data { path: self.tables.folder.clone(), what });
         }
         Ok(scenes)
     }
@@ -188,10 +189,10 @@ impl Load<'_> {
             Selection::Exactly(names) => {
                 let mut wanted = Vec::with_capacity(names.len());
                 for name in names {
-                    let index = find(name).ok_or_else(|| NuscenesError::UnknownScene {
-                        name: name.clone(),
-                        known: entries.len(),
-                        path: self.tables.folder.clone(),
+                    let index = find(name).ok_or_else(|| {
+                        let (known, folder) = (entries.len(), self.tables.folder.display());
+                        let message = format!("scene {name:?} is not among the {known} scenes of {folder}");
+                        NuscenesError::Unknown(message)
                     })?;
                     if !wanted.contains(&index) {
                         wanted.push(index);

@@ -3,7 +3,7 @@
 use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
-use crate::report::{MapReport, layer_counts};
+use crate::report::MapReport;
 use crate::stream::{BYTE_ORDER_MARK, parse};
 use crate::token::{Index, Token, index};
 use ccdiff_sim::scene::LaneKind;
@@ -136,7 +136,6 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
         lane_bounds: lanes.iter().map(GlobalLane::bounds).collect(),
         lanes,
     };
-    report.layers = layer_counts!(map);
     Ok((map, report))
 }
 

@@ -1,27 +1,8 @@
 //! What a load did: what was kept, what was left out and why.
 
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{Map, Scene};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-
-/// Elements per layer of a map, in whatever frame.
-macro_rules! layer_counts {
-    ($map:expr) => {{
-        let map = &$map;
-        let counts = [
-            ("drivable_area", map.drivable_area.len()),
-            ("lanes", map.lanes.len()),
-            ("road_dividers", map.road_dividers.len()),
-            ("lane_dividers", map.lane_dividers.len()),
-            ("ped_crossings", map.ped_crossings.len()),
-            ("walkways", map.walkways.len()),
-            ("stop_lines", map.stop_lines.len()),
-            ("carpark_areas", map.carpark_areas.len()),
-        ];
-        counts.map(|(name, count)| (name.to_owned(), count)).into()
-    }};
-}
-pub(crate) use layer_counts;
 
 /// Tracks left out of one scene for one reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -76,13 +57,26 @@ pub struct SceneReport {
     pub road: Road,
     /// Elements per map layer after cropping.
     pub map_layers: BTreeMap<String, usize>,
-    /// Size of the cropped map in the cache file's encoding, bytes.
-    pub map_bytes: usize,
     /// Anything else worth knowing.
     pub notes: Vec<String>,
 }
 
 impl SceneReport {
+    /// Counts the elements of each layer of a map.
+    pub(crate) fn count_layers(&mut self, map: &Map) {
+        let counts = [
+            ("drivable_area", map.drivable_area.len()),
+            ("lanes", map.lanes.len()),
+            ("road_dividers", map.road_dividers.len()),
+            ("lane_dividers", map.lane_dividers.len()),
+            ("ped_crossings", map.ped_crossings.len()),
+            ("walkways", map.walkways.len()),
+            ("stop_lines", map.stop_lines.len()),
+            ("carpark_areas", map.carpark_areas.len()),
+        ];
+        self.map_layers = counts.map(|(name, count)| (name.to_owned(), count)).into();
+    }
+
     /// Mends a scene and says what was done.
     pub(crate) fn mend(&mut self, mut scene: Scene) -> Scene {
         let mended = scene.mend();
@@ -111,8 +105,6 @@ impl SceneReport {
 pub struct MapReport {
     /// Location.
     pub location: String,
-    /// Elements per layer in the whole file.
-    pub layers: BTreeMap<String, usize>,
     /// Elements that could not be used, and why.
     pub notes: Vec<String>,
 }

@@ -1,8 +1,8 @@
 //! The kinds of drivers that there are, and the policies of a batch of worlds.
 
 use crate::python_policy::{self, PythonPolicy};
-use ccdiff_bridge::Policy;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_bridge::{Policy, path_of};
 use ccdiff_nets::NetworkKind;
 use ccdiff_nets::networks::NETWORKS;
 use ccdiff_nets::networks::ccdiff::CCDIFF;
@@ -107,11 +107,6 @@ pub(crate) fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
             Ok(dict)
         })
         .collect()
-}
-
-/// Where the options of a policy stand.
-pub(crate) fn path_of(name: &str, kind: &str) -> String {
-    if name == kind { kind.to_owned() } else { format!("named_drivers.{name}.{kind}") }
 }
 
 /// Traffic of a model of the user's own.

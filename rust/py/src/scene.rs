@@ -30,11 +30,10 @@ fn from_nuscenes(error: NuscenesError) -> PyErr {
         NuscenesError::Scene(error) => from_sim(error),
         NuscenesError::Missing { .. } => py::DatasetNotFoundError::new_err(message),
         NuscenesError::Option { .. } => py::ConfigError::new_err(message),
-        NuscenesError::UnknownScene { .. } => py::UnknownNameError::new_err(message),
+        NuscenesError::Unknown(_) => py::UnknownNameError::new_err(message),
         NuscenesError::Io { .. }
         | NuscenesError::Json { .. }
         | NuscenesError::Data { .. }
-        | NuscenesError::Empty { .. }
         | NuscenesError::Bytes(_) => py::DatasetError::new_err(message),
     }
 }

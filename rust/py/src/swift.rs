@@ -1,8 +1,7 @@
 //! Swift traffic: the policy, and what it sees as rows, for training.
 
-use crate::drivers::path_of;
 use ccdiff_bridge::errors::{from_model, from_sim, py};
-use ccdiff_bridge::{contained, policy_capsule};
+use ccdiff_bridge::{contained, path_of, policy_capsule};
 use ccdiff_nets::networks::tokens::token_of;
 use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
 use ccdiff_sim::options;

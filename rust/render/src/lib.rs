@@ -33,7 +33,6 @@ pub use error::{RenderError, Result};
 pub use image::Image;
 pub use layers::MapLayers;
 pub use lines::{Arrow, Line};
-pub use log::logged_trail;
 pub use palette::{DrawStyle, Rgb, Theme};
 pub use shown::{Centre, Frame, Shown};
 pub use world::{Trail, Trails};

@@ -123,7 +123,7 @@ pub(crate) fn is_parked(scene: &Scene, agent_idx: usize) -> bool {
 
 /// Centres of an agent over the last `num_steps` steps up to and with `step_idx`, oldest first; only the part after
 /// the last gap in its track.
-pub fn logged_trail(scene: &Scene, agent_idx: usize, step_idx: usize, num_steps: usize) -> Vec<Point2> {
+fn logged_trail(scene: &Scene, agent_idx: usize, step_idx: usize, num_steps: usize) -> Vec<Point2> {
     let mut points: Vec<Point2> = (0..=step_idx)
         .rev()
         .take(num_steps)

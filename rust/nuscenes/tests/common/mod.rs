@@ -144,25 +144,22 @@ impl DataSet {
         Self { tables, map: map() }
     }
 
-    /// Writes everything, tables pretty-printed or not.
-    pub(crate) fn write(&self, root: &Path, pretty: bool) {
-        let text = |value: &Value| {
-            if pretty { serde_json::to_string_pretty(value) } else { serde_json::to_string(value) }.unwrap()
-        };
+    /// Writes everything.
+    pub(crate) fn write(&self, root: &Path) {
         let folder = root.join(VERSION);
         std::fs::create_dir_all(&folder).unwrap();
         for (name, rows) in &self.tables {
-            std::fs::write(folder.join(format!("{name}.json")), text(&json!(rows))).unwrap();
+            std::fs::write(folder.join(format!("{name}.json")), json!(rows).to_string()).unwrap();
         }
         let maps = root.join("maps").join("expansion");
         std::fs::create_dir_all(&maps).unwrap();
-        std::fs::write(maps.join("town.json"), text(&self.map)).unwrap();
+        std::fs::write(maps.join("town.json"), self.map.to_string()).unwrap();
     }
 
     /// Writes everything to a new folder.
     pub(crate) fn written(&self) -> Folder {
         let folder = Folder::new();
-        self.write(&folder.0, false);
+        self.write(&folder.0);
         folder
     }
 }
