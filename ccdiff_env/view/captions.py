@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import _native
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.traffic import NETWORKS, driver_titles
+from ccdiff_env.traffic import driver_titles
 from ccdiff_env.view.render import LOOK
 
 #: Titles of drivers, in the order of the legend; names are those of images.
@@ -137,9 +133,7 @@ def subtitle(rollout: Rollout) -> str:
 
 
 def about(rollout: Rollout) -> list[tuple[str, str]]:
-    """Return names and values of what is known of a run; of its configuration, what differs from
-    the default, and options of the policies that drive.
-    """
+    """Return names and values of what is known of a run."""
     scene = rollout.scene
     captions = [
         ("scene", scene.name),
@@ -154,26 +148,4 @@ def about(rollout: Rollout) -> list[tuple[str, str]]:
     for name, value in rollout.meta.items():
         if isinstance(value, (str, int, float)) and (name, value) not in captions:
             captions.append((name, str(value)))
-    config = rollout.meta.get("config")
-    if isinstance(config, dict):
-        drivers = {*rollout.driver_names, *rollout.driver_kinds}
-        if drivers & {*NETWORKS}:  # they share CCDiff's options
-            drivers.add("ccdiff")
-        known = config.get("named_drivers")
-        used = {n: known[n] for n in known if n in drivers} if isinstance(known, dict) else {}
-        config = {**config, "named_drivers": used}
-        captions.extend(_changes(config, json.loads(_native.schema("default_config"))))
     return [(name, value) for name, value in captions if value]
-
-
-def _changes(
-    config: dict[str, Any], default: dict[str, Any], path: str = ""
-) -> Iterator[tuple[str, str]]:
-    """Names and values of the configuration that differ from the default, by dotted path."""
-    for name, value in config.items():
-        usual = default.get(name)
-        if isinstance(value, dict) and isinstance(usual, dict):
-            yield from _changes(value, usual, f"{path}{name}.")
-        elif value != usual:
-            text = value if isinstance(value, str) else json.dumps(value)
-            yield f"{path}{name}", text if len(text) <= 200 else f"{text[:199]}…"
