@@ -62,8 +62,8 @@ def circles(graph: Graph) -> list[set[str]]:
 
 
 def code_of(file: Path) -> str:
-    """Text of a file without comments and tests."""
-    text = re.sub(r"//.*", "", file.read_text(encoding="utf-8"))
+    """Text of a file without comments, visibilities and tests."""
+    text = re.sub(r"//.*|pub\([^)]*\)", "", file.read_text(encoding="utf-8"))
     return text.split("#[cfg(test)]")[0]
 
 
