@@ -144,7 +144,8 @@ def _described(field: Mapping[str, Any]) -> str:
 
 
 def _wrapped(text: str, first: str, then: str) -> str:
-    return textwrap.fill(text, 100, initial_indent=first, subsequent_indent=then)
+    indents = {"initial_indent": first, "subsequent_indent": then}
+    return textwrap.fill(text, 100, break_on_hyphens=False, **indents)  # links stay whole
 
 
 def _with_comment(line: str, text: str) -> list[str]:

@@ -393,8 +393,8 @@ class CcdiffConfig(Options):
     #: (0, 100]); 1 for other networks. Below 1 likely plans are drawn more often.
     temperature: float = 1.0
     #: Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the
-    #: same). Speeds after 3 s are then spread as those of the log (docs/results.md#likelihood-of-
-    #: the-log).
+    #: same). Speeds after 3 s are then spread as those of the log
+    #: (docs/results.md#likelihood-of-the-log).
     keep_noise: bool = False
     #: Whether the network is told the routes of the vehicles that it drives: the path of the log,
     #: then the lanes ahead. For weights that were trained with routes.
