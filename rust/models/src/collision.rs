@@ -41,29 +41,29 @@ fn every_other(t: &Tensor, dim: i64) -> Tensor {
 impl Neighbours {
     /// Neighbours of a batch; `None` where nobody is joined with anybody.
     pub(crate) fn new(batch: &Batch, targets: &Targets) -> Option<Self> {
-        let (rows, slots) = (batch.num_rows(), batch.neighbours.size()[1]);
+        let of = batch.neighbourhood();
+        let (rows, slots) = (batch.num_rows() as i64, of.rows.size()[1]);
         if slots < 2 {
             return None;
         }
-        let others = batch.neighbours.narrow(1, 1, slots - 1).flatten(0, 1);
+        let others = of.rows.narrow(1, 1, slots - 1).flatten(0, 1);
         let of_others = |t: &Tensor| {
             let mut size = vec![rows, slots - 1];
             size.extend(&t.size()[1..]);
             t.index_select(0, &others).view(size.as_slice())
         };
         let future = of_others(&every_other(&targets.states, 1));
-        let edge = batch.edges.narrow(1, 1, slots - 1).select(2, batch.edges.size()[2] - 1);
+        let edge = of.edges.narrow(1, 1, slots - 1).select(2, of.edges.size()[2] - 1);
         let at_now = |c: i64| edge.select(2, c).unsqueeze(2);
         let (cos, sin) = (at_now(2), at_now(3));
         let (x, y, yaw) = (future.select(3, 0), future.select(3, 1), future.select(3, 3));
         let turned = |a: &Tensor, b: &Tensor| (&cos * a - &sin * b, &sin * a + &cos * b);
         let ((x, y), (along_x, along_y)) = (turned(&x, &y), turned(&yaw.cos(), &yaw.sin()));
-        let body = batch.history.select(1, batch.history.size()[1] - 1);
-        let (length, width) = (body.select(1, 5), body.select(1, 6));
+        let [length, width] = batch.sizes();
         let radius = of_others(&(&width * 0.5)).view([rows, slots - 1, 1, 1]);
         let reach = (of_others(&(&length * 0.5)).view([rows, slots - 1, 1, 1]) - &radius).clamp_min(0.0);
         let offsets = reach * Tensor::linspace(-1.0, 1.0, NUM_DISKS, (Kind::Float, width.device()));
-        let is_edge = batch.is_edge.narrow(1, 1, slots - 1).to_kind(Kind::Float).unsqueeze(2) * at_now(8);
+        let is_edge = of.is_edge.narrow(1, 1, slots - 1).to_kind(Kind::Float).unsqueeze(2) * at_now(8);
         Some(Self {
             centre: (
                 (x + at_now(0)).unsqueeze(3) + along_x.unsqueeze(3) * &offsets,
@@ -119,9 +119,9 @@ impl Neighbours {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::batch::TokenBatch;
+    use crate::batch::tests::cars;
     use crate::config::ModelConfig;
-    use crate::features::{EDGE_FEATURES, HISTORY_FEATURES};
+    use crate::features::{EDGE_FEATURES, SceneFeatures};
     use tch::Device;
 
     const STEPS: i64 = 52;
@@ -129,9 +129,6 @@ mod tests {
     /// Two cars, 4 m by 2 m: row 0 at the origin, row 1 at an offset with a heading (both in row 0's frame), seen by
     /// row 0 alone. Row 1 goes straight on at a speed.
     fn pair(offset: [f32; 2], heading: f32, speed_mps: f32) -> (Batch, Targets) {
-        let config = ModelConfig { map: None, ..ModelConfig::fast() };
-        let mut history = vec![0f32; 2 * config.history_steps * HISTORY_FEATURES];
-        history.chunks_exact_mut(HISTORY_FEATURES).for_each(|h| h[5..8].copy_from_slice(&[4.0, 2.0, 1.0]));
         let mut edges = vec![0f32; 4 * EDGE_FEATURES];
         edges[EDGE_FEATURES..EDGE_FEATURES + 4].copy_from_slice(&[
             offset[0],
@@ -143,20 +140,14 @@ mod tests {
         let drive = |v: f32| -> Vec<f32> {
             (1..=STEPS).flat_map(|t| [0.1 * t as f32 * v, 0.0, v, 0.0, 0.0, 0.0]).collect()
         };
-        let batch = Batch {
-            scene_sizes: vec![2],
-            history: Tensor::from_slice(&history).view([2, -1, HISTORY_FEATURES as i64]),
-            poses: Tensor::zeros([2, 3], (Kind::Float, Device::Cpu)),
-            speed_mps: Tensor::from_slice(&[10f32, speed_mps]),
-            neighbours: Tensor::from_slice(&[0i64, 1, 1, 1]).view([2, 2]),
-            is_edge: Tensor::from_slice(&[false, true, false, false]).view([2, 2]),
-            edges: Tensor::from_slice(&edges).view([2, 2, 1, EDGE_FEATURES as i64]),
-            lines: None,
-            roads: Vec::new(),
-            route: None,
-            noise_seeds: vec![None; 2],
-            tokens: TokenBatch::default(),
+        let scene = SceneFeatures {
+            num_slots: 2,
+            neighbours: vec![0, 1, 1, 1],
+            is_edge: vec![false, true, false, false],
+            edges,
+            ..cars(&[10.0, speed_mps])
         };
+        let batch = Batch::new(vec![scene], Device::Cpu).unwrap();
         let states = Tensor::from_slice(&[drive(10.0), drive(speed_mps)].concat()).view([2, STEPS, 6]);
         (batch, Targets { states, valid: Tensor::ones([2, STEPS], (Kind::Float, Device::Cpu)) })
     }
@@ -198,14 +189,14 @@ mod tests {
         let neighbours = Neighbours::new(&batch, &targets).unwrap();
         let knots = Tensor::zeros([2, 13, 2], (Kind::Float, Device::Cpu)).set_requires_grad(true);
         let share = Tensor::from_slice(&[1f32, 1.0]);
-        let loss = neighbours.loss(&space, &knots, &batch.speed_mps, &share);
+        let loss = neighbours.loss(&space, &knots, &batch.speed_mps(), &share);
         assert!(loss.double_value(&[]) > 0.0);
         loss.backward();
         let gradient = knots.grad();
         assert!(gradient.get(0).select(1, 0).get(0).double_value(&[]) > 0.0, "less acceleration, less loss");
         assert_eq!(gradient.select(2, 1).abs().max().double_value(&[]), 0.0, "the yaw rate");
         assert_eq!(gradient.get(1).abs().max().double_value(&[]), 0.0, "who is hit from behind");
-        let none = neighbours.loss(&space, &knots, &batch.speed_mps, &Tensor::from_slice(&[0f32, 1.0]));
+        let none = neighbours.loss(&space, &knots, &batch.speed_mps(), &Tensor::from_slice(&[0f32, 1.0]));
         assert_eq!(none.double_value(&[]), 0.0, "a row's share");
     }
 
@@ -216,7 +207,7 @@ mod tests {
         // bumpers meet at 1.1 s; the step before the first one looked at with contact goes too
         assert_eq!(counts.get(0).sum(Kind::Float).double_value(&[]), 10.0);
         assert_eq!(counts.get(1).sum(Kind::Float).double_value(&[]), STEPS as f64);
-        let alone = batch.with_identity_graph();
+        let alone = Batch::new(vec![cars(&[10.0])], Device::Cpu).unwrap();
         assert!(Neighbours::new(&alone, &targets).is_none());
     }
 }

@@ -241,10 +241,8 @@ impl Dataset {
     /// # Errors
     /// [`ModelError::Shape`] for an index out of range.
     pub fn batch(&self, indices: &[usize], noise: Option<Noise>, device: Device) -> Result<(Batch, Targets)> {
-        let samples = self.samples(indices, noise)?;
-        let features: Vec<&SceneFeatures> = samples.iter().map(|s| &s.0).collect();
-        let futures: Vec<&Futures> = samples.iter().map(|s| &s.1).collect();
-        let mut batch = Batch::new(&features, &self.config, device)?;
+        let (features, futures): (Vec<_>, Vec<_>) = self.samples(indices, noise)?.into_iter().unzip();
+        let mut batch = Batch::new(features, device)?;
         if self.config.network()?.road {
             let road = |at: &usize| self.scenes[self.samples[*at].0 as usize].road.clone();
             batch.roads = indices.iter().map(road).collect();

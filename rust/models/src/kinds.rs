@@ -32,7 +32,7 @@ fn of(name: &str) -> Result<&'static TorchKind> {
 /// [`crate::ModelError::Config`] for a configuration that it cannot be built from.
 pub fn build(p: &nn::Path, config: &ModelConfig) -> Result<Box<dyn PlanModel>> {
     config.network()?.check(config)?;
-    (of(config.kind.as_str())?.build)(p, config)
+    Ok((of(config.kind.as_str())?.build)(p, config))
 }
 
 impl TrainConfig {

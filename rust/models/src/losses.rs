@@ -47,11 +47,12 @@ pub(crate) fn plan_loss(
     collision_weight: f64,
     share: impl FnOnce() -> Tensor,
 ) -> Tensor {
-    let states = space.states(knots, &batch.speed_mps);
+    let speed_mps = batch.speed_mps();
+    let states = space.states(knots, &speed_mps);
     let neighbours = (collision_weight > 0.0).then(|| Neighbours::new(batch, targets)).flatten();
     let Some(neighbours) = neighbours else {
         return trajectory_loss(space, &states, targets, &targets.valid);
     };
-    let driven_into = neighbours.loss(space, knots, &batch.speed_mps, &share());
+    let driven_into = neighbours.loss(space, knots, &speed_mps, &share());
     trajectory_loss(space, &states, targets, &neighbours.examples(targets)) + driven_into * collision_weight
 }

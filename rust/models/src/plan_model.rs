@@ -6,72 +6,87 @@ use crate::error::Result;
 use crate::guidance::Guidance;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
-use crate::tape::Parameters;
+use crate::tape::{self, Parameters, Tape};
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use ccdiff_nets::networks::planner::{Asked, Proposes};
+use ccdiff_nets::compute::backend::Inputs;
+use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 
 /// Streams of random numbers of one training step; the last one moves agents off their log.
 const STREAMS: u64 = 4;
 
-/// A network from a batch to action knots.
+/// A backend that networks are trained on.
+pub trait Trains: for<'a> Inputs<Batch<'a> = Batch> {
+    /// Numbers as a tensor of torch's of a size, whose gradient goes back to them.
+    fn leaf(x: &Self::Tensor, size: &[i64]) -> Tensor;
+}
+
+/// A network that is trained on a backend.
+pub trait Learns<B: Trains>: Proposes<B> {
+    /// Loss of one batch of a training step, with its gradient.
+    fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
+
+    /// Sum of the negative logarithms of the probabilities of the logged tokens, and their number; `None` for other networks.
+    fn nats(&self, _: &Batch, _: &Targets) -> Option<(f64, usize)> {
+        None
+    }
+}
+
+/// A network on torch.
 pub trait PlanModel: Debug + Send {
     /// The space of its plans.
     fn space(&self) -> &PlanSpace;
 
-    /// Loss of one batch of a training step, with its gradient.
+    /// As [`Learns::loss`].
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor;
 
     /// The same loss of these numbers of the network, to which its gradient is added; `None` where the tape has no such loss.
-    fn learn(&self, _step: &TrainingStep<'_>, _parameters: &Parameters) -> Option<f64> {
-        None
-    }
+    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64>;
 
-    /// Sum of the negative logarithms of the probabilities of the logged tokens, and their number; `None` for other networks.
-    fn nats(&self, _batch: &Batch, _targets: &Targets) -> Option<(f64, usize)> {
-        None
-    }
+    /// As [`Learns::nats`].
+    fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)>;
 
-    /// Draws normalised knots for the rows of a batch; `guide` moves the plans on the way.
+    /// As [`Proposes::propose`].
     ///
     /// # Errors
     /// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
-    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples>;
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>)
+    -> Result<Proposed>;
 }
 
-/// Clean normalised knots [N · R, knots, 2], sample by sample, and attention [R, K, tokens, heads] of each sample in the
-/// first edge-aware layer, of a network that has it.
-pub type Samples = (Vec<f32>, Vec<Tensor>);
+type Learn = fn(&PlanSpace, &TrainingStep<'_>, &Parameters) -> f64;
 
-/// What a network that plans at once is trained with.
-pub trait Imitates: Proposes<Torch> + Send {
-    /// Loss of one batch of a training step, with its gradient.
-    fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
-
-    /// The same loss on the tape, as [`PlanModel::learn`].
-    fn learn(&self, _: &PlanSpace, _: &TrainingStep<'_>, _: &Parameters) -> Option<f64> {
-        None
-    }
-}
-
-/// A network that plans at once.
 #[derive(Debug)]
-pub(crate) struct Proposing<N> {
+struct Model<N> {
     network: N,
     space: PlanSpace,
+    learn: Option<Learn>,
 }
 
-/// One with fresh weights under a path.
-pub(crate) fn proposing<N: Imitates + 'static>(
+/// A network with fresh weights under a path, which learns on torch alone.
+pub(crate) fn on_torch<N: Learns<Torch> + Send + 'static>(
     p: &nn::Path,
     config: &ModelConfig,
-) -> Result<Box<dyn PlanModel>> {
-    Ok(Box::new(Proposing { network: N::new(p, config), space: PlanSpace::new(config, p.device()) }))
+) -> Box<dyn PlanModel> {
+    Box::new(Model { network: N::new(p, config), space: PlanSpace::new(config, p.device()), learn: None })
 }
 
-impl<N: Imitates> PlanModel for Proposing<N> {
+/// One that also learns on the tape, where it is `T`.
+pub(crate) fn on_tape<N: Learns<Torch> + Send + 'static, T: Learns<Tape>>(
+    p: &nn::Path,
+    config: &ModelConfig,
+) -> Box<dyn PlanModel> {
+    let learn: Learn = |space, step, parameters| {
+        let network = T::new(&parameters.root(), space.config());
+        tape::learnt(|| network.loss(space, step))
+    };
+    let (network, space) = (N::new(p, config), PlanSpace::new(config, p.device()));
+    Box::new(Model { network, space, learn: Some(learn) })
+}
+
+impl<N: Learns<Torch> + Send> PlanModel for Model<N> {
     fn space(&self) -> &PlanSpace {
         &self.space
     }
@@ -81,11 +96,20 @@ impl<N: Imitates> PlanModel for Proposing<N> {
     }
 
     fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
-        self.network.learn(&self.space, step, parameters)
+        self.learn.map(|learn| learn(&self.space, step, parameters))
     }
 
-    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>) -> Result<Samples> {
-        Ok((self.network.propose(batch, asked, guide)?, Vec::new()))
+    fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)> {
+        self.network.nats(batch, targets)
+    }
+
+    fn propose(
+        &self,
+        batch: &Batch,
+        asked: &Asked<'_>,
+        guide: Option<&mut Guidance<'_>>,
+    ) -> Result<Proposed> {
+        self.network.propose(batch, asked, guide)
     }
 }
 
@@ -95,7 +119,7 @@ pub struct TorchKind {
     /// Name of its [`ccdiff_nets::NetworkKind`].
     pub name: &'static str,
     /// Makes it with fresh weights under a path.
-    pub build: fn(&nn::Path, &ModelConfig) -> Result<Box<dyn PlanModel>>,
+    pub build: fn(&nn::Path, &ModelConfig) -> Box<dyn PlanModel>,
     /// Its settings of training in the preset `fast`, from those of most networks.
     pub fast: fn(TrainConfig) -> TrainConfig,
 }
@@ -145,16 +169,10 @@ pub(crate) fn taught_seeds(config: &TrainConfig, step: u64, scenes: usize) -> Ve
 
 /// The batch of a step with some routes untold, for a network that may know them.
 pub(crate) fn with_routes_dropped(batch: Batch, config: &TrainConfig, step: u64) -> Batch {
-    if batch.route.is_none() {
-        return batch;
-    }
     let draw = stream_of(config, step, 1);
     // after the numbers of the scenes, which drop their graph, one for each row
-    let first = batch.scene_sizes.len() as u64;
-    let rows = first..first + batch.num_rows() as u64;
-    let untold: Vec<bool> = rows.map(|at| draw.uniform(at) < config.drop_route).collect();
-    let untold = Tensor::from_slice(&untold).to_device(batch.speed_mps.device());
-    batch.with_routes_dropped(&untold)
+    let first = batch.scene_sizes.len();
+    batch.with_routes_dropped(|row| draw.uniform((first + row) as u64) < config.drop_route)
 }
 
 /// The numbers that move a step's agents off their log.

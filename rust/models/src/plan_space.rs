@@ -1,21 +1,26 @@
-//! The space that every planning network plans in: normalised action knots, and what they say of actions and states.
+//! The space that every planning network plans in, as tensors: normalised action knots, and what they say of actions and states.
 
 use crate::config::ModelConfig;
-use crate::layers::inputs::standardise;
-use crate::unicycle::{self, Knots};
+use crate::unicycle;
+use ccdiff_nets::inputs::unicycle::knot_weights;
 use tch::{Device, Kind, Tensor};
 
 /// Maps between normalised knots [R, knots, 2], physical actions [R, T, 2] and states [R, T, 6].
 #[derive(Debug)]
 pub struct PlanSpace {
     config: ModelConfig,
-    knots: Knots,
+    /// From knots to actions, and to the knots that fit actions best in the least-squares sense.
+    spread: Tensor,
+    fit: Tensor,
 }
 
 impl PlanSpace {
     /// The space of a configuration, on a device.
     pub fn new(config: &ModelConfig, device: Device) -> Self {
-        Self { knots: Knots::new(config, device), config: config.clone() }
+        let size = [config.horizon_steps as i64, config.num_knots() as i64];
+        let spread = Tensor::from_slice(&knot_weights(config)).view(size);
+        let fit = spread.to_kind(Kind::Double).linalg_pinv(1e-12, false).to_kind(Kind::Float);
+        Self { config: config.clone(), spread: spread.to_device(device), fit: fit.to_device(device) }
     }
 
     /// The configuration.
@@ -25,26 +30,19 @@ impl PlanSpace {
 
     /// Normalised knots [R, knots, 2] of these numbers.
     pub fn knots(&self, numbers: &[f32]) -> Tensor {
-        self.knots.placed(numbers)
+        Tensor::from_slice(numbers).view([-1, self.spread.size()[1], 2]).to_device(self.spread.device())
     }
 
     /// Physical actions [R, T, 2] of normalised knots [R, knots, 2].
     pub fn actions(&self, knots: &Tensor) -> Tensor {
         let n = &self.config.normalisation;
-        let row = |v: &[f64]| Tensor::from_slice(v).to_kind(Kind::Float).to_device(knots.device());
-        self.knots.spread(&(knots * row(&n.action_std) + row(&n.action_mean)))
-    }
-
-    /// Normalised actions [R, 2] of physical ones.
-    pub fn normalised(&self, actions: &Tensor) -> Tensor {
-        let n = &self.config.normalisation;
-        standardise(actions, &n.action_mean, &n.action_std)
+        self.spread.matmul(&(knots * row(&n.action_std, knots) + row(&n.action_mean, knots)))
     }
 
     /// Normalised knots [R, knots, 2] that fit physical actions [R, T, 2] best.
     pub fn knots_of(&self, actions: &Tensor) -> Tensor {
         let n = &self.config.normalisation;
-        standardise(&self.knots.fit(actions), &n.action_mean, &n.action_std)
+        standardise(&self.fit.matmul(actions), &n.action_mean, &n.action_std)
     }
 
     /// States [R, T, 6] of normalised knots, rolled out through the unicycle.
@@ -56,5 +54,32 @@ impl PlanSpace {
     pub fn standardised_states(&self, states: &Tensor) -> Tensor {
         let n = &self.config.normalisation;
         standardise(states, &n.trajectory_mean, &n.trajectory_std)
+    }
+}
+
+fn row(numbers: &[f64], beside: &Tensor) -> Tensor {
+    Tensor::from_slice(numbers).to_kind(Kind::Float).to_device(beside.device())
+}
+
+/// (x - mean) / std over the last dimension.
+fn standardise(x: &Tensor, mean: &[f64], std: &[f64]) -> Tensor {
+    (x - row(mean, x)) / row(std, x)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn knots_reproduce_what_is_linear_between_them_and_are_the_identity_at_stride_one() {
+        let fast = ModelConfig::fast();
+        let space = PlanSpace::new(&fast, Device::Cpu);
+        let z = Tensor::from_slice(&crate::noise::Noise::new(1, 1).normals(26)).view([1, 13, 2]);
+        assert!(space.knots_of(&space.actions(&z)).allclose(&z, 1e-4, 1e-4, false));
+        let paper = knot_weights(&ModelConfig::paper());
+        for (i, w) in paper.iter().enumerate() {
+            assert_eq!(*w, if i / 52 == i % 52 { 1.0 } else { 0.0 });
+        }
+        assert!(knot_weights(&fast).chunks(13).all(|r| (r.iter().sum::<f32>() - 1.0).abs() < 1e-6));
     }
 }

@@ -2,13 +2,14 @@
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;
-use crate::layers::inputs;
-use crate::layers::social::{Slots, mix, weights};
-use crate::plan_space::PlanSpace;
+use crate::plan_model::Trains;
+use crate::slots::{Slots, mix, weights};
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
-use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
+use ccdiff_nets::compute::cpu::{Array, Cpu};
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
 use ccdiff_nets::networks::trunk::Encoded;
+use ccdiff_nets::sampling::plan_space::PlanSpace;
+use std::ops::Range;
 use tch::{Device, Kind, Tensor, nn};
 
 /// Layers on libtorch.
@@ -32,11 +33,9 @@ impl Ops for Torch {
     type Norm = nn::LayerNorm;
     type Filter = nn::Conv1D;
     type Groups = nn::GroupNorm;
-    type Space = PlanSpace;
     type Slots = Slots;
     type Mask = Tensor;
     type Attention = Tensor;
-    type Steps = Tensor;
     type Path<'a> = nn::Path<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
@@ -69,28 +68,17 @@ impl Ops for Torch {
         nn::group_norm(p, groups, width, Default::default())
     }
 
-    fn space(p: &nn::Path<'_>, config: &ModelConfig) -> PlanSpace {
-        PlanSpace::new(config, p.device())
-    }
-
     fn table(p: &nn::Path<'_>, numbers: &[f32], width: i64) -> Tensor {
-        Tensor::from_slice(numbers).view([-1, width]).to_device(p.device())
+        Tensor::from_slice(numbers).view([1, -1, width]).to_device(p.device())
     }
 
     fn numbers(x: &Tensor) -> Vec<f32> {
         to_vec(x)
     }
 
-    fn placed(beside: &Tensor, numbers: Vec<f32>, tokens: usize, width: usize) -> Tensor {
-        Tensor::from_slice(&numbers).view([-1, tokens as i64, width as i64]).to_device(beside.device())
-    }
-
-    fn apply(layer: &nn::Linear, x: &Tensor) -> Tensor {
-        x.apply(layer)
-    }
-
-    fn apply_relu(layer: &nn::Linear, x: &Tensor) -> Tensor {
-        x.apply(layer).relu()
+    fn layer(layer: &nn::Linear, x: &Tensor, relu: bool) -> Tensor {
+        let y = x.apply(layer);
+        if relu { y.relu() } else { y }
     }
 
     fn apply_joint(Joint(layer, width): &Joint, tokens: &Tensor, edges: &Tensor) -> KeyValue<Self> {
@@ -124,15 +112,11 @@ impl Ops for Torch {
         x + y
     }
 
-    fn sum_table(x: Tensor, table: &Tensor) -> Tensor {
-        x + table
-    }
-
-    fn sum_token(x: Tensor, y: &Tensor) -> Tensor {
+    fn sum_shared(x: Tensor, y: &Tensor) -> Tensor {
         x + y
     }
 
-    fn cut(x: Tensor, width: i64) -> Tensor {
+    fn cut(x: &Tensor, width: i64) -> Tensor {
         x.reshape([x.size()[0], -1, width])
     }
 
@@ -144,10 +128,6 @@ impl Ops for Torch {
         Tensor::cat(&[x, y], -1)
     }
 
-    fn joined(x: &Tensor) -> Tensor {
-        x.flatten(1, 2).unsqueeze(1)
-    }
-
     fn scaled(x: &Tensor, factor: &Tensor) -> Tensor {
         x * factor
     }
@@ -156,12 +136,9 @@ impl Ops for Torch {
         x.amax([1i64].as_slice(), true)
     }
 
-    fn at_step(beside: &Tensor, rows: usize, step: usize) -> Tensor {
-        Tensor::full([rows as i64], step as i64, (Kind::Int64, beside.device()))
-    }
-
-    fn rows_of(table: &Tensor, steps: &Tensor) -> Tensor {
-        table.index_select(0, steps).unsqueeze(1)
+    fn rows_of(table: &Tensor, steps: &[usize]) -> Tensor {
+        let steps: Vec<i64> = steps.iter().map(|step| *step as i64).collect();
+        table.index_select(1, &Tensor::from_slice(&steps).to_device(table.device())).transpose(0, 1)
     }
 
     fn mish(x: &Tensor) -> Tensor {
@@ -204,9 +181,8 @@ impl Ops for Torch {
     }
 
     fn plan(space: &PlanSpace, noisy: &Tensor, speed: &Tensor) -> Tensor {
-        let config = space.config();
-        let plan = space.standardised_states(&space.states(noisy, speed));
-        plan.reshape([-1, config.num_knots() as i64, 6 * config.knot_stride as i64])
+        let knots = Array::new(noisy.size()[1] as usize, 2, to_vec(noisy));
+        tensor(Cpu::plan(space, &knots, &Array::new(1, 1, to_vec(speed))), noisy.device())
     }
 
     fn stream(history: &Tensor, plan: Tensor, carried: bool, steps: Tensor) -> Tensor {
@@ -217,57 +193,70 @@ impl Ops for Torch {
     fn last(x: &Tensor, count: i64) -> Tensor {
         x.narrow(-2, x.size()[x.dim() - 2] - count, count)
     }
+
+    fn mean_attention(samples: &[Tensor], _: &Slots, tokens: Range<usize>) -> Vec<f32> {
+        // samples, rows, slots, tokens, heads
+        let plan = Tensor::stack(samples, 0).narrow(3, tokens.start as i64, tokens.len() as i64);
+        to_vec(&plan.mean_dim([0i64, 3, 4].as_slice(), false, Kind::Float))
+    }
 }
 
 impl Inputs for Torch {
     type Batch<'a> = Batch;
 
+    fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
+        batch.clone().with_graph_dropped(|_| true)
+    }
+
+    fn placed(batch: &Batch, numbers: Vec<f32>, tokens: usize, width: usize) -> Tensor {
+        tensor(Array::new(tokens, width, numbers), batch.device)
+    }
+
     fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
-        inputs::standardised_history(&batch.history, config)
+        tensor(Cpu::history(&batch.numbers(), config), batch.device)
     }
 
     fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
-        let past = batch.history.narrow(2, 7, 1).squeeze_dim(2).gt(0.5);
+        let past = Self::history(batch, config).select(2, 7).gt(0.5);
         let future = past.narrow(1, config.history_steps as i64 - 1, 1);
         let future = future.expand([-1, config.num_knots() as i64], false);
         Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
     }
 
     fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
-        let route = batch.route.as_ref()?.unsqueeze(1);
-        let told = route.narrow(2, 0, 1);
-        let places = route.narrow(2, 1, route.size()[2] - 1) / ROUTE_SCALE_M;
-        Some((Tensor::cat(&[&told, &places], 2), told))
+        let (route, told) = Cpu::route(&batch.numbers())?;
+        Some((tensor(route, batch.device), tensor(told, batch.device)))
     }
 
     fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        let (edges, available) = inputs::at_tokens(&batch.edges, config);
-        (edges, Slots::new(&batch.neighbours, &batch.is_edge, &available))
+        Slots::at_tokens(&batch.neighbourhood(), config)
     }
 
     fn edges_now(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        // the first token's edges are those of now
-        let (edges, available) = inputs::at_tokens(&batch.edges, config);
-        let slots = Slots::new(&batch.neighbours, &batch.is_edge, &available.narrow(2, 0, 1));
-        (edges.narrow(2, 0, 1), slots)
+        Slots::now(&batch.neighbourhood(), config)
     }
 
     fn standard_speed(batch: &Batch, config: &ModelConfig) -> Tensor {
-        let n = &config.normalisation;
-        ((&batch.speed_mps - n.trajectory_mean[2]) / n.trajectory_std[2]).view([-1, 1, 1])
+        tensor(Cpu::standard_speed(&batch.numbers(), config), batch.device)
     }
 
     fn speed(batch: &Batch) -> Tensor {
-        batch.speed_mps.shallow_clone()
+        tensor(Cpu::speed(&batch.numbers()), batch.device)
     }
 
     fn lines(batch: &Batch) -> Option<Tensor> {
-        batch.lines.as_ref().map(Tensor::shallow_clone)
+        Cpu::lines(&batch.numbers()).map(|lines| tensor(lines, batch.device))
     }
 
     fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {
-        let tokens = &batch.tokens;
-        (tokens.own.unsqueeze(1), tokens.near.shallow_clone(), tokens.yaw_rate_radps.clone())
+        let (own, near, yaw_rate_radps) = Cpu::tokens(&batch.numbers());
+        (tensor(own, batch.device), tensor(near, batch.device), yaw_rate_radps)
+    }
+}
+
+impl Trains for Torch {
+    fn leaf(x: &Tensor, size: &[i64]) -> Tensor {
+        x.view(size)
     }
 }
 
@@ -291,6 +280,10 @@ impl Pulls for Torch {
             to_vec(&leaf.grad())
         })
     }
+}
+
+fn tensor(x: Array, device: Device) -> Tensor {
+    Tensor::from_slice(&x.numbers).view([-1, x.tokens as i64, x.width as i64]).to_device(device)
 }
 
 /// The numbers of a tensor.

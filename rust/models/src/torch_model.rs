@@ -9,18 +9,16 @@ use crate::grad::guarded;
 use crate::guidance::Guidance;
 use crate::kinds::build;
 use crate::plan_model::PlanModel;
-use crate::torch::to_vec;
 use crate::traffic::{CcdiffConfig, PlannedTraffic};
 use crate::trajectory_model::{Drawn, PlanOptions, PlanSampler, TrajectoryModel};
 use ccdiff_nets::compute::weights::{self, Entry};
 use ccdiff_nets::networks::cpu_planner::drawn;
 use ccdiff_nets::networks::kinds::described;
-use ccdiff_nets::networks::planner::Asked;
 use ccdiff_nets::sampling::plan_space::PlanSpace;
 use ccdiff_nets::traffic::planning_pool;
 use std::collections::BTreeMap;
 use std::path::Path;
-use tch::{Device, Kind, Tensor, nn};
+use tch::{Device, Tensor, nn};
 
 /// A network on torch with the weights of a file.
 #[derive(Debug)]
@@ -73,24 +71,16 @@ impl PlanSampler for TorchModel {
 
     fn draw(
         &self,
-        scenes: &[&SceneFeatures],
+        scenes: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         guarded(false, "planning", || {
-            let config = self.network.space().config();
-            let batch = Batch::new(scenes, config, self.device)?;
-            let asked = Asked { rows: batch.rows(), seeds, options: options.sampling };
-            let (knots, attention) = self.network.propose(&batch, &asked, guide)?;
-            let attention = (options.attention && !attention.is_empty()).then(|| {
-                // samples, rows, slots, tokens, heads
-                let history = config.history_token_steps().len() as i64;
-                let executed = options.executed_tokens(config) as i64;
-                let plan = Tensor::stack(&attention, 0).narrow(3, history, executed);
-                to_vec(&plan.mean_dim([0i64, 3, 4].as_slice(), false, Kind::Float))
-            });
-            Ok(drawn(&PlanSpace::new(config), scenes, knots, attention))
+            let (config, batch) = (self.network.space().config(), Batch::new(scenes.to_vec(), self.device)?);
+            let asked = options.asked(batch.rows(), seeds, config);
+            let proposed = self.network.propose(&batch, &asked, guide)?;
+            Ok(drawn(&PlanSpace::new(config), scenes, proposed))
         })
     }
 }

@@ -1,10 +1,9 @@
-//! The unicycle as tensors (reference.md#unicycle), and action knots.
+//! The unicycle as tensors (reference.md#unicycle).
 //!
 //! This is the rollout of a *plan*: the cumulative sum of accelerations is clipped ("parallel" mode), which differs
 //! from integrating step by step once a bound is hit.
 
-use crate::config::ModelConfig;
-use ccdiff_nets::inputs::unicycle::{knot_weights, plan_limits};
+use ccdiff_nets::inputs::unicycle::plan_limits;
 use ccdiff_sim::dynamics::UnicycleLimits;
 use tch::{Kind, Tensor};
 
@@ -35,38 +34,6 @@ pub fn rollout(actions: &Tensor, speed_mps: &Tensor, dt_s: f64) -> Tensor {
     let x = (&step_m * yaw_before.cos()).cumsum(1, Kind::Float);
     let y = (&step_m * yaw_before.sin()).cumsum(1, Kind::Float);
     Tensor::stack(&[&x, &y, &after, &yaw_after, &acceleration, &yaw_rate], 2)
-}
-
-/// Linear maps between knots and actions.
-#[derive(Debug)]
-pub struct Knots {
-    spread: Tensor,
-    fit: Tensor,
-}
-
-impl Knots {
-    /// Maps of a configuration, on a device.
-    pub fn new(config: &ModelConfig, device: tch::Device) -> Self {
-        let size = [config.horizon_steps as i64, config.num_knots() as i64];
-        let spread = Tensor::from_slice(&knot_weights(config)).view(size);
-        let fit = spread.to_kind(Kind::Double).linalg_pinv(1e-12, false).to_kind(Kind::Float);
-        Self { spread: spread.to_device(device), fit: fit.to_device(device) }
-    }
-
-    /// Knots [R, knots, 2] of these numbers.
-    pub fn placed(&self, numbers: &[f32]) -> Tensor {
-        Tensor::from_slice(numbers).view([-1, self.spread.size()[1], 2]).to_device(self.spread.device())
-    }
-
-    /// Actions [R, T, 2] of knots [R, knots, 2].
-    pub fn spread(&self, knots: &Tensor) -> Tensor {
-        self.spread.matmul(knots)
-    }
-
-    /// Knots [R, knots, 2] that fit actions [R, T, 2] best in the least-squares sense.
-    pub fn fit(&self, actions: &Tensor) -> Tensor {
-        self.fit.matmul(actions)
-    }
 }
 
 #[cfg(test)]
@@ -151,20 +118,5 @@ mod tests {
             assert!((state[2] - rolled[t * 6 + 2]).abs() < 0.1, "speed at {t}");
             assert!((state[5] - actions[t][1]).abs() < 1e-3, "yaw rate at {t}");
         }
-    }
-
-    #[test]
-    fn knots_reproduce_what_is_linear_between_them_and_are_the_identity_at_stride_one() {
-        let fast = ModelConfig::fast();
-        let knots = Knots::new(&fast, tch::Device::Cpu);
-        let z = Tensor::from_slice(&crate::noise::Noise::new(1, 1).normals(26)).view([1, 13, 2]);
-        let back = knots.fit(&knots.spread(&z));
-        assert!(back.allclose(&z, 1e-4, 1e-4, false));
-        let paper = knot_weights(&ModelConfig::paper());
-        for (i, w) in paper.iter().enumerate() {
-            assert_eq!(*w, if i / 52 == i % 52 { 1.0 } else { 0.0 });
-        }
-        let rows = knot_weights(&fast);
-        assert!(rows.chunks(13).all(|r| (r.iter().sum::<f32>() - 1.0).abs() < 1e-6));
     }
 }

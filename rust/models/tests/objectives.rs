@@ -10,6 +10,7 @@ use ccdiff_models::guidance::{
     Rollout, StateGradient, TargetDistance, WorldGuidance,
 };
 use ccdiff_models::noise::Noise;
+use ccdiff_models::plan_space::PlanSpace;
 use ccdiff_models::unicycle;
 use ccdiff_sim::geom::{Point2, Polygon, Region};
 use common::toy::{BOTH_WAYS, T, evaluate, toy};
@@ -97,14 +98,8 @@ fn the_knots_adjoint_is_the_transpose_of_their_spread() {
         let left: f32 = (0..2 * T).map(|k| (out[k] - at_zero[k]) * of_actions[k]).sum();
         let right: f32 = knots.iter().zip(&back).map(|(a, b)| a * b).sum();
         assert!((left - right).abs() < 1e-3 * left.abs().max(1.0), "{left} {right}");
-        let unit = unicycle::Knots::new(&model, tch::Device::Cpu);
-        let n = &model.normalisation;
-        let physical: Vec<f32> = knots
-            .iter()
-            .enumerate()
-            .map(|(k, v)| v * n.action_std[k % 2] as f32 + n.action_mean[k % 2] as f32)
-            .collect();
-        let theirs = to_vec(&unit.spread(&Tensor::from_slice(&physical).view([1, -1, 2])));
+        let space = PlanSpace::new(&model, tch::Device::Cpu);
+        let theirs = to_vec(&space.actions(&Tensor::from_slice(&knots).view([1, -1, 2])));
         assert!(out.iter().zip(&theirs).all(|(a, b)| (a - b).abs() < 1e-5));
     }
 }

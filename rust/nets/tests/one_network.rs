@@ -11,12 +11,12 @@ mod cruise {
     use ccdiff_nets::compute::backend::Backend;
     use ccdiff_nets::compute::cpu::Cpu;
     use ccdiff_nets::guidance::Guidance;
-    use ccdiff_nets::networks::cpu_planner::proposing;
-    use ccdiff_nets::networks::planner::{Asked, Proposes, Weighted};
+    use ccdiff_nets::networks::cpu_planner::on_cpu;
+    use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes, Weighted};
     use ccdiff_nets::{ModelConfig, NetworkKind, Result};
 
     pub(crate) const CRUISE: NetworkKind =
-        NetworkKind { one_plan: true, ..NetworkKind::of("cruise", "Cruise", proposing::<Cruise<Cpu>>) };
+        NetworkKind { one_plan: true, ..NetworkKind::of("cruise", "Cruise", on_cpu::<Cruise<Cpu>>) };
 
     /// Accelerations and yaw rates by one linear layer from the speed.
     #[derive(Debug)]
@@ -38,9 +38,9 @@ mod cruise {
             batch: &B::Batch<'_>,
             asked: &Asked<'_>,
             _: Option<&mut Guidance<'_>>,
-        ) -> Result<Vec<f32>> {
+        ) -> Result<Proposed> {
             let knots = B::apply(&self.0, &B::standard_speed(batch, &self.1));
-            Ok(B::numbers(&knots).repeat(asked.options.num_samples))
+            Ok((B::numbers(&knots).repeat(asked.options.num_samples), None))
         }
     }
 }
@@ -72,7 +72,7 @@ fn a_new_network_plans_from_its_weights_and_names_what_they_lack() {
     assert!(lacks.contains("head.bias"), "{lacks}");
     tensors.insert("head.bias".into(), (vec![2 * knots], bias));
     let features = (cruise::CRUISE.features)(&window, None, &config).unwrap();
-    let plans = made(tensors).unwrap().draw(&[&features], &[7], &PlanOptions::default(), None).unwrap();
+    let plans = made(tensors).unwrap().draw(&[features], &[7], &PlanOptions::default(), None).unwrap();
     for (row, speed) in speeds.iter().enumerate() {
         let end = &plans.states[((row + 1) * config.horizon_steps - 1) * 6..];
         let gained = 0.1 * config.horizon_steps as f32;

@@ -1,19 +1,17 @@
 //! The loss of BITS.
 
-use crate::batch::Batch;
+use crate::batch::Targets;
 use crate::losses::plan_loss;
-use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, Trains, on_tape};
 use crate::plan_space::PlanSpace;
-use crate::tape::{self, Parameters, Tape};
+use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
-use ccdiff_nets::compute::backend::Inputs;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
-use ccdiff_nets::networks::planner::Weighted;
 use tch::{Kind, Tensor};
 
 /// BITS.
 pub(crate) const BITS: TorchKind =
-    TorchKind { name: "bits", build: proposing::<Bits<Torch>>, fast: |settings| settings };
+    TorchKind { name: "bits", build: on_tape::<Bits<Torch>, Bits<Tape>>, fast: |settings| settings };
 
 /// Where vehicles are at the end of their logged plans.
 struct Ends {
@@ -21,12 +19,12 @@ struct Ends {
     cell: Tensor,
     /// Place within the cell [R, 2].
     within: Tensor,
-    /// The cells as goals [R, 1, [`GOAL`]].
-    goals: Tensor,
+    /// The cells as goals [R, [`GOAL`]].
+    goals: Vec<f32>,
 }
 
 impl Ends {
-    fn new(targets: &crate::batch::Targets) -> Self {
+    fn new(targets: &Targets) -> Self {
         let (states, valid) = (to_vec(&targets.states), to_vec(&targets.valid));
         let steps = targets.valid.size()[1] as usize;
         let (mut cells, mut places, mut goals) = (Vec::new(), Vec::new(), Vec::new());
@@ -39,61 +37,45 @@ impl Ends {
             goals.extend(Grid::goal(cell, within, [yaw.cos(), yaw.sin()]));
         }
         let device = targets.valid.device();
-        let put = |v: &[f32], size: &[i64]| Tensor::from_slice(v).view(size).to_device(device);
         Self {
             cell: Tensor::from_slice(&cells).view([-1, 1]).to_device(device),
-            within: put(&places, &[-1, 2]),
-            goals: put(&goals, &[-1, 1, GOAL as i64]),
+            within: Tensor::from_slice(&places).view([-1, 2]).to_device(device),
+            goals,
         }
     }
 }
 
-impl Imitates for Bits<Torch> {
+impl<B: Trains> Learns<B> for Bits<B> {
+    /// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the plan to that
+    /// goal and of the prediction.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
-        loss_of(self, space, step, Tensor::shallow_clone, |x, size| x.view(size))
+        let (batch, targets) = (step.batch, step.targets);
+        let seen = self.encode(batch);
+        let Some(cells) = self.cells(&seen) else { return Tensor::new() };
+        let (rows, per_token) = (batch.num_rows() as i64, PER_TOKEN as i64);
+        let cells = B::leaf(&cells, &[rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
+        let Ends { cell, within, goals } = Ends::new(targets);
+        // a cell counts where it is that of the last step of a plan
+        let whole = targets.valid.select(1, targets.valid.size()[1] - 1);
+        let mean = |loss: Tensor| (loss * &whole).sum(Kind::Float) / whole.sum(Kind::Float).clamp_min(1.0);
+        let entropy = -cells.select(1, 0).log_softmax(1, Kind::Float).gather(1, &cell, false);
+        let index = cell.unsqueeze(1).expand([-1, CHANNELS as i64, 1], false);
+        let there = cells.gather(2, &index, false).squeeze_dim(2);
+        let place = (there.narrow(1, 1, 2).sigmoid() - within).square();
+        let place = place.mean_dim([1i64].as_slice(), false, Kind::Float);
+        let heading = unit(&there);
+        let wanted = Tensor::from_slice(&goals).view([rows, -1]).to_device(batch.device);
+        let toward = |c: i64| heading.select(1, c) * wanted.select(1, 2 + c);
+        let turned = 1f64 - (toward(0) + toward(1));
+        let share = || Tensor::ones([rows], (Kind::Float, cells.device()));
+        let weight = step.config.collision_weight;
+        let to_log = |knots| plan_loss(space, &B::leaf(knots, &[rows, -1, 2]), batch, targets, weight, share);
+        mean(entropy.squeeze_dim(1))
+            + mean(place)
+            + mean(turned)
+            + to_log(&self.plans(&seen, &B::placed(batch, goals, 1, GOAL)))
+            + to_log(&self.predicted(&seen))
     }
-
-    fn learn(&self, space: &PlanSpace, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
-        let network = Bits::<Tape>::new(&parameters.root(), space.config());
-        Some(tape::learnt(|| loss_of(&network, space, step, |goals| tape::data(goals, 1), tape::leaf)))
-    }
-}
-
-/// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the plan to that
-/// goal and of the prediction. `given` and `leaf` make tensors of the backend of torch's and back, those in a shape.
-fn loss_of<B: for<'a> Inputs<Batch<'a> = Batch>>(
-    network: &Bits<B>,
-    space: &PlanSpace,
-    step: &TrainingStep<'_>,
-    given: impl Fn(&Tensor) -> B::Tensor,
-    leaf: impl Fn(&B::Tensor, &[i64]) -> Tensor,
-) -> Tensor {
-    let (batch, targets) = (step.batch, step.targets);
-    let seen = network.encode(batch);
-    let Some(cells) = network.cells(&seen) else { return Tensor::new() };
-    let (rows, per_token) = (batch.num_rows(), PER_TOKEN as i64);
-    let cells = leaf(&cells, &[rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
-    let Ends { cell, within, goals } = Ends::new(targets);
-    // a cell counts where it is that of the last step of a plan
-    let whole = targets.valid.select(1, targets.valid.size()[1] - 1);
-    let mean = |loss: Tensor| (loss * &whole).sum(Kind::Float) / whole.sum(Kind::Float).clamp_min(1.0);
-    let entropy = -cells.select(1, 0).log_softmax(1, Kind::Float).gather(1, &cell, false);
-    let index = cell.unsqueeze(1).expand([-1, CHANNELS as i64, 1], false);
-    let there = cells.gather(2, &index, false).squeeze_dim(2);
-    let place = (there.narrow(1, 1, 2).sigmoid() - within).square();
-    let place = place.mean_dim([1i64].as_slice(), false, Kind::Float);
-    let heading = unit(&there);
-    let toward = |c: i64| heading.select(1, c) * goals.select(2, 2 + c).squeeze_dim(1);
-    let turned = 1f64 - (toward(0) + toward(1));
-    let share = || Tensor::ones([rows], (Kind::Float, cells.device()));
-    let weight = step.config.collision_weight;
-    let to_log =
-        |knots: &B::Tensor| plan_loss(space, &leaf(knots, &[rows, -1, 2]), batch, targets, weight, share);
-    mean(entropy.squeeze_dim(1))
-        + mean(place)
-        + mean(turned)
-        + to_log(&network.plans(&seen, &given(&goals)))
-        + to_log(&network.predicted(&seen))
 }
 
 /// Cosine and sine [R, 2] of the headings in cells' channels [R, 5].

@@ -6,7 +6,7 @@ use super::distributions::Gaussian;
 use crate::batch::Targets;
 use crate::guidance::MOVING_MPS;
 use crate::losses::{logged_actions, trajectory_loss};
-use crate::plan_model::{Imitates, TorchKind, TrainingStep, proposing};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
@@ -23,7 +23,7 @@ const OFF_ROAD: f64 = 0.1;
 
 /// TrafficSim.
 pub(crate) const TRAFFICSIM: TorchKind =
-    TorchKind { name: "trafficsim", build: proposing::<Cvae<Torch>>, fast: with_own_contact };
+    TorchKind { name: "trafficsim", build: on_torch::<Cvae<Torch>>, fast: with_own_contact };
 /// STRIVE.
 pub(crate) const STRIVE: TorchKind = TorchKind { name: "strive", ..TRAFFICSIM };
 
@@ -46,7 +46,7 @@ fn posterior(network: &Cvae<Torch>, space: &PlanSpace, seen: &Encoded<Torch>, ta
 /// Distance of plans to the log, and what else the form asks of them.
 fn imitation(form: Form, space: &PlanSpace, step: &TrainingStep<'_>, knots: &Tensor) -> Tensor {
     let (batch, targets) = (step.batch, step.targets);
-    let states = || space.states(knots, &batch.speed_mps);
+    let states = || space.states(knots, &batch.speed_mps());
     match form {
         Form::Trafficsim => huber(space, &states(), targets),
         Form::Strive => trajectory_loss(space, &states(), targets, &targets.valid),
@@ -56,7 +56,7 @@ fn imitation(form: Form, space: &PlanSpace, step: &TrainingStep<'_>, knots: &Ten
 /// What sampled plans of all agents may not do to each other and to the road.
 fn together(form: Form, space: &PlanSpace, step: &TrainingStep<'_>, knots: &Tensor) -> Tensor {
     let batch = step.batch;
-    let states = space.states(knots, &batch.speed_mps);
+    let states = space.states(knots, &batch.speed_mps());
     let zero = || knots.sum(Kind::Float) * 0.0;
     let pairs = Pairs::new(batch);
     if form == Form::Trafficsim {
@@ -74,7 +74,7 @@ fn huber(space: &PlanSpace, states: &Tensor, targets: &Targets) -> Tensor {
     (per_step * &targets.valid).sum(Kind::Float) / targets.valid.sum(Kind::Float).clamp_min(1.0)
 }
 
-impl Imitates for Cvae<Torch> {
+impl Learns<Torch> for Cvae<Torch> {
     /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and
     /// what a sample of the prior does.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
@@ -86,7 +86,7 @@ impl Imitates for Cvae<Torch> {
             let numbers = step.draw(stream).normals(posterior.mean.numel());
             Tensor::from_slice(&numbers).view_as(&posterior.mean).to_device(posterior.mean.device())
         };
-        let decode = |z: Tensor| self.decode(&seen, &z.unsqueeze(1)).view([batch.num_rows(), -1, 2]);
+        let decode = |z: Tensor| self.decode(&seen, &z.unsqueeze(1)).view([batch.num_rows() as i64, -1, 2]);
         let knots = decode(posterior.sample(&normals(0)));
         let logged = targets.valid.amax([1i64].as_slice(), false);
         let divergence =

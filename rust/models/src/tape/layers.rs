@@ -2,7 +2,7 @@
 
 use super::{Node, Var};
 use ccdiff_nets::compute::cpu::Array;
-use ccdiff_nets::kernels::{self, Checked, PANEL, Packed, Strided};
+use ccdiff_nets::kernels::{self, How, PANEL, Packed, Strided};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -113,12 +113,12 @@ impl Linear {
     /// Tokens of the inputs' width to tokens of the outputs', then a ReLU if asked for.
     pub(super) fn apply(&self, x: &Var, relu: bool) -> Var {
         let mut numbers = Vec::new();
-        kernels::trained(&x.numbers, &self.0.packed, relu, &mut numbers);
+        kernels::linear(&x.numbers, &self.0.packed, relu, How::Fused, &mut numbers);
         let (part, from) = (Rc::clone(&self.0), x.clone());
         let made = Array::new(x.tokens, self.0.outputs, numbers);
         Var::made(made, true, move |made, mut gradient| {
             if relu {
-                kernels::relu_back(Checked::now(), &mut gradient, &made.numbers);
+                kernels::relu_back(&mut gradient, &made.numbers);
             }
             part.learn(&from.numbers, &gradient);
             if from.learns {
@@ -138,7 +138,7 @@ impl Part {
         let from = Strided { numbers: gradient, row: n, step: 1 };
         let padded = (wide != m).then(|| widened(&self.rows, m, wide));
         let weights = padded.as_deref().unwrap_or(&self.rows);
-        kernels::trained_matmul(from, (rows, n, wide), (weights, wide), &mut out, wide);
+        kernels::matmul(from, (rows, n, wide), (weights, wide), (&mut out, wide), How::Fused);
         if wide != m {
             out = out.chunks_exact(wide).flat_map(|row| &row[..m]).copied().collect();
         }
@@ -149,7 +149,7 @@ impl Part {
     fn learn(&self, x: &[f32], gradient: &[f32]) {
         let (m, n, mut all) = (self.inputs, self.outputs, self.gradient.borrow_mut());
         if let Some(bias) = self.bias {
-            kernels::add_rows(Checked::now(), gradient, &mut all[bias..bias + n]);
+            kernels::add_rows(gradient, &mut all[bias..bias + n]);
         }
         // of either side the columns are whole panels, or inputs are widened
         if m % PANEL != 0 && n % PANEL == 0 {
@@ -178,8 +178,8 @@ fn blocks((columns, m): (&[f32], usize), (rows, n): (&[f32], usize), out: &mut [
     let mut part = vec![0.0; n * m];
     for (columns, rows) in columns.chunks(BLOCK * m).zip(rows.chunks(BLOCK * n)) {
         let a = Strided { numbers: rows, row: 1, step: n };
-        kernels::trained_matmul(a, (n, rows.len() / n, m), (columns, m), &mut part, m);
-        kernels::add(Checked::now(), out, &part);
+        kernels::matmul(a, (n, rows.len() / n, m), (columns, m), (&mut part, m), How::Fused);
+        kernels::add(out, &part);
     }
 }
 
@@ -217,7 +217,7 @@ impl Norm {
         let norm = Rc::clone(&self.0);
         x.weighted(self.made(x.numbers.clone(), relu), move |made: &Node, x, mut gradient| {
             if relu {
-                kernels::relu_back(Checked::now(), &mut gradient, &made.numbers);
+                kernels::relu_back(&mut gradient, &made.numbers);
             }
             norm.back(x, &mut gradient);
             gradient
@@ -227,7 +227,7 @@ impl Norm {
     /// Normed sums.
     pub(super) fn of_sum(&self, x: &Var, y: &Var) -> Var {
         let mut sum = x.numbers.clone();
-        kernels::add(Checked::now(), &mut sum, &y.numbers);
+        kernels::add(&mut sum, &y.numbers);
         let (norm, x, y, numbers) = (Rc::clone(&self.0), x.clone(), y.clone(), self.made(sum.clone(), false));
         Var::made(y.like(numbers), true, move |_, mut gradient| {
             norm.back(&sum, &mut gradient);
@@ -237,7 +237,7 @@ impl Norm {
     }
 
     fn made(&self, mut numbers: Vec<f32>, relu: bool) -> Vec<f32> {
-        kernels::norm(Checked::now(), &mut numbers, &self.0.weight, &self.0.bias, relu);
+        kernels::norm(&mut numbers, &self.0.weight, &self.0.bias, relu);
         numbers
     }
 
@@ -284,7 +284,7 @@ impl NormPart {
     fn back(&self, x: &[f32], gradient: &mut [f32]) {
         let (mut all, width) = (self.gradient.borrow_mut(), self.weight.len());
         let (mut of_weight, mut of_bias) = (vec![0.0; width], vec![0.0; width]);
-        kernels::norm_back(Checked::now(), x, &self.weight, gradient, &mut of_weight, &mut of_bias);
+        kernels::norm_back(x, &self.weight, gradient, &mut of_weight, &mut of_bias);
         for (at, of) in self.at.into_iter().zip([of_weight, of_bias]) {
             all[at..at + width].iter_mut().zip(of).for_each(|(a, g)| *a += g);
         }

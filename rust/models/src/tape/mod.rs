@@ -2,7 +2,7 @@
 //!
 //! Every operation notes on this thread how gradients go through it; [`learnt`] walks the notes from the last to the first. Losses
 //! are torch's.
-//! Sums are those of [`kernels::trained`]: the same bits in every run on one kind of processor.
+//! Sums are those of [`kernels::How::Fused`]: the same bits in every run on one kind of processor.
 
 mod attention;
 mod layers;
@@ -11,9 +11,10 @@ mod ops;
 pub use layers::{Parameters, Place};
 
 use crate::config::{HistoryTokens, ModelConfig};
+use crate::plan_model::Trains;
 use crate::torch::to_vec;
 use ccdiff_nets::compute::cpu::Array;
-use ccdiff_nets::kernels::{self, Checked, PANEL};
+use ccdiff_nets::kernels::{self, PANEL};
 use std::cell::{Cell, RefCell};
 use std::fmt;
 use std::rc::Rc;
@@ -85,7 +86,7 @@ impl Node {
         if known.is_empty() {
             known = gradient;
         } else {
-            kernels::add(Checked::now(), &mut known, &gradient);
+            kernels::add(&mut known, &gradient);
         }
         self.gradient.set(known);
     }
@@ -127,19 +128,13 @@ impl Var {
     }
 }
 
-/// A tensor [R, .., width] that depends on no weight, as rows of so many tokens.
-pub fn data(tensor: &Tensor, tokens: usize) -> Var {
-    let numbers = to_vec(tensor);
-    let width = numbers.len() / (tensor.size()[0] as usize * tokens).max(1);
-    Var::data(tokens, width, numbers)
-}
-
-/// Numbers [..size] as a leaf of torch's, which hands back the gradient that it has then.
-pub fn leaf(x: &Var, size: &[i64]) -> Tensor {
-    let leaf = Tensor::from_slice(&x.numbers).view(size).set_requires_grad(true);
-    let (x, read) = (x.clone(), leaf.shallow_clone());
-    note(move || x.learn(to_vec(&read.grad())));
-    leaf
+impl Trains for Tape {
+    fn leaf(x: &Var, size: &[i64]) -> Tensor {
+        let leaf = Tensor::from_slice(&x.numbers).view(size).set_requires_grad(true);
+        let (x, read) = (x.clone(), leaf.shallow_clone());
+        note(move || x.learn(to_vec(&read.grad())));
+        leaf
+    }
 }
 
 /// The loss that is made of leaves; brings its gradient to all weights that they depend on.

@@ -1,19 +1,13 @@
 //! The operations with their gradients, and the inputs of networks.
 
-use super::attention::{Pairs, attended, mixed};
+use super::attention::{Mixed, attended};
 use super::layers::{Linear, Norm, Place};
-use super::{Tape, Var, data};
+use super::{Tape, Var};
 use crate::batch::Batch;
 use crate::config::ModelConfig;
-use crate::layers::inputs;
-use crate::torch::to_vec;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
-use ccdiff_nets::compute::cpu::{Array, Cpu};
-use ccdiff_nets::compute::layers::embed::ROUTE_SCALE_M;
-use ccdiff_nets::inputs::features::EDGE_FEATURES;
-use ccdiff_nets::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use ccdiff_nets::inputs::tokens::{NEAR, NEAR_NUMBERS};
-use ccdiff_nets::kernels::{self, Checked, Seen};
+use ccdiff_nets::compute::cpu::{Array, Cpu, Pairs};
+use ccdiff_nets::kernels;
 use ccdiff_nets::sampling::plan_space::PlanSpace;
 use std::convert::Infallible;
 use std::rc::Rc;
@@ -26,7 +20,7 @@ pub struct Filter(Linear, usize, usize);
 fn over_tokens(gradient: &[f32], tokens: usize, width: usize) -> Vec<f32> {
     let mut out = vec![0.0; gradient.len() / tokens];
     for (row, out) in gradient.chunks_exact(tokens * width).zip(out.chunks_exact_mut(width)) {
-        kernels::add_rows(Checked::now(), row, out);
+        kernels::add_rows(row, out);
     }
     out
 }
@@ -53,11 +47,9 @@ impl Ops for Tape {
     type Norm = Norm;
     type Filter = Filter;
     type Groups = (Norm, usize);
-    type Space = PlanSpace;
     type Slots = Pairs;
     type Mask = Infallible;
     type Attention = Vec<f32>;
-    type Steps = Vec<usize>;
     type Path<'a> = Place<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
@@ -65,10 +57,6 @@ impl Ops for Tape {
     }
 
     fn linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Linear {
-        Linear::new(p, inputs, outputs)
-    }
-
-    fn zero_linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Linear {
         Linear::new(p, inputs, outputs)
     }
 
@@ -89,28 +77,16 @@ impl Ops for Tape {
         (Norm::new(p, width), groups as usize)
     }
 
-    fn space(_: &Place<'_>, config: &ModelConfig) -> PlanSpace {
-        PlanSpace::new(config)
-    }
-
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Var {
-        Var::data(1, width as usize, numbers.to_vec())
+        Var::data(numbers.len() / width as usize, width as usize, numbers.to_vec())
     }
 
     fn numbers(x: &Var) -> Vec<f32> {
         x.numbers.clone()
     }
 
-    fn placed(_: &Var, numbers: Vec<f32>, tokens: usize, width: usize) -> Var {
-        Var::data(tokens, width, numbers)
-    }
-
-    fn apply(layer: &Linear, x: &Var) -> Var {
-        layer.apply(x, false)
-    }
-
-    fn apply_relu(layer: &Linear, x: &Var) -> Var {
-        layer.apply(x, true)
+    fn layer(layer: &Linear, x: &Var, relu: bool) -> Var {
+        layer.apply(x, relu)
     }
 
     fn apply_joint(layer: &[Linear; 2], tokens: &Var, edges: &Var) -> KeyValue<Self> {
@@ -154,27 +130,21 @@ impl Ops for Tape {
         })
     }
 
-    fn sum_table(x: Var, table: &Var) -> Var {
-        let (made, table) = (Cpu::sum_table(Array::clone(&x), table), table.clone());
-        Var::made(made, x.learns || table.learns, move |_, gradient| {
-            if table.learns {
-                let mut of = vec![0.0; table.numbers.len()];
-                kernels::add_rows(Checked::now(), &gradient, &mut of);
-                table.learn(of);
+    fn sum_shared(x: Var, y: &Var) -> Var {
+        let (made, y) = (Cpu::sum_shared(Array::clone(&x), y), y.clone());
+        Var::made(made, x.learns || y.learns, move |_, gradient| {
+            if y.learns && y.tokens != x.tokens {
+                y.learn(over_tokens(&gradient, x.tokens, x.width));
+            } else if y.learns {
+                let mut of = vec![0.0; y.numbers.len()];
+                kernels::add_rows(&gradient, &mut of);
+                y.learn(of);
             }
             x.learn(gradient);
         })
     }
 
-    fn sum_token(x: Var, y: &Var) -> Var {
-        let (made, y) = (Cpu::sum_token(Array::clone(&x), y), y.clone());
-        Var::made(made, x.learns || y.learns, move |_, gradient| {
-            y.learn(over_tokens(&gradient, x.tokens, x.width));
-            x.learn(gradient);
-        })
-    }
-
-    fn cut(x: Var, width: i64) -> Var {
+    fn cut(x: &Var, width: i64) -> Var {
         x.shaped(x.row() / width as usize, width as usize)
     }
 
@@ -199,17 +169,11 @@ impl Ops for Tape {
         })
     }
 
-    fn joined(x: &Var) -> Var {
-        x.shaped(1, x.row())
-    }
-
     fn scaled(x: &Var, factor: &Var) -> Var {
-        let (row, factor) = (x.row(), factor.clone());
-        let scale = move |numbers: &[f32]| -> Vec<f32> {
-            let rows = numbers.chunks_exact(row).zip(&factor.numbers);
-            rows.flat_map(|(row, f)| row.iter().map(move |v| v * f)).collect()
-        };
-        x.through(x.like(scale(&x.numbers)), move |_, gradient| scale(&gradient))
+        let factor = factor.clone();
+        x.through(Cpu::scaled(x, &factor), move |made, gradient| {
+            Cpu::scaled(&made.like(gradient), &factor).numbers
+        })
     }
 
     fn greatest(x: &Var) -> Var {
@@ -229,20 +193,15 @@ impl Ops for Tape {
         gathered(x, 1, width, places)
     }
 
-    fn at_step(_: &Var, rows: usize, step: usize) -> Vec<usize> {
-        vec![step; rows]
-    }
-
-    fn rows_of(table: &Var, steps: &Vec<usize>) -> Var {
-        let numbers = steps.iter().flat_map(|s| &table.numbers[s * table.width..(s + 1) * table.width]);
-        Var::data(1, table.width, numbers.copied().collect())
+    fn rows_of(table: &Var, steps: &[usize]) -> Var {
+        Var::of(Cpu::rows_of(table, steps))
     }
 
     fn mish(x: &Var) -> Var {
         let (mut numbers, from) = (x.numbers.clone(), x.clone());
-        kernels::mish(Checked::now(), &mut numbers);
+        kernels::mish(&mut numbers);
         x.through(x.like(numbers), move |_, mut gradient| {
-            kernels::mish_back(Checked::now(), &mut gradient, &from.numbers);
+            kernels::mish_back(&mut gradient, &from.numbers);
             gradient
         })
     }
@@ -252,7 +211,6 @@ impl Ops for Tape {
     }
 
     fn pool(q: &Var, elements: &Var, heads: i64) -> Var {
-        // a head is a query of its own
         let (heads, width) = (heads as usize, q.width);
         attended(&q.shaped(heads, width / heads), elements, elements, 1).shaped(1, width)
     }
@@ -264,11 +222,13 @@ impl Ops for Tape {
         slots: &Pairs,
         heads: i64,
     ) -> (Var, Vec<f32>) {
-        mixed(q, (k, v), Some((k_edge, v_edge)), &slots.others, heads as usize)
+        let (rows, edges) = ([q, k, v].map(Var::clone), Some([k_edge.clone(), v_edge.clone()]));
+        Mixed { seen: Rc::clone(&slots.others), heads: heads as usize, rows, edges }.made()
     }
 
     fn attend_all(q: &Var, (k, v): &KeyValue<Self>, slots: &Pairs, heads: i64) -> Var {
-        mixed(q, (k, v), None, &slots.all, heads as usize).0
+        let rows = [q, k, v].map(Var::clone);
+        Mixed { seen: Rc::clone(&slots.all), heads: heads as usize, rows, edges: None }.made().0
     }
 
     fn gated(a: &Var, g: &Var, h: &Var, own: Var) -> Var {
@@ -276,7 +236,7 @@ impl Ops for Tape {
         let (a, g, h) = (a.clone(), g.clone(), h.clone());
         Var::made(made, true, move |_, gradient| {
             let [mut of_a, mut of_g, mut of_own] = [&a, &g, &own].map(|x| x.numbers.clone());
-            kernels::gate_back(Checked::now(), &gradient, &mut of_a, &mut of_g, &h.numbers, &mut of_own);
+            kernels::gate_back(&gradient, &mut of_a, &mut of_g, &h.numbers, &mut of_own);
             a.learn(of_a);
             h.learn(of_g.clone());
             g.learn(of_g);
@@ -290,19 +250,19 @@ impl Ops for Tape {
     }
 
     fn stream(history: &Var, plan: Var, carried: bool, steps: Var) -> Var {
-        let (width, tokens, level) = (plan.width, plan.tokens, Checked::now());
+        let (width, tokens) = (plan.width, plan.tokens);
         let mut numbers = Vec::with_capacity(plan.numbers.len() + history.numbers.len());
         for (own, plan) in history.numbers.chunks_exact(width).zip(plan.numbers.chunks_exact(plan.row())) {
             let from = numbers.len();
             numbers.extend_from_slice(own);
             numbers.extend_from_slice(plan);
             if carried {
-                kernels::add_cycle(level, &mut numbers[from + width..], own);
+                kernels::add_cycle(&mut numbers[from + width..], own);
             }
         }
         let row = (1 + tokens) * width;
         for (numbers, steps) in numbers.chunks_exact_mut(row).zip(steps.numbers.chunks_exact(width)) {
-            kernels::add_cycle(level, numbers, steps);
+            kernels::add_cycle(numbers, steps);
         }
         let history = history.clone();
         Var::made(Array::new(1 + tokens, width, numbers), true, move |_, gradient| {
@@ -331,8 +291,16 @@ impl Ops for Tape {
 impl Inputs for Tape {
     type Batch<'a> = Batch;
 
+    fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
+        batch.clone().with_graph_dropped(|_| true)
+    }
+
+    fn placed(_: &Batch, numbers: Vec<f32>, tokens: usize, width: usize) -> Var {
+        Var::data(tokens, width, numbers)
+    }
+
     fn history(batch: &Batch, config: &ModelConfig) -> Var {
-        data(&inputs::standardised_history(&batch.history, config), config.history_steps)
+        Var::of(Cpu::history(&batch.numbers(), config))
     }
 
     fn mask(_: &Batch, _: &ModelConfig) -> Option<Infallible> {
@@ -340,64 +308,33 @@ impl Inputs for Tape {
     }
 
     fn route(batch: &Batch) -> Option<(Var, Var)> {
-        let mut numbers = to_vec(batch.route.as_ref()?);
-        let width = numbers.len() / batch.num_rows() as usize;
-        let told = numbers.iter().step_by(width).copied().collect();
-        for row in numbers.chunks_exact_mut(width) {
-            row[1..].iter_mut().for_each(|place| *place /= ROUTE_SCALE_M as f32);
-        }
-        Some((Var::data(1, width, numbers), Var::data(1, 1, told)))
+        Cpu::route(&batch.numbers()).map(|(route, told)| (Var::of(route), Var::of(told)))
     }
 
     fn edges(batch: &Batch, config: &ModelConfig) -> (Var, Pairs) {
-        seen(batch, config, 1 + config.num_knots())
+        let (edges, pairs) = Cpu::edges(&batch.numbers(), config);
+        (Var::of(edges), pairs)
     }
 
     fn edges_now(batch: &Batch, config: &ModelConfig) -> (Var, Pairs) {
-        seen(batch, config, 1)
+        let (edges, pairs) = Cpu::edges_now(&batch.numbers(), config);
+        (Var::of(edges), pairs)
     }
 
     fn standard_speed(batch: &Batch, config: &ModelConfig) -> Var {
-        let n = &config.normalisation;
-        let (mean, std) = (n.trajectory_mean[2] as f32, n.trajectory_std[2] as f32);
-        Var::data(1, 1, to_vec(&batch.speed_mps).into_iter().map(|v| (v - mean) / std).collect())
+        Var::of(Cpu::standard_speed(&batch.numbers(), config))
     }
 
     fn speed(batch: &Batch) -> Var {
-        data(&batch.speed_mps, 1)
+        Var::of(Cpu::speed(&batch.numbers()))
     }
 
     fn lines(batch: &Batch) -> Option<Var> {
-        batch.lines.as_ref().map(|lines| Var::data(NUM_SEGMENTS, SEGMENT_FEATURES, to_vec(lines)))
+        Cpu::lines(&batch.numbers()).map(Var::of)
     }
 
     fn tokens(batch: &Batch) -> (Var, Var, Vec<f32>) {
-        let near = Var::data(NEAR, NEAR_NUMBERS, to_vec(&batch.tokens.near));
-        (data(&batch.tokens.own, 1), near, batch.tokens.yaw_rate_radps.clone())
+        let (own, near, yaw_rate_radps) = Cpu::tokens(&batch.numbers());
+        (Var::of(own), Var::of(near), yaw_rate_radps)
     }
-}
-
-/// Edges of those that are seen at so many tokens from now on, and who is seen.
-fn seen(batch: &Batch, config: &ModelConfig, tokens: usize) -> (Var, Pairs) {
-    let (edges, available) = inputs::at_tokens(&batch.edges, config);
-    let is_edge = batch.is_edge.logical_and(&available.select(2, 0)).to_kind(tch::Kind::Float);
-    let (edges, is_edge) = (to_vec(&edges), to_vec(&is_edge));
-    let (rows, slots) = (batch.num_rows() as usize, batch.neighbours.size()[1] as usize);
-    let mut neighbours = vec![0i64; rows * slots];
-    batch.neighbours.to_device(tch::Device::Cpu).view([-1]).copy_data(&mut neighbours, rows * slots);
-    let per_slot = edges.len() / (rows * slots);
-    let (mut others, mut all, mut numbers) = (Seen::empty(), Seen::empty(), Vec::new());
-    for row in 0..rows {
-        let pair = |slot: usize| (neighbours[row * slots + slot] as usize, slot);
-        let found: Vec<usize> = (1..slots).filter(|slot| is_edge[row * slots + slot] > 0.5).collect();
-        all.push(std::iter::once(0).chain(found.iter().copied()).map(pair));
-        // alone: its own slot
-        let of = if found.is_empty() { vec![0] } else { found };
-        for slot in &of {
-            numbers
-                .extend_from_slice(&edges[(row * slots + slot) * per_slot..][..tokens * (EDGE_FEATURES - 1)]);
-        }
-        others.push(of.into_iter().map(pair));
-    }
-    (Var::data(tokens, EDGE_FEATURES - 1, numbers), Pairs { others: Rc::new(others), all: Rc::new(all) })
 }

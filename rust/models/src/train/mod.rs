@@ -19,7 +19,7 @@ use crate::sampler::SampleOptions;
 use crate::tape::{Parameters, Tape};
 use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
-use ccdiff_nets::networks::planner::Asked;
+use ccdiff_nets::networks::planner::PlanOptions;
 use optimiser::{Adam, MovingAverage};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -145,7 +145,7 @@ impl Trainer {
         };
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());
-        let asked = Asked { rows: batch.rows(), seeds: &seeds, options };
+        let asked = PlanOptions::from(options).asked(batch.rows(), &seeds, &self.model);
         let (knots, _) = tch::no_grad(|| teacher.network().propose(batch, &asked, None))?;
         Ok(Some(Taught { knots: teacher.network().space().knots(&knots), seeds }))
     }
@@ -250,18 +250,18 @@ impl Trainer {
                 let (batch, targets) = held_out.batch(chunk, None, self.store.device())?;
                 let seeds: Vec<u64> = chunk.iter().map(|i| *i as u64).collect();
                 let model = &self.average.model;
-                let asked = Asked { rows: batch.rows(), seeds: &seeds, options };
+                let asked = PlanOptions::from(options).asked(batch.rows(), &seeds, &self.model);
                 let (knots, n) = (model.propose(&batch, &asked, None)?.0, options.num_samples as i64);
                 let knots = model.space().knots(&knots);
-                let states = model.space().states(&knots, &batch.speed_mps.repeat([n]));
-                sums.add(&states, &batch.speed_mps, &targets, n, self.model.dt_s);
+                let speed_mps = batch.speed_mps();
+                let states = model.space().states(&knots, &speed_mps.repeat([n]));
+                sums.add(&states, &speed_mps, &targets, n, self.model.dt_s);
                 let mut add = |at: usize, batch: &Batch| {
                     let found = model.nats(batch, &targets).unwrap_or_default();
                     nats[at] = (nats[at].0 + found.0, nats[at].1 + found.1);
                 };
                 add(0, &batch);
-                let all = Tensor::ones([batch.num_rows()], (Kind::Bool, self.store.device()));
-                add(1, &batch.with_routes_dropped(&all));
+                add(1, &batch.with_routes_dropped(|_| true));
             }
             sums.errors_m = sums.errors_m.map(|sum| sum / sums.num_agents.max(1) as f64);
             sums.nats = (nats[0].1 > 0).then(|| nats.map(|(sum, count)| sum / count as f64));

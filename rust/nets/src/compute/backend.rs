@@ -5,7 +5,9 @@
 //! kernels, and on libtorch.
 
 use crate::config::ModelConfig;
+use crate::sampling::plan_space::PlanSpace;
 use std::fmt::Debug;
+use std::ops::Range;
 
 /// Keys and values.
 pub type KeyValue<B> = (<B as Ops>::Tensor, <B as Ops>::Tensor);
@@ -24,16 +26,12 @@ pub trait Ops: Debug + Sized {
     type Filter: Debug;
     /// A group norm.
     type Groups: Debug;
-    /// The space of plans.
-    type Space: Debug;
     /// Who sits in which slot of a row, and may be seen.
     type Slots: Debug;
     /// Which tokens of a row may be seen.
     type Mask: Debug;
     /// Attention weights between rows.
     type Attention: Debug;
-    /// Diffusion steps of the rows.
-    type Steps;
     /// Where the numbers of a layer come from.
     type Path<'a>;
 
@@ -43,8 +41,10 @@ pub trait Ops: Debug + Sized {
     /// A linear layer.
     fn linear(p: &Self::Path<'_>, inputs: i64, outputs: i64) -> Self::Linear;
 
-    /// A linear layer whose first weights are zero.
-    fn zero_linear(p: &Self::Path<'_>, inputs: i64, outputs: i64) -> Self::Linear;
+    /// A linear layer whose first weights are zero, where it is to be trained.
+    fn zero_linear(p: &Self::Path<'_>, inputs: i64, outputs: i64) -> Self::Linear {
+        Self::linear(p, inputs, outputs)
+    }
 
     /// A linear layer over [token, edge].
     fn joint(p: &Self::Path<'_>, token: i64, edge: i64, outputs: i64) -> Self::Joint;
@@ -58,23 +58,24 @@ pub trait Ops: Debug + Sized {
     /// A group norm over the tokens of a row.
     fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
 
-    /// The space of plans.
-    fn space(p: &Self::Path<'_>, config: &ModelConfig) -> Self::Space;
-
-    /// A table that is not learned [rows, width].
+    /// A table that is not learned, [1, rows, width].
     fn table(p: &Self::Path<'_>, numbers: &[f32], width: i64) -> Self::Tensor;
 
     /// The numbers of a tensor, row by row.
     fn numbers(x: &Self::Tensor) -> Vec<f32>;
 
-    /// Numbers [R, tokens, width] as a tensor where another one is.
-    fn placed(beside: &Self::Tensor, numbers: Vec<f32>, tokens: usize, width: usize) -> Self::Tensor;
+    /// A linear layer on tokens, then ReLU if asked for.
+    fn layer(layer: &Self::Linear, x: &Self::Tensor, relu: bool) -> Self::Tensor;
 
     /// A linear layer on tokens.
-    fn apply(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor;
+    fn apply(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor {
+        Self::layer(layer, x, false)
+    }
 
     /// A linear layer on tokens, then ReLU.
-    fn apply_relu(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor;
+    fn apply_relu(layer: &Self::Linear, x: &Self::Tensor) -> Self::Tensor {
+        Self::layer(layer, x, true)
+    }
 
     /// The part of a joint layer that tokens have, and the one that edges have.
     fn apply_joint(layer: &Self::Joint, tokens: &Self::Tensor, edges: &Self::Tensor) -> KeyValue<Self>;
@@ -97,14 +98,11 @@ pub trait Ops: Debug + Sized {
     /// x + y.
     fn sum(x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
 
-    /// x + table [tokens, width] for every row.
-    fn sum_table(x: Self::Tensor, table: &Self::Tensor) -> Self::Tensor;
-
-    /// x + y [R, 1, width] for every token of a row.
-    fn sum_token(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
+    /// x + y, of which rows or the tokens of a row may share one.
+    fn sum_shared(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
     /// The numbers of each row in tokens of another width.
-    fn cut(x: Self::Tensor, width: i64) -> Self::Tensor;
+    fn cut(x: &Self::Tensor, width: i64) -> Self::Tensor;
 
     /// Some of the numbers of each token.
     fn columns(x: &Self::Tensor, from: i64, count: i64) -> Self::Tensor;
@@ -112,20 +110,15 @@ pub trait Ops: Debug + Sized {
     /// The numbers of each token of x, then those of y.
     fn beside(x: &Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
-    /// All tokens of a row as one, [R, 1, tokens · width].
-    fn joined(x: &Self::Tensor) -> Self::Tensor;
-
     /// Each row times its factor [R, 1, 1].
     fn scaled(x: &Self::Tensor, factor: &Self::Tensor) -> Self::Tensor;
 
     /// The greatest numbers among all tokens of a row, [R, 1, width].
     fn greatest(x: &Self::Tensor) -> Self::Tensor;
 
-    /// One step for so many rows, where another tensor is.
-    fn at_step(beside: &Self::Tensor, rows: usize, step: usize) -> Self::Steps;
-
-    /// The rows of a table [steps, width] that the steps name, [R, 1, width].
-    fn rows_of(table: &Self::Tensor, steps: &Self::Steps) -> Self::Tensor;
+    /// The rows of a table [1, steps, width] that the steps of the rows name, [R, 1, width]; without gradients all have one, and it
+    /// is given once.
+    fn rows_of(table: &Self::Tensor, steps: &[usize]) -> Self::Tensor;
 
     /// x · tanh(ln(1 + exp x)).
     fn mish(x: &Self::Tensor) -> Self::Tensor;
@@ -152,8 +145,8 @@ pub trait Ops: Debug + Sized {
     /// a + sigmoid(g + h) · (own - a).
     fn gated(a: &Self::Tensor, g: &Self::Tensor, h: &Self::Tensor, own: Self::Tensor) -> Self::Tensor;
 
-    /// Standardised states of noisy knots [R, knots, 2] from speeds [R], those of a knot in one token.
-    fn plan(space: &Self::Space, noisy: &Self::Tensor, speed: &Self::Tensor) -> Self::Tensor;
+    /// Standardised states of noisy knots [R, knots, 2], which depend on no weight, from speeds [R], those of a knot in one token.
+    fn plan(space: &PlanSpace, noisy: &Self::Tensor, speed: &Self::Tensor) -> Self::Tensor;
 
     /// Tokens of the history, then those of the plan, each plus its row of the embedded steps. With `carried`, the history's token is
     /// added to those of the plan.
@@ -162,12 +155,23 @@ pub trait Ops: Debug + Sized {
 
     /// The last tokens of every row.
     fn last(x: &Self::Tensor, count: i64) -> Self::Tensor;
+
+    /// Attention [R, K] between rows, mean over samples, heads and these tokens; backends for training have none.
+    fn mean_attention(_: &[Self::Attention], _: &Self::Slots, _: Range<usize>) -> Vec<f32> {
+        Vec::new()
+    }
 }
 
 /// What networks read of their rows.
 pub trait Inputs: Ops {
     /// Inputs of all rows.
     type Batch<'a>;
+
+    /// The same rows, each of which sees itself alone.
+    fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a>;
+
+    /// Numbers [R, tokens, width] as a tensor where those of a batch are.
+    fn placed(batch: &Self::Batch<'_>, numbers: Vec<f32>, tokens: usize, width: usize) -> Self::Tensor;
 
     /// Standardised histories [R, H, 8], zero where not available.
     fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;

@@ -1,21 +1,19 @@
 //! Gradients through the loops over rows and through attention, for training.
 
-use super::attention::{Seen, product_of, product_of_sum};
+use super::attention::{Mix, product_of, product_of_sum};
 use super::groups;
 use super::rows::{at_levels, exp, sum};
 use super::shape::PANEL;
-use super::simd::{Checked, Work, at_level};
+use super::simd::{Work, at_level};
 
-/// Numbers and gradients of attention, each of queries, keys and values, and what edges add to keys and values.
+/// Gradients of attention.
 #[derive(Debug)]
 pub struct MixBack<'a> {
-    /// Queries, keys and values [R, tokens, width].
-    pub rows: [&'a [f32]; 3],
-    /// What is added to the keys and the values of each pair [pairs, tokens, width].
-    pub edges: Option<[&'a [f32]; 2]>,
-    /// Gradients by `rows`, added to.
+    /// What was mixed.
+    pub of: Mix<'a>,
+    /// Gradients by its rows, added to.
     pub of_rows: [&'a mut [f32]; 3],
-    /// Gradients by `edges`, written; empty without them.
+    /// Gradients by its edges, written; empty without them.
     pub of_edges: [&'a mut [f32]; 2],
 }
 
@@ -37,10 +35,10 @@ impl MixBack<'_> {
         gradient: &[f32],
         weights: &mut Vec<[f32; 2]>,
     ) {
-        let ([q, k, v], scale) = (self.rows, 1.0 / (head as f32).sqrt());
+        let (Mix { rows: [q, k, v], edges, .. }, scale) = (self.of, 1.0 / (head as f32).sqrt());
         let (q, gradient) = (&q[query..query + head], &gradient[query..query + head]);
         weights.clear();
-        weights.extend(places.clone().map(|(at, edge)| match self.edges {
+        weights.extend(places.clone().map(|(at, edge)| match edges {
             Some([key, value]) => [
                 product_of_sum(q, &k[at..at + head], &key[edge..edge + head]) * scale,
                 product_of_sum(gradient, &v[at..at + head], &value[edge..edge + head]),
@@ -64,7 +62,7 @@ impl MixBack<'_> {
             add_scaled(&mut of_q[query..query + head], &k[at..at + head], of_score);
             add_scaled(&mut of_k[at..at + head], q, of_score);
             add_scaled(&mut of_v[at..at + head], gradient, *w);
-            if let Some([key, _]) = self.edges {
+            if let Some([key, _]) = edges {
                 let [of_key, of_value] = &mut self.of_edges;
                 add_scaled(&mut of_q[query..query + head], &key[edge..edge + head], of_score);
                 add_scaled(&mut of_key[edge..edge + head], q, of_score);
@@ -168,16 +166,17 @@ at_levels! {
     }
 
     /// Gradients through attention from those of what it gave [R, tokens, width].
-    fn mix_back<'a>(seen: &'a Seen, tokens: usize, heads: usize, gradient: &'a [f32], of: MixBack<'a>) {
-        let mut of = of;
-        let width = gradient.len() / ((seen.start.len() - 1) * tokens).max(1);
-        let (head, mut weights) = (width / heads, Vec::new());
+    fn mix_back<'a>(gradient: &'a [f32], back: MixBack<'a>) {
+        let mut back = back;
+        let Mix { seen, tokens, heads, .. } = back.of;
+        let (width, mut weights) = (back.of.width(), Vec::new());
+        let head = width / heads;
         for (row, pairs) in seen.start.windows(2).enumerate() {
             for token in 0..tokens {
                 for from in (0..width).step_by(head) {
                     let place = |row: usize| (row * tokens + token) * width + from;
                     let places = (pairs[0]..pairs[1]).map(|pair| (place(seen.other[pair]), place(pair)));
-                    of.head(place(row), head, places, gradient, &mut weights);
+                    back.head(place(row), head, places, gradient, &mut weights);
                 }
             }
         }

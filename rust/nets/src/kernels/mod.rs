@@ -9,15 +9,15 @@ mod rows;
 mod shape;
 mod simd;
 mod tile;
+mod within;
 
-pub use attention::{Seen, mix};
-pub use back::{
-    MixBack, add_rows, gate_back, mish, mish_back, mix_back, norm_back, relu_back, softmax_columns_back,
-};
+pub use attention::{Mix, Seen, mix};
+pub use back::{MixBack, add_rows, gate_back, mish, mish_back, mix_back, norm_back, relu_back};
 pub(crate) use groups::groups_mish;
-pub use product::{Packed, Strided, trained, trained_matmul};
-pub(crate) use product::{filter, linear, matmul};
-pub use rows::{add, add_cycle, gate, norm, softmax_columns, transpose};
+pub use product::{Packed, Strided, linear, matmul};
+pub use rows::{add, add_cycle, gate, norm};
 pub(crate) use rows::{add_norm, most};
 pub use shape::PANEL;
-pub use simd::{Checked, Level, with_level};
+pub use simd::{Level, with_level};
+pub use tile::How;
+pub use within::Within;

@@ -1,7 +1,6 @@
 //! Products of rows with packed weights: what linear layers, convolutions and attention come down to.
 
-use super::shape::{PANEL, Product, Rows};
-use super::simd::Checked;
+use super::shape::{PANEL, Product};
 use super::tile::{How, multiply};
 
 /// Weights [columns, inputs] in panels of 16 columns, [columns / 16][inputs][16], zeros beyond the last, with the bias.
@@ -49,40 +48,8 @@ impl Packed {
 }
 
 /// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
-pub(crate) fn linear(level: Checked, x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
-    let rows = x.len() / weights.inputs.max(1);
-    layer(level, x, (rows, Rows::apart(weights.inputs)), weights, relu, out, How::Exact);
-}
-
-/// As [`linear`], with sums as training forms them.
-pub fn trained(x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
-    let rows = x.len() / weights.inputs.max(1);
-    layer(Checked::now(), x, (rows, Rows::apart(weights.inputs)), weights, relu, out, How::Fused);
-}
-
-/// Weights times windows of lines, each line `line` numbers: of each `places` windows, `step` numbers apart.
-pub(crate) fn filter(
-    level: Checked,
-    lines: &[f32],
-    line: usize,
-    (places, step): (usize, usize),
-    weights: &Packed,
-    out: &mut Vec<f32>,
-) {
-    let from = Rows { per: places, outer: line, inner: step };
-    layer(level, lines, (lines.len() / line.max(1) * places, from), weights, false, out, How::Exact);
-}
-
-fn layer(
-    level: Checked,
-    x: &[f32],
-    (rows, from): (usize, Rows),
-    weights: &Packed,
-    relu: bool,
-    out: &mut Vec<f32>,
-    how: How,
-) {
-    let wide = weights.panels() * PANEL;
+pub fn linear(x: &[f32], weights: &Packed, relu: bool, how: How, out: &mut Vec<f32>) {
+    let (rows, wide) = (x.len() / weights.inputs.max(1), weights.panels() * PANEL);
     let p = Product {
         rows,
         length: weights.inputs,
@@ -90,13 +57,13 @@ fn layer(
         panels: weights.panels(),
         panel_step: weights.inputs * PANEL,
         weight_step: PANEL,
-        from,
-        to: Rows::apart(wide),
+        from: weights.inputs,
+        to: wide,
         relu,
     };
     out.clear();
     out.resize(rows * wide, 0.0);
-    multiply(level, &p, x, &weights.weights, Some(&weights.bias), out, how);
+    multiply(&p, x, &weights.weights, Some(&weights.bias), out, how);
     if wide != weights.columns {
         for row in 0..rows {
             out.copy_within(row * wide..row * wide + weights.columns, row * weights.columns);
@@ -117,35 +84,11 @@ pub struct Strided<'a> {
 }
 
 /// a [rows, length] times b [length, columns], whose steps are `b_step` apart: [rows, `out_row`]. Columns are a multiple of 16.
-pub(crate) fn matmul(
-    level: Checked,
-    a: Strided<'_>,
-    shape: (usize, usize, usize),
-    b: (&[f32], usize),
-    out: &mut [f32],
-    out_row: usize,
-) {
-    strided(level, a, shape, b, out, out_row, How::Exact);
-}
-
-/// As [`matmul`], with sums as training forms them.
-pub fn trained_matmul(
-    a: Strided<'_>,
-    shape: (usize, usize, usize),
-    b: (&[f32], usize),
-    out: &mut [f32],
-    out_row: usize,
-) {
-    strided(Checked::now(), a, shape, b, out, out_row, How::Fused);
-}
-
-fn strided(
-    level: Checked,
+pub fn matmul(
     a: Strided<'_>,
     (rows, length, columns): (usize, usize, usize),
     (b, b_step): (&[f32], usize),
-    out: &mut [f32],
-    out_row: usize,
+    (out, out_row): (&mut [f32], usize),
     how: How,
 ) {
     let p = Product {
@@ -155,17 +98,17 @@ fn strided(
         panels: columns / PANEL,
         panel_step: PANEL,
         weight_step: b_step,
-        from: Rows::apart(a.row),
-        to: Rows::apart(out_row),
+        from: a.row,
+        to: out_row,
         relu: false,
     };
-    multiply(level, &p, a.numbers, b, None, out, how);
+    multiply(&p, a.numbers, b, None, out, how);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kernels::Level;
+    use crate::kernels::{Level, with_level};
     use crate::sampling::noise::Noise;
     use proptest::prelude::*;
 
@@ -179,7 +122,7 @@ mod tests {
             let mut found = Vec::new();
             for level in Level::available() {
                 let mut out = vec![9.0; 3];
-                linear(Checked::at_most(level), &x, &packed, relu, &mut out);
+                with_level(level, || linear(&x, &packed, relu, How::Exact, &mut out));
                 found.push(out);
             }
             prop_assert!(found.iter().all(|f| f == &found[0]));
@@ -193,7 +136,7 @@ mod tests {
             }
             // a row alone has the bits that it has among others
             let mut alone = Vec::new();
-            linear(Checked::now(), &x[..inputs], &packed, relu, &mut alone);
+            linear(&x[..inputs], &packed, relu, How::Exact, &mut alone);
             prop_assert_eq!(&alone, &found[0][..columns]);
         }
     }

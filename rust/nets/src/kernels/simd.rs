@@ -48,25 +48,23 @@ impl Level {
 
 /// Work that is compiled once per level.
 pub(super) trait Work {
-    type Out;
-
     /// Must be `#[inline(always)]`, and so must be what it calls.
-    fn run(self) -> Self::Out;
+    fn run(self);
 }
 
-/// Runs work compiled for a level. The level must be one that this processor has.
-pub(super) fn at_level<W: Work>(level: Checked, work: W) -> W::Out {
+/// Runs work compiled for the level of this thread.
+pub(super) fn at_level<W: Work>(work: W) {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2")]
-        fn avx2<W: Work>(work: W) -> W::Out {
-            work.run()
+        fn avx2<W: Work>(work: W) {
+            work.run();
         }
         #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq")]
-        fn avx512<W: Work>(work: W) -> W::Out {
-            work.run()
+        fn avx512<W: Work>(work: W) {
+            work.run();
         }
-        match level.0 {
+        match Checked::now().0 {
             Level::Base => work.run(),
             // SAFETY: a `Checked` level is one that the processor was asked for
             Level::Avx2 => unsafe { avx2(work) },
@@ -75,25 +73,22 @@ pub(super) fn at_level<W: Work>(level: Checked, work: W) -> W::Out {
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    {
-        let _ = level;
-        work.run()
-    }
+    work.run();
 }
 
 /// A level that this processor has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Checked(pub(super) Level);
+pub(super) struct Checked(pub(super) Level);
 
 impl Checked {
     /// A level, or the widest below it that the processor has.
-    pub fn at_most(level: Level) -> Self {
+    fn at_most(level: Level) -> Self {
         let levels = Level::available();
         Self(if levels.contains(&level) { level } else { levels[levels.len() - 1] })
     }
 
     /// The one that this thread computes with: the widest, unless [`with_level`] says otherwise.
-    pub fn now() -> Self {
+    pub(super) fn now() -> Self {
         static WIDEST: OnceLock<Checked> = OnceLock::new();
         let base = ccdiff_sim::is_held_to_base().then_some(Self(Level::Base));
         HELD.get()

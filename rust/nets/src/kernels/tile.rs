@@ -7,25 +7,24 @@
 use super::shape::{PANEL, Product};
 #[cfg(not(target_arch = "x86_64"))]
 use super::simd::Four;
+use super::simd::Vector;
 #[cfg(target_arch = "x86_64")]
-use super::simd::Level;
-use super::simd::{Checked, Vector};
+use super::simd::{Checked, Level};
 
 /// How sums are formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum How {
+pub enum How {
     /// All products, each rounded: the same bits on every processor.
     Exact,
-    /// All products, rounded with their sum where the processor can.
+    /// All products, rounded with their sum where the processor can: training.
     Fused,
 }
 
-/// Computes a product at a level.
+/// Computes a product.
 ///
 /// # Panics
 /// Where a row of either side or a column of weights lies outside of its slice: a mistake of this crate.
 pub(super) fn multiply(
-    level: Checked,
     p: &Product,
     rows: &[f32],
     columns: &[f32],
@@ -65,7 +64,7 @@ pub(super) fn multiply(
             unsafe { product::<__m512, 12, true>(p, s) }
         }
         let fused = how == How::Fused;
-        match level.0 {
+        match Checked::now().0 {
             Level::Base => unsafe { product::<__m128, 6, false>(p, sides) },
             Level::Avx512 if fused => unsafe { avx512_fused(p, sides) },
             Level::Avx2 if fused && std::arch::is_x86_feature_detected!("fma") => unsafe {
@@ -77,7 +76,7 @@ pub(super) fn multiply(
     }
     #[cfg(not(target_arch = "x86_64"))]
     {
-        let _ = (level, how);
+        let _ = how;
         unsafe { product::<Four, 4, false>(p, sides) }
     }
 }
@@ -143,102 +142,7 @@ unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED:
     }
 }
 
-/// Where rows are read and written.
-#[derive(Clone, Copy)]
-struct Places<const ROWS: usize> {
-    from: [*const f32; ROWS],
-    to: [*mut f32; ROWS],
-}
-
-impl<const ROWS: usize> Places<ROWS> {
-    /// # Safety
-    /// As [`product`]; the rows are there.
-    #[inline(always)]
-    unsafe fn new(p: &Product, row: usize, s: Sides) -> Self {
-        let (from, to) = (p.from.from::<ROWS>(row), p.to.from::<ROWS>(row));
-        let mut places = Self { from: [s.a; ROWS], to: [s.c; ROWS] };
-        for i in 0..ROWS {
-            // SAFETY: `Product::fits` holds for both
-            unsafe {
-                places.from[i] = s.a.add(from[i]);
-                places.to[i] = s.c.add(to[i]);
-            }
-        }
-        places
-    }
-}
-
-/// `ROWS` rows by `WIDE` vectors of sums, from their bias, and where their weights and inputs begin.
-struct Tile<V, const ROWS: usize, const WIDE: usize> {
-    sums: [[V; WIDE]; ROWS],
-    from: [*const f32; ROWS],
-    weights: [*const f32; WIDE],
-}
-
-impl<V: Vector, const ROWS: usize, const WIDE: usize> Tile<V, ROWS, WIDE> {
-    /// # Safety
-    /// As [`product`]; rows and columns of the tile are there.
-    #[inline(always)]
-    unsafe fn new(p: &Product, places: &Places<ROWS>, column: usize, s: Sides) -> Self {
-        // SAFETY: `Product::fits` holds for all places that are formed here
-        unsafe {
-            let (sums, weights) = ([[V::splat(0.0); WIDE]; ROWS], [s.b; WIDE]);
-            let mut tile = Self { sums, from: places.from, weights };
-            for j in 0..WIDE {
-                let at = column + j * V::LANES;
-                tile.weights[j] = s.b.add(at / PANEL * p.panel_step + at % PANEL);
-                if !s.bias.is_null() {
-                    let start = V::load(s.bias.add(at));
-                    for i in 0..ROWS {
-                        tile.sums[i][j] = start;
-                    }
-                }
-            }
-            tile
-        }
-    }
-
-    /// Adds the products of one input, `at` of its row and of the weights' numbers `step`.
-    ///
-    /// # Safety
-    /// Both are there.
-    #[inline(always)]
-    unsafe fn add<const FUSED: bool>(&mut self, at: usize, step: usize) {
-        // SAFETY: the caller's promise
-        unsafe {
-            let mut weights = [V::splat(0.0); WIDE];
-            for j in 0..WIDE {
-                weights[j] = V::load(self.weights[j].add(step));
-            }
-            for i in 0..ROWS {
-                let x = V::splat(*self.from[i].add(at));
-                for j in 0..WIDE {
-                    let sum = self.sums[i][j];
-                    self.sums[i][j] =
-                        if FUSED { sum.plus_fused(x, weights[j]) } else { sum.plus_product(x, weights[j]) };
-                }
-            }
-        }
-    }
-
-    /// # Safety
-    /// As [`Self::new`].
-    #[inline(always)]
-    unsafe fn store(self, p: &Product, places: &Places<ROWS>, column: usize) {
-        // SAFETY: as in `new`
-        unsafe {
-            for i in 0..ROWS {
-                let to = places.to[i].add(column);
-                for j in 0..WIDE {
-                    let sum = if p.relu { self.sums[i][j].or_zero() } else { self.sums[i][j] };
-                    sum.store(to.add(j * V::LANES));
-                }
-            }
-        }
-    }
-}
-
-/// Every number of a tile is one chain of sums over its inputs, in their order.
+/// `ROWS` rows by `WIDE` vectors of columns. Every number is one chain of sums over its inputs, in their order.
 ///
 /// # Safety
 /// As [`product`]; rows and columns of the tile are there.
@@ -249,20 +153,49 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: boo
     column: usize,
     s: Sides,
 ) {
-    // SAFETY: `Product::fits` holds for all inputs and weights
+    // SAFETY: `Product::fits` holds for all places that are formed here
     unsafe {
-        let places = Places::<ROWS>::new(p, row, s);
-        let mut tile = Tile::<V, ROWS, WIDE>::new(p, &places, column, s);
-        for input in 0..p.length {
-            tile.add::<FUSED>(input * p.input_step, input * p.weight_step);
+        let (mut from, mut weights) = ([s.a; ROWS], [s.b; WIDE]);
+        let mut sums = [[V::splat(0.0); WIDE]; ROWS];
+        for i in 0..ROWS {
+            from[i] = s.a.add((row + i) * p.from);
         }
-        tile.store(p, &places, column);
+        for j in 0..WIDE {
+            let at = column + j * V::LANES;
+            weights[j] = s.b.add(at / PANEL * p.panel_step + at % PANEL);
+            if !s.bias.is_null() {
+                let start = V::load(s.bias.add(at));
+                for i in 0..ROWS {
+                    sums[i][j] = start;
+                }
+            }
+        }
+        for input in 0..p.length {
+            let mut by = [V::splat(0.0); WIDE];
+            for j in 0..WIDE {
+                by[j] = V::load(weights[j].add(input * p.weight_step));
+            }
+            for i in 0..ROWS {
+                let x = V::splat(*from[i].add(input * p.input_step));
+                for j in 0..WIDE {
+                    let sum = sums[i][j];
+                    sums[i][j] = if FUSED { sum.plus_fused(x, by[j]) } else { sum.plus_product(x, by[j]) };
+                }
+            }
+        }
+        for i in 0..ROWS {
+            let to = s.c.add((row + i) * p.to + column);
+            for j in 0..WIDE {
+                let sum = if p.relu { sums[i][j].or_zero() } else { sums[i][j] };
+                sum.store(to.add(j * V::LANES));
+            }
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::simd::Plain;
+    use super::super::simd::{Level, Plain, with_level};
     use super::*;
 
     #[test]
@@ -270,7 +203,7 @@ mod tests {
         let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
         let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
         let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
-        multiply(Checked::at_most(Level::Base), &p, &a, &b, Some(&bias), &mut own, How::Exact);
+        with_level(Level::Base, || multiply(&p, &a, &b, Some(&bias), &mut own, How::Exact));
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
         let sides = Sides { a: a.as_ptr(), b: b.as_ptr(), bias: bias.as_ptr(), c: plain.as_mut_ptr() };
         // SAFETY: it fits

@@ -14,6 +14,7 @@ use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::networks::planner::{Denoises, Weighted};
 use crate::networks::trunk::Trunk;
+use crate::sampling::plan_space::PlanSpace;
 
 /// Channels after the rolled-out states' six.
 const WIDTHS: [i64; 3] = [32, 48, 64];
@@ -73,7 +74,7 @@ impl<B: Backend> Residual<B> {
     /// `x` [R, steps, inputs], embedded steps and tokens → [R, steps, outputs].
     fn forward(&self, x: B::Tensor, step: &B::Tensor, token: &B::Tensor) -> B::Tensor {
         let (of_step, of_token) = B::apply_joint(&self.condition, step, token);
-        let y = B::sum_token(self.first.forward(&x), &B::sum_table(of_token, &of_step));
+        let y = B::sum_shared(self.first.forward(&x), &B::sum_shared(of_token, &of_step));
         let y = self.second.forward(&y);
         match &self.shortcut {
             Some(shortcut) => B::sum(&B::filtered(shortcut, &x), y),
@@ -85,7 +86,7 @@ impl<B: Backend> Residual<B> {
 /// The denoiser.
 #[derive(Debug)]
 pub struct HalfUnet<B: Backend> {
-    space: B::Space,
+    space: PlanSpace,
     trunk: Trunk<B>,
     step: StepEmbedding<B>,
     down: Vec<(Residual<B>, B::Filter)>,
@@ -114,7 +115,7 @@ impl<B: Backend> Weighted<B> for HalfUnet<B> {
             (residual("down", i, inputs, outputs), halve)
         });
         Self {
-            space: B::space(p, config),
+            space: PlanSpace::new(config),
             trunk: Trunk::new(&B::sub(p, "trunk"), config),
             step: StepEmbedding::new(&B::sub(p, "step"), config.diffusion_steps, STEP_WIDTH),
             down: down.collect(),
@@ -132,10 +133,6 @@ impl<B: Backend> Weighted<B> for HalfUnet<B> {
 impl<B: Backend> Denoises<B> for HalfUnet<B> {
     type Context = Condition<B>;
 
-    fn space(&self) -> &B::Space {
-        &self.space
-    }
-
     fn encode(&self, batch: &B::Batch<'_>) -> Condition<B> {
         let token = B::mish(&self.trunk.forward(batch).token);
         Condition { token, speed: B::speed(batch) }
@@ -145,10 +142,10 @@ impl<B: Backend> Denoises<B> for HalfUnet<B> {
         &self,
         context: &Condition<B>,
         noisy: &B::Tensor,
-        steps: &B::Steps,
+        steps: &[usize],
     ) -> (B::Tensor, Option<B::Attention>) {
         let step = B::mish(&self.step.forward(steps));
-        let mut x = B::cut(B::plan(&self.space, noisy, &context.speed), STATE);
+        let mut x = B::cut(&B::plan(&self.space, noisy, &context.speed), STATE);
         for (block, halve) in &self.down {
             x = B::filtered(halve, &block.forward(x, &step, &context.token));
         }

@@ -4,7 +4,7 @@ pub mod bits;
 pub mod ccdiff;
 pub mod cpu_planner;
 pub mod ctg;
-pub mod denoised;
+pub mod denoising;
 pub mod kind;
 pub mod kinds;
 pub mod latents;

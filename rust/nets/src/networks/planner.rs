@@ -5,6 +5,7 @@ use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::{Guidance, GuidanceConfig};
 use crate::inputs::features::SceneFeatures;
+pub use crate::sampling::sampler::Asked;
 use crate::sampling::sampler::{Rows, SampleOptions};
 use std::fmt::Debug;
 
@@ -39,12 +40,12 @@ impl PlanOptions {
         Ok(Self { sampling, guidance, ..self })
     }
 
-    /// Knots of a plan that are executed before the next one is made.
-    pub fn executed_tokens(&self, config: &ModelConfig) -> usize {
+    /// What is asked of a network for rows, with one seed per scene.
+    pub fn asked<'a>(&self, rows: Rows<'a>, seeds: &'a [u64], config: &ModelConfig) -> Asked<'a> {
+        let (knots, stride) = (config.num_knots(), config.knot_stride);
         let executed = self.guidance.as_ref().and_then(|g| g.executed_steps);
-        executed
-            .map_or(config.num_knots(), |steps| steps.div_ceil(config.knot_stride))
-            .min(config.num_knots())
+        let executed = executed.map_or(knots, |steps| steps.div_ceil(stride).min(knots));
+        Asked { rows, seeds, options: self.sampling, attention: self.attention.then_some(executed) }
     }
 }
 
@@ -76,7 +77,7 @@ pub trait PlanSampler: Debug + Send {
     /// What sampling and the network's library refuse.
     fn draw(
         &self,
-        scenes: &[&SceneFeatures],
+        scenes: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
         guide: Option<&mut Guidance<'_>>,
@@ -92,20 +93,12 @@ pub trait Weighted<B: Backend>: Debug + Sized {
     fn config(&self) -> &ModelConfig;
 }
 
-/// What is drawn of a network that plans at once.
-#[derive(Debug, Clone, Copy)]
-pub struct Asked<'a> {
-    /// The rows.
-    pub rows: Rows<'a>,
-    /// One seed per scene.
-    pub seeds: &'a [u64],
-    /// How plans are drawn.
-    pub options: SampleOptions,
-}
+/// Normalised knots [N · R, knots, 2], sample by sample, and attention [R, K] between the agents, if it is asked for and there is any.
+pub type Proposed = (Vec<f32>, Option<Vec<f32>>);
 
-/// A network that plans at once.
+/// A network that plans.
 pub trait Proposes<B: Backend>: Weighted<B> {
-    /// Draws normalised knots [N · R, knots, 2], sample by sample; `guide` moves the plans, or has agents choose.
+    /// Draws plans; `guide` moves them, or has agents choose.
     ///
     /// # Errors
     /// [`crate::ModelError::Shape`] for a wrong number of seeds.
@@ -114,16 +107,13 @@ pub trait Proposes<B: Backend>: Weighted<B> {
         batch: &B::Batch<'_>,
         asked: &Asked<'_>,
         guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Vec<f32>>;
+    ) -> Result<Proposed>;
 }
 
 /// A network from noisy plans to clean ones.
 pub trait Denoises<B: Backend>: Weighted<B> {
     /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
     type Context;
-
-    /// The space of its plans.
-    fn space(&self) -> &B::Space;
 
     /// Encodes a batch.
     fn encode(&self, batch: &B::Batch<'_>) -> Self::Context;
@@ -133,11 +123,11 @@ pub trait Denoises<B: Backend>: Weighted<B> {
         None
     }
 
-    /// Predicts clean knots [R, knots, 2] from noisy ones, with the attention between agents of a network that has it.
+    /// Predicts clean knots [R, knots, 2] from noisy ones at the rows' diffusion steps, one for all or one for each, with the attention between agents of a network that has it.
     fn predict(
         &self,
         context: &Self::Context,
         noisy: &B::Tensor,
-        steps: &B::Steps,
+        steps: &[usize],
     ) -> (B::Tensor, Option<B::Attention>);
 }

@@ -8,7 +8,7 @@ use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::networks::planner::{Asked, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 use crate::networks::trunk::Trunk;
 
 /// Hidden width of the regression head.
@@ -49,12 +49,12 @@ impl<B: Backend> Proposes<B> for Simnet<B> {
         batch: &B::Batch<'_>,
         asked: &Asked<'_>,
         guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<Proposed> {
         asked.rows.check_seeds(asked.seeds)?;
         let mut knots = B::numbers(&self.plan(batch)).repeat(asked.options.num_samples);
         if let Some(guide) = guide {
             guide.adjust_finished(&mut knots)?;
         }
-        Ok(knots)
+        Ok((knots, None))
     }
 }

@@ -190,8 +190,7 @@ impl TrajectoryModel {
             Drawn::default()
         } else {
             let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
-            let scenes: Vec<&SceneFeatures> = built.iter().collect();
-            self.planner.draw(&scenes, &seeds, &options, guide.as_mut())?
+            self.planner.draw(&built, &seeds, &options, guide.as_mut())?
         };
         let mut reports = match &guide {
             Some(guide) => guide.report(&drawn.knots)?,

@@ -4,7 +4,7 @@ use crate::error::{ModelError, Result};
 use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::inputs::features::row_offsets;
 use crate::sampling::noise::Noise;
-use crate::sampling::schedule::Schedule;
+use crate::sampling::schedule::{Posterior, Schedule};
 use ccdiff_sim::options;
 use ccdiff_sim::options::within;
 
@@ -95,34 +95,17 @@ impl Rows<'_> {
     }
 }
 
-/// A network on rows that it has encoded.
-pub trait Predict {
-    /// Clean knots [N · R, knots, 2] of noisy ones at a diffusion step, sample by sample; `alone`: with G = identity.
-    fn predict(&mut self, noisy: &[f32], step: usize, alone: bool) -> Vec<f32>;
-}
-
-/// What plans are drawn for.
+/// What is drawn of a network.
 #[derive(Debug, Clone, Copy)]
-pub struct Draws<'a> {
-    /// The noise that the network was taught to take away.
-    pub schedule: &'a Schedule,
+pub struct Asked<'a> {
     /// The rows.
     pub rows: Rows<'a>,
     /// One seed per scene.
     pub seeds: &'a [u64],
     /// How plans are drawn.
     pub options: SampleOptions,
-    /// Knots of a plan.
-    pub num_knots: usize,
-}
-
-/// From a noisy plan and the clean one predicted from it to the mean of the next one.
-struct StepCoefficients {
-    k: usize,
-    from_x0: f64,
-    from_xk: f64,
-    /// Standard deviation of the step, or of the random step that it stands for.
-    sigma: f64,
+    /// Whether plans come with the attention of so many of their first knots, where there is any.
+    pub attention: Option<usize>,
 }
 
 /// a · x + b · y.
@@ -132,54 +115,58 @@ fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
 }
 
 /// Draws clean normalised knots [N · R, knots, 2], sample by sample; `guide` moves plans in every step but the last, whose
-/// standard deviation is zero (as released, reference.md#sampling), or in the only one.
+/// standard deviation is zero (as released, reference.md#sampling), or in the only one. `predict` makes clean plans of noisy ones at a
+/// diffusion step, with G = identity if it is told so.
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
 ///
 /// # Errors
 /// [`ModelError::Shape`] for a wrong number of seeds, [`ModelError::Config`] for bad options.
 pub fn sample(
-    draws: &Draws<'_>,
-    network: &mut dyn Predict,
+    schedule: &Schedule,
+    num_knots: usize,
+    asked: &Asked<'_>,
+    mut predict: impl FnMut(&[f32], usize, bool) -> Vec<f32>,
     mut guide: Option<&mut Guidance<'_>>,
 ) -> Result<Vec<f32>> {
-    let Draws { schedule, rows, seeds, num_knots, .. } = *draws;
-    let options = draws.options.validated()?;
+    let Asked { rows, seeds, .. } = *asked;
+    let options = asked.options.validated()?;
     rows.check_seeds(seeds)?;
     let normal = |stream: u64| rows.noise(seeds, stream, options.num_samples, num_knots * 2);
     let w = options.guidance_weight;
     let mut clean = |x: &[f32], k: usize| {
-        let cond = network.predict(x, k, false);
-        if w > 1.0 { joined(&network.predict(x, k, true), 1.0 - w, &cond, w) } else { cond }
+        let cond = predict(x, k, false);
+        if w > 1.0 { joined(&predict(x, k, true), 1.0 - w, &cond, w) } else { cond }
     };
-    let mut mean = |x: &[f32], step: &StepCoefficients| -> Result<Vec<f32>> {
-        let x0 = clean(x, step.k);
+    // the step's mean is from_x0 · x0 + from_xk · x
+    let mut mean = |x: &[f32], k: usize, step: &Posterior| -> Result<Vec<f32>> {
+        let x0 = clean(x, k);
         match guide.as_deref_mut().filter(|g| g.is_active() && step.sigma > 0.0) {
-            Some(guide) => guided_mean(guide, schedule, x, x0, step),
+            Some(guide) => guided_mean(guide, schedule.alpha_bar[k], x, x0, step),
             None => Ok(joined(&x0, step.from_x0, x, step.from_xk)),
         }
     };
-    let mut x = normal(schedule.len() as u64);
+    let mut x = normal(schedule.num_steps() as u64);
     x.iter_mut().for_each(|x| *x *= options.temperature as f32);
     match options.solver_steps {
         None => {
-            for k in (0..schedule.len()).rev() {
-                let p = schedule.posterior(k);
-                let step = StepCoefficients { k, from_x0: p.from_x0, from_xk: p.from_xk, sigma: p.sigma };
-                x = mean(&x, &step)?;
+            for k in (0..schedule.num_steps()).rev() {
+                let step = schedule.posterior(k);
+                x = mean(&x, k, &step)?;
                 if k > 0 {
-                    x = joined(&x, 1.0, &normal(k as u64), p.sigma);
+                    x = joined(&x, 1.0, &normal(k as u64), step.sigma);
                 }
             }
         }
         Some(steps) => {
             let ks = schedule.timesteps(steps);
             for (i, &k) in ks.iter().enumerate() {
-                let to = ks.get(i + 1).copied();
-                let (from_x0, from_xk) = schedule.ddim(k, to);
-                // the plan of a single step is guided against the spread of the noise that it is made of
-                let sigma = if steps == 1 { 1.0 } else { schedule.posterior_std(k, to) };
-                x = mean(&x, &StepCoefficients { k, from_x0, from_xk, sigma })?;
+                let mut step = schedule.ddim(k, ks.get(i + 1).copied());
+                if steps == 1 {
+                    // the plan of a single step is guided against the spread of the noise that it is made of
+                    step.sigma = 1.0;
+                }
+                x = mean(&x, k, &step)?;
             }
         }
     }
@@ -189,13 +176,12 @@ pub fn sample(
 /// The mean of a step with guidance on it, or on the clean plan that it is formed from.
 fn guided_mean(
     guide: &mut Guidance<'_>,
-    schedule: &Schedule,
+    alpha_bar: f64,
     x: &[f32],
     mut x0: Vec<f32>,
-    step: &StepCoefficients,
+    step: &Posterior,
 ) -> Result<Vec<f32>> {
     let score = guide.wants_score().then(|| {
-        let alpha_bar = schedule.alpha_bar[step.k];
         let (signal, noise) = (alpha_bar.sqrt() as f32, (1.0 - alpha_bar) as f32);
         x0.iter().zip(x).map(|(x0, x)| (x0 * signal - x) / noise).collect::<Vec<f32>>()
     });

@@ -1,7 +1,5 @@
 //! The diffusion schedule in f64, without tensors (reference.md#schedule).
 
-use crate::error::{ModelError, Result};
-
 /// Cosine schedule of K diffusion steps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Schedule {
@@ -11,7 +9,7 @@ pub struct Schedule {
     pub alpha_bar: Vec<f64>,
 }
 
-/// Mean of the posterior q(x_{k-1} | x_k, x_0) = `from_x0` x_0 + `from_xk` x_k, and its standard deviation.
+/// Mean of a step from x_k, `from_x0` x_0 + `from_xk` x_k, and its standard deviation, or that of the random step that it stands for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Posterior {
     /// Coefficient of the clean sample.
@@ -23,18 +21,8 @@ pub struct Posterior {
 }
 
 impl Schedule {
-    /// Cosine schedule with offset s = 0.008, on K points over 0..=K+1 (reference.md#schedule), betas at most 0.999.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] for fewer than two steps.
-    pub fn cosine(num_steps: usize) -> Result<Self> {
-        if num_steps < 2 {
-            return Err(ModelError::Config {
-                field: "diffusion_steps",
-                got: num_steps.to_string(),
-                expected: "at least 2",
-            });
-        }
+    /// Cosine schedule with offset s = 0.008, on K points over 0..=K+1 (reference.md#schedule), betas at most 0.999. K is 2 at least.
+    pub fn cosine(num_steps: usize) -> Self {
         let (s, steps) = (0.008, num_steps as f64 + 1.0);
         // the released code spaces K+1 points over 0..=K+1
         let f = |i: usize| {
@@ -49,27 +37,18 @@ impl Schedule {
                 Some(*product)
             })
             .collect();
-        Ok(Self { beta, alpha_bar })
+        Self { beta, alpha_bar }
     }
 
     /// Number of steps K.
-    pub fn len(&self) -> usize {
+    pub fn num_steps(&self) -> usize {
         self.beta.len()
     }
 
-    /// Whether there are no steps; never so.
-    pub fn is_empty(&self) -> bool {
-        self.beta.is_empty()
-    }
-
-    /// Share of signal variance before step k: 1 for k = 0.
-    fn alpha_bar_before(&self, k: usize) -> f64 {
-        if k == 0 { 1.0 } else { self.alpha_bar[k - 1] }
-    }
-
-    /// Posterior of step k (k < K).
+    /// Posterior q(x_{k-1} | x_k, x_0) of step k (k < K).
     pub fn posterior(&self, k: usize) -> Posterior {
-        let (beta, now, before) = (self.beta[k], self.alpha_bar[k], self.alpha_bar_before(k));
+        let (beta, now) = (self.beta[k], self.alpha_bar[k]);
+        let before = if k == 0 { 1.0 } else { self.alpha_bar[k - 1] };
         Posterior {
             from_x0: beta * before.sqrt() / (1.0 - now),
             from_xk: (1.0 - before) * (1.0 - beta).sqrt() / (1.0 - now),
@@ -77,26 +56,20 @@ impl Schedule {
         }
     }
 
-    /// Coefficients (of x_0, of x_k) of the deterministic DDIM update from step k to step `to`; `None` is the clean end.
-    pub fn ddim(&self, k: usize, to: Option<usize>) -> (f64, f64) {
+    /// The deterministic DDIM update from step k to step `to`, and the standard deviation of the random step (q(x_to | x_k, x_0)): the
+    /// equal variance that guidance is measured against. `None` is the clean end, which has none.
+    pub fn ddim(&self, k: usize, to: Option<usize>) -> Posterior {
         let now = self.alpha_bar[k];
         let next = to.map_or(1.0, |t| self.alpha_bar[t]);
         let from_xk = ((1.0 - next) / (1.0 - now)).sqrt();
-        (next.sqrt() - from_xk * now.sqrt(), from_xk)
-    }
-
-    /// Standard deviation of the random step from k to `to` (q(x_to | x_k, x_0)): the equal variance that guidance is measured
-    /// against where a deterministic sampler takes that step. 0 for the clean end.
-    pub fn posterior_std(&self, k: usize, to: Option<usize>) -> f64 {
-        let Some(to) = to else { return 0.0 };
-        let (now, next) = (self.alpha_bar[k], self.alpha_bar[to]);
-        ((1.0 - next) / (1.0 - now) * (1.0 - now / next)).max(0.0).sqrt()
+        let sigma = ((1.0 - next) / (1.0 - now) * (1.0 - now / next)).max(0.0).sqrt();
+        Posterior { from_x0: next.sqrt() - from_xk * now.sqrt(), from_xk, sigma }
     }
 
     /// `count` steps from K-1 down to 0, evenly spaced, for a sampler that skips.
     pub fn timesteps(&self, count: usize) -> Vec<usize> {
-        let last = self.len() - 1;
-        let count = count.clamp(1, self.len());
+        let last = self.num_steps() - 1;
+        let count = count.clamp(1, self.num_steps());
         if count == 1 {
             return vec![last];
         }
@@ -114,7 +87,7 @@ mod tests {
 
     #[test]
     fn the_cosine_schedule_has_the_tabulated_values() {
-        let s = Schedule::cosine(100).unwrap();
+        let s = Schedule::cosine(100);
         for (k, beta) in [
             (0, 6.312816e-4),
             (1, 1.116937e-3),
@@ -141,7 +114,7 @@ mod tests {
 
     #[test]
     fn the_posterior_has_the_tabulated_coefficients() {
-        let s = Schedule::cosine(100).unwrap();
+        let s = Schedule::cosine(100);
         for (k, c0, c1) in [(50, 0.0424907, 0.9547153), (99, 0.0155683, 0.0316151)] {
             close(s.posterior(k).from_x0, c0, 3e-6);
             close(s.posterior(k).from_xk, c1, 3e-6);
@@ -152,7 +125,7 @@ mod tests {
 
     #[test]
     fn spaced_steps_start_at_the_noisiest_and_end_at_zero() {
-        let s = Schedule::cosine(100).unwrap();
+        let s = Schedule::cosine(100);
         for n in 2..=100 {
             let steps = s.timesteps(n);
             assert_eq!((steps[0], steps[n - 1], steps.len()), (99, 0, n));
@@ -162,21 +135,15 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_of_one_step_has_the_posteriors_standard_deviation() {
-        let s = Schedule::cosine(100).unwrap();
-        for k in 1..99 {
-            close(s.posterior_std(k, Some(k - 1)), s.posterior(k).sigma, 1e-9);
-        }
-        assert_eq!(s.posterior_std(0, None), 0.0);
-    }
-
-    #[test]
-    fn ddim_keeps_the_signal_to_noise_ratio_of_its_target_step() {
-        let s = Schedule::cosine(100).unwrap();
+    fn ddim_keeps_the_signal_to_noise_ratio_of_its_target_step_and_has_the_posteriors_standard_deviation() {
+        let s = Schedule::cosine(100);
         // x_k = √ᾱ_k x0 + √(1-ᾱ_k) ε must map to √ᾱ_t x0 + √(1-ᾱ_t) ε
-        let (c0, ck) = s.ddim(60, Some(20));
-        close(c0 + ck * s.alpha_bar[60].sqrt(), s.alpha_bar[20].sqrt(), 1e-12);
-        close(ck * (1.0 - s.alpha_bar[60]).sqrt(), (1.0 - s.alpha_bar[20]).sqrt(), 1e-12);
-        assert_eq!(s.ddim(30, None).1, 0.0);
+        let step = s.ddim(60, Some(20));
+        close(step.from_x0 + step.from_xk * s.alpha_bar[60].sqrt(), s.alpha_bar[20].sqrt(), 1e-12);
+        close(step.from_xk * (1.0 - s.alpha_bar[60]).sqrt(), (1.0 - s.alpha_bar[20]).sqrt(), 1e-12);
+        assert_eq!((s.ddim(30, None).from_xk, s.ddim(30, None).sigma), (0.0, 0.0));
+        for k in 1..99 {
+            close(s.ddim(k, Some(k - 1)).sigma, s.posterior(k).sigma, 1e-9);
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::compute::weights::{Weights, broken, field, read};
 use crate::error::Result;
-use crate::kernels::{Checked, Packed, linear};
+use crate::kernels::{How, Packed, linear};
 use crate::traffic::CcdiffConfig;
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::policy::PlanRequest;
@@ -75,20 +75,20 @@ impl AdversaryPolicy {
 
     /// The vehicle that it chooses and its criticality; `None`: nobody.
     fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
-        let (level, [mut x, mut hidden]) = (Checked::now(), [Vec::new(), Vec::new()]);
+        let [mut x, mut hidden] = [Vec::new(), Vec::new()];
         // nobody is a row of what the ego does, behind the candidates
         let (of, count) = (CANDIDATE_FEATURES.len(), seen.agents.len());
         let mut rows = seen.features[..count * of].to_vec();
         rows.extend([0.0; OWN_FEATURES].iter().chain(&seen.features[OWN_FEATURES..of]));
-        linear(level, &rows, &self.row[0], true, &mut hidden);
-        linear(level, &hidden, &self.row[1], true, &mut x);
+        linear(&rows, &self.row[0], true, How::Exact, &mut hidden);
+        linear(&hidden, &self.row[1], true, How::Exact, &mut x);
         let candidates = || x.chunks_exact(WIDTH).take(count);
         let greatest: Vec<Real> =
             (0..WIDTH).map(|i| candidates().map(|f| f[i]).fold(0.0, Real::max)).collect();
         let both: Vec<Real> =
             x.chunks_exact(WIDTH).flat_map(|f| f.iter().chain(&greatest)).copied().collect();
-        linear(level, &both, &self.head[0], true, &mut hidden);
-        linear(level, &hidden, &self.head[1], false, &mut x);
+        linear(&both, &self.head[0], true, How::Exact, &mut hidden);
+        linear(&hidden, &self.head[1], false, How::Exact, &mut x);
         let scores: Vec<&[Real]> = x.chunks_exact(self.strengths.len() + 2).collect();
         let mut best = (None, scores[count][self.strengths.len()]);
         for (agent, row) in seen.agents.iter().zip(&scores) {

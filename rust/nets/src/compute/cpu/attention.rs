@@ -2,7 +2,7 @@
 
 use super::{Array, Cpu};
 use crate::compute::backend::KeyValue;
-use crate::kernels::{self, Checked, PANEL, Seen, Strided};
+use crate::kernels::{self, How, Mix, Seen, Within};
 
 /// Attention over pairs, and the mean weight of the heads [pairs, tokens].
 pub(super) fn mixed(
@@ -13,17 +13,10 @@ pub(super) fn mixed(
     heads: i64,
 ) -> (Array, Vec<f32>) {
     let (mut out, mut attention) = (vec![0.0; q.numbers.len()], vec![0.0; seen.other.len() * q.tokens]);
-    let edges = edges.map(|(k, v)| (k.numbers.as_slice(), v.numbers.as_slice()));
-    let (k, v) = (&k.numbers, &v.numbers);
+    let rows = [&*q.numbers, &*k.numbers, &*v.numbers];
+    let edges = edges.map(|(k, v)| [&*k.numbers, &*v.numbers]);
     kernels::mix(
-        Checked::now(),
-        seen,
-        q.tokens,
-        heads as usize,
-        &q.numbers,
-        k,
-        v,
-        edges,
+        Mix { seen, tokens: q.tokens, heads: heads as usize, rows, edges },
         &mut out,
         &mut attention,
     );
@@ -32,50 +25,10 @@ pub(super) fn mixed(
 
 /// Softmax attention of the queries of a row to its keys.
 pub(super) fn attended(q: &Array, k: &Array, v: &Array, heads: i64) -> Array {
-    let (level, heads, d, queries, keys) = (Checked::now(), heads as usize, q.width, q.tokens, k.tokens);
-    let head = d / heads;
-    let wide = queries.next_multiple_of(PANEL);
-    let head_wide = head.next_multiple_of(PANEL);
-    let (mut turned, mut scores) = (vec![0.0; d * wide], vec![0.0; keys * wide]);
-    // values of a head in columns of their own, where they are no whole panels
-    let (mut values, mut mixed) = (vec![0.0; keys * head_wide], vec![0.0; queries * head_wide]);
-    let mut out = vec![0.0; q.numbers.len()];
-    let rows = q.numbers.chunks_exact(q.row()).zip(k.numbers.chunks_exact(k.row()));
-    let rows = rows.zip(v.numbers.chunks_exact(v.row())).zip(out.chunks_exact_mut(q.row()));
-    for (((q, k), v), out) in rows {
-        kernels::transpose(level, q, d, &mut turned, wide);
-        for h in 0..heads {
-            let key = Strided { numbers: &k[h * head..], row: d, step: 1 };
-            kernels::matmul(
-                level,
-                key,
-                (keys, head, wide),
-                (&turned[h * head * wide..], wide),
-                &mut scores,
-                wide,
-            );
-            kernels::softmax_columns(level, &mut scores, wide, 1.0 / (head as f32).sqrt());
-            let weights = Strided { numbers: &scores, row: 1, step: wide };
-            if head == head_wide {
-                kernels::matmul(
-                    level,
-                    weights,
-                    (queries, keys, head),
-                    (&v[h * head..], d),
-                    &mut out[h * head..],
-                    d,
-                );
-                continue;
-            }
-            for (to, from) in values.chunks_exact_mut(head_wide).zip(v.chunks_exact(d)) {
-                to[..head].copy_from_slice(&from[h * head..(h + 1) * head]);
-            }
-            let shape = (queries, keys, head_wide);
-            kernels::matmul(level, weights, shape, (&values, head_wide), &mut mixed, head_wide);
-            for (to, from) in out.chunks_exact_mut(d).zip(mixed.chunks_exact(head_wide)) {
-                to[h * head..(h + 1) * head].copy_from_slice(&from[..head]);
-            }
-        }
+    let of = Within { width: q.width, queries: q.tokens, keys: k.tokens, heads: heads as usize };
+    let (mut out, mut weights) = (vec![0.0; q.numbers.len()], vec![0.0; of.weights()]);
+    for (row, out) in of.rows([&q.numbers, &k.numbers, &v.numbers]).zip(out.chunks_exact_mut(q.row())) {
+        of.forward(row, &mut weights, out, How::Exact);
     }
     q.like(out)
 }

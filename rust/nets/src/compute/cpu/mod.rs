@@ -12,11 +12,13 @@ use crate::error::{ModelError, Result};
 use crate::inputs::features::{EDGE_FEATURES, HISTORY_FEATURES};
 use crate::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use crate::inputs::tokens::{NEAR, NEAR_NUMBERS};
-use crate::kernels::{self, Checked, Packed, Seen};
+use crate::kernels::{self, How, Packed, Seen};
 use crate::sampling::plan_space::PlanSpace;
 use attention::{attended, mixed};
 use parts::packed;
 use std::convert::Infallible;
+use std::ops::Range;
+use std::rc::Rc;
 
 /// Layers on the kernels of this crate.
 #[derive(Debug)]
@@ -34,14 +36,6 @@ pub fn check(config: &ModelConfig) -> Result<()> {
     Err(ModelError::Config { field: "model.history", got, expected })
 }
 
-impl Cpu {
-    fn linear_of(x: &Array, layer: &Packed, relu: bool) -> Array {
-        let mut numbers = Vec::new();
-        kernels::linear(Checked::now(), &x.numbers, layer, relu, &mut numbers);
-        Array { tokens: x.tokens, width: layer.columns, numbers }
-    }
-}
-
 impl Ops for Cpu {
     type Tensor = Array;
     type Linear = Packed;
@@ -49,11 +43,9 @@ impl Ops for Cpu {
     type Norm = Norm;
     type Filter = Filter;
     type Groups = Groups;
-    type Space = PlanSpace;
     type Slots = Pairs;
     type Mask = Infallible;
     type Attention = Vec<f32>;
-    type Steps = usize;
     type Path<'a> = Place<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
@@ -63,10 +55,6 @@ impl Ops for Cpu {
 
     fn linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Packed {
         packed(p.take("weight", &[outputs, inputs]), p.take("bias", &[outputs]), outputs, inputs, 0, inputs)
-    }
-
-    fn zero_linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Packed {
-        Self::linear(p, inputs, outputs)
     }
 
     fn joint(p: &Place<'_>, token: i64, edge: i64, outputs: i64) -> [Packed; 2] {
@@ -92,47 +80,37 @@ impl Ops for Cpu {
         Groups { norm: Self::norm(p, width), groups: groups as usize }
     }
 
-    fn space(_: &Place<'_>, config: &ModelConfig) -> PlanSpace {
-        PlanSpace::new(config)
-    }
-
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Array {
-        Array::new(1, width as usize, numbers.to_vec())
+        Array::new(numbers.len() / width as usize, width as usize, numbers.to_vec())
     }
 
     fn numbers(x: &Array) -> Vec<f32> {
         x.numbers.clone()
     }
 
-    fn placed(_: &Array, numbers: Vec<f32>, tokens: usize, width: usize) -> Array {
-        Array::new(tokens, width, numbers)
-    }
-
-    fn apply(layer: &Packed, x: &Array) -> Array {
-        Self::linear_of(x, layer, false)
-    }
-
-    fn apply_relu(layer: &Packed, x: &Array) -> Array {
-        Self::linear_of(x, layer, true)
+    fn layer(layer: &Packed, x: &Array, relu: bool) -> Array {
+        let mut numbers = Vec::new();
+        kernels::linear(&x.numbers, layer, relu, How::Exact, &mut numbers);
+        Array::new(x.tokens, layer.columns, numbers)
     }
 
     fn apply_joint(layer: &[Packed; 2], tokens: &Array, edges: &Array) -> KeyValue<Self> {
-        (Self::linear_of(tokens, &layer[0], false), Self::linear_of(edges, &layer[1], false))
+        (Self::apply(&layer[0], tokens), Self::apply(&layer[1], edges))
     }
 
     fn normed(norm: &Norm, x: &Array) -> Array {
         let mut numbers = x.numbers.clone();
-        kernels::norm(Checked::now(), &mut numbers, &norm.weight, &norm.bias, false);
+        kernels::norm(&mut numbers, &norm.weight, &norm.bias, false);
         x.like(numbers)
     }
 
     fn normed_relu(norm: &Norm, mut x: Array) -> Array {
-        kernels::norm(Checked::now(), &mut x.numbers, &norm.weight, &norm.bias, true);
+        kernels::norm(&mut x.numbers, &norm.weight, &norm.bias, true);
         x
     }
 
     fn sum_normed(norm: &Norm, x: &Array, mut y: Array) -> Array {
-        kernels::add_norm(Checked::now(), &mut y.numbers, &x.numbers, &norm.weight, &norm.bias);
+        kernels::add_norm(&mut y.numbers, &x.numbers, &norm.weight, &norm.bias);
         y
     }
 
@@ -144,39 +122,40 @@ impl Ops for Cpu {
             line[pad * width..][..row.len()].copy_from_slice(row);
         }
         let tokens = (x.tokens + 2 * pad - filter.kernel) / filter.stride + 1;
-        let mut numbers = Vec::new();
-        let (level, step) = (Checked::now(), filter.stride * width);
-        kernels::filter(level, &lines, padded, (tokens, step), &filter.weights, &mut numbers);
+        let (length, step) = (filter.kernel * width, filter.stride * width);
+        let (mut windows, mut numbers) = (Vec::new(), Vec::new());
+        for line in lines.chunks_exact(padded) {
+            (0..tokens).for_each(|t| windows.extend_from_slice(&line[t * step..][..length]));
+        }
+        kernels::linear(&windows, &filter.weights, false, How::Exact, &mut numbers);
         Array::new(tokens, filter.weights.columns, numbers)
     }
 
     fn groups_mish(Groups { norm, groups }: &Groups, mut x: Array) -> Array {
         let row = x.row();
-        kernels::groups_mish(Checked::now(), &mut x.numbers, row, *groups, &norm.weight, &norm.bias);
+        kernels::groups_mish(&mut x.numbers, row, *groups, &norm.weight, &norm.bias);
         x
     }
 
     fn sum(x: &Array, mut y: Array) -> Array {
-        kernels::add(Checked::now(), &mut y.numbers, &x.numbers);
+        kernels::add(&mut y.numbers, &x.numbers);
         y
     }
 
-    fn sum_table(mut x: Array, table: &Array) -> Array {
-        kernels::add_cycle(Checked::now(), &mut x.numbers, &table.numbers);
-        x
-    }
-
-    fn sum_token(mut x: Array, y: &Array) -> Array {
-        let (level, row) = (Checked::now(), x.row());
+    fn sum_shared(mut x: Array, y: &Array) -> Array {
+        if y.tokens == x.tokens {
+            kernels::add_cycle(&mut x.numbers, &y.numbers);
+            return x;
+        }
+        let row = x.row();
         for (x, y) in x.numbers.chunks_exact_mut(row).zip(y.numbers.chunks_exact(x.width.max(1))) {
-            kernels::add_cycle(level, x, y);
+            kernels::add_cycle(x, y);
         }
         x
     }
 
-    fn cut(x: Array, width: i64) -> Array {
-        let width = width as usize;
-        Array { tokens: x.tokens * x.width / width, width, ..x }
+    fn cut(x: &Array, width: i64) -> Array {
+        Array::new(x.row() / width as usize, width as usize, x.numbers.clone())
     }
 
     fn columns(x: &Array, from: i64, count: i64) -> Array {
@@ -190,10 +169,6 @@ impl Ops for Cpu {
         Array::new(x.tokens, x.width + y.width, rows.flat_map(|(x, y)| [x, y]).flatten().copied().collect())
     }
 
-    fn joined(x: &Array) -> Array {
-        Array::new(1, x.tokens * x.width, x.numbers.clone())
-    }
-
     fn scaled(x: &Array, factor: &Array) -> Array {
         let rows = x.numbers.chunks_exact(x.row()).zip(&factor.numbers);
         x.like(rows.flat_map(|(row, f)| row.iter().map(move |v| v * f)).collect())
@@ -202,17 +177,14 @@ impl Ops for Cpu {
     fn greatest(x: &Array) -> Array {
         let mut numbers = vec![0.0; x.rows() * x.width];
         for (row, out) in x.numbers.chunks_exact(x.row()).zip(numbers.chunks_exact_mut(x.width.max(1))) {
-            kernels::most(Checked::now(), row, out);
+            kernels::most(row, out);
         }
         Array::new(1, x.width, numbers)
     }
 
-    fn at_step(_: &Array, _: usize, step: usize) -> usize {
-        step
-    }
-
-    fn rows_of(table: &Array, step: &usize) -> Array {
-        Array::new(1, table.width, table.numbers[step * table.width..(step + 1) * table.width].to_vec())
+    fn rows_of(table: &Array, steps: &[usize]) -> Array {
+        let row = |step: &usize| &table.numbers[step * table.width..(step + 1) * table.width];
+        Array::new(1, table.width, steps.iter().flat_map(row).copied().collect())
     }
 
     fn mish(x: &Array) -> Array {
@@ -249,7 +221,7 @@ impl Ops for Cpu {
     }
 
     fn gated(a: &Array, g: &Array, h: &Array, mut own: Array) -> Array {
-        kernels::gate(Checked::now(), &mut own.numbers, &a.numbers, &g.numbers, &h.numbers);
+        kernels::gate(&mut own.numbers, &a.numbers, &g.numbers, &h.numbers);
         own
     }
 
@@ -278,10 +250,22 @@ impl Ops for Cpu {
         let rows = x.numbers.chunks_exact(x.row());
         Array::new(count, x.width, rows.flat_map(|row| &row[from..]).copied().collect())
     }
+
+    fn mean_attention(samples: &[Vec<f32>], slots: &Pairs, tokens: Range<usize>) -> Vec<f32> {
+        slots.mean(samples, tokens)
+    }
 }
 
 impl Inputs for Cpu {
     type Batch<'a> = Batch<'a>;
+
+    fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
+        Batch { alone: true, ..*batch }
+    }
+
+    fn placed(_: &Batch<'_>, numbers: Vec<f32>, tokens: usize, width: usize) -> Array {
+        Array::new(tokens, width, numbers)
+    }
 
     fn history(batch: &Batch<'_>, config: &ModelConfig) -> Array {
         let n = &config.normalisation;
@@ -361,8 +345,7 @@ fn edges_at(batch: &Batch<'_>, config: &ModelConfig, times: &[f32]) -> (Array, P
     let n = &config.normalisation;
     let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
     let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);
-    let mut pairs = Pairs { others: Seen::empty(), all: Seen::empty() };
-    let mut numbers = Vec::new();
+    let (mut others_of, mut all_of, mut numbers) = (Seen::empty(), Seen::empty(), Vec::new());
     let mut offset = 0;
     for scene in batch.scenes {
         let k = scene.num_slots;
@@ -371,10 +354,10 @@ fn edges_at(batch: &Batch<'_>, config: &ModelConfig, times: &[f32]) -> (Array, P
             let sees = |slot: &usize| !batch.alone && scene.is_edge[row * k + slot] && edge(*slot)[8] > 0.5;
             let others: Vec<usize> = (1..k).filter(sees).collect();
             let other = |slot: usize| offset + scene.neighbours[row * k + slot];
-            pairs.all.push(std::iter::once(0).chain(others.iter().copied()).map(|s| (other(s), s)));
+            all_of.push(std::iter::once(0).chain(others.iter().copied()).map(|s| (other(s), s)));
             // alone: its own slot
             let of = if others.is_empty() { vec![0] } else { others };
-            pairs.others.push(of.iter().map(|s| (other(*s), *s)));
+            others_of.push(of.iter().map(|s| (other(*s), *s)));
             for x in of.into_iter().map(edge) {
                 for time in times {
                     numbers.extend([(x[0] + x[4] * time) * scale[0], (x[1] + x[5] * time) * scale[1]]);
@@ -384,5 +367,7 @@ fn edges_at(batch: &Batch<'_>, config: &ModelConfig, times: &[f32]) -> (Array, P
         }
         offset += scene.agents.len();
     }
+    let slots = batch.scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
+    let pairs = Pairs { others: Rc::new(others_of), all: Rc::new(all_of), slots };
     (Array::new(times.len(), EDGE_FEATURES - 1, numbers), pairs)
 }

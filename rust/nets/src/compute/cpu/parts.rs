@@ -3,6 +3,8 @@
 use crate::compute::weights::Weights;
 use crate::inputs::features::SceneFeatures;
 use crate::kernels::{Packed, Seen};
+use std::ops::Range;
+use std::rc::Rc;
 
 /// Numbers [rows, tokens, width].
 #[derive(Debug, Clone, PartialEq)]
@@ -111,7 +113,7 @@ pub struct Groups {
 #[derive(Debug, Clone, Copy)]
 pub struct Batch<'a> {
     /// The scenes.
-    pub scenes: &'a [&'a SceneFeatures],
+    pub scenes: &'a [SceneFeatures],
     /// Whether everybody sees itself alone.
     pub alone: bool,
 }
@@ -119,8 +121,12 @@ pub struct Batch<'a> {
 /// Whom rows see: others, or themselves where there are none; and themselves with the others.
 #[derive(Debug)]
 pub struct Pairs {
-    pub(crate) others: Seen,
-    pub(super) all: Seen,
+    /// Others.
+    pub others: Rc<Seen>,
+    /// All.
+    pub all: Rc<Seen>,
+    /// Slots of a row.
+    pub(super) slots: usize,
 }
 
 impl Batch<'_> {
@@ -134,17 +140,20 @@ impl Batch<'_> {
 }
 
 impl Pairs {
-    /// Attention to the others of rows [R, slots, tokens], zero where nobody is seen.
-    pub(crate) fn spread(&self, attention: &[f32], slots: usize) -> Vec<f32> {
+    /// Mean attention [R, slots] to the others over samples and tokens, zero where nobody is seen.
+    pub(super) fn mean(&self, samples: &[Vec<f32>], tokens: Range<usize>) -> Vec<f32> {
         let (rows, pairs) = (self.others.start.len() - 1, self.others.other.len());
-        let tokens = attention.len() / pairs.max(1);
-        let mut out = vec![0.0; rows * slots * tokens];
-        for row in 0..rows {
-            for pair in self.others.start[row]..self.others.start[row + 1] {
-                let at = (row * slots + self.others.slot[pair]) * tokens;
-                out[at..at + tokens].copy_from_slice(&attention[pair * tokens..(pair + 1) * tokens]);
+        let mut mean = vec![0.0; rows * self.slots];
+        for attention in samples {
+            let all = attention.len() / pairs.max(1);
+            for row in 0..rows {
+                for pair in self.others.start[row]..self.others.start[row + 1] {
+                    let of_pair = &attention[pair * all..][tokens.clone()];
+                    mean[row * self.slots + self.others.slot[pair]] +=
+                        of_pair.iter().sum::<f32>() / (tokens.len() * samples.len()) as f32;
+                }
             }
         }
-        out
+        mean
     }
 }

@@ -36,7 +36,7 @@ impl<B: Ops> EdgeEncoder<B> {
         };
         let sum = if moved {
             let one = B::last(edges, 1);
-            (1..4).fold(part(0, edges), |sum, g| B::sum_token(sum, &part(g, &one)))
+            (1..4).fold(part(0, edges), |sum, g| B::sum_shared(sum, &part(g, &one)))
         } else {
             (1..4).fold(part(0, edges), |sum, g| B::sum(&sum, part(g, edges)))
         };

@@ -48,7 +48,7 @@ impl<B: Ops> StepEmbedding<B> {
     }
 
     /// Steps of the rows to a token of each, [R, 1, d].
-    pub fn forward(&self, steps: &B::Steps) -> B::Tensor {
+    pub fn forward(&self, steps: &[usize]) -> B::Tensor {
         B::apply(&self.down, &B::mish(&B::apply(&self.up, &B::rows_of(&self.table, steps))))
     }
 }
@@ -58,8 +58,8 @@ impl<B: Ops> StepEmbedding<B> {
 pub enum HistoryEmbedding<B: Ops> {
     /// A token per step.
     PerStep(B::Linear),
-    /// One token.
-    Summary(Perceptron<B>),
+    /// One token of so many numbers.
+    Summary(i64, Perceptron<B>),
 }
 
 impl<B: Ops> HistoryEmbedding<B> {
@@ -72,7 +72,7 @@ impl<B: Ops> HistoryEmbedding<B> {
             }
             HistoryTokens::Summary => {
                 let inputs = (config.history_steps * HISTORY_FEATURES) as i64;
-                Self::Summary(Perceptron::named(p, &["in", "out"], &[inputs, 4 * d, d]))
+                Self::Summary(inputs, Perceptron::named(p, &["in", "out"], &[inputs, 4 * d, d]))
             }
         }
     }
@@ -81,7 +81,7 @@ impl<B: Ops> HistoryEmbedding<B> {
     pub fn forward(&self, history: &B::Tensor) -> B::Tensor {
         match self {
             Self::PerStep(step) => B::apply(step, &B::columns(history, 0, HISTORY_FEATURES as i64 - 1)),
-            Self::Summary(layers) => layers.forward(&B::joined(history)),
+            Self::Summary(inputs, layers) => layers.forward(&B::cut(history, *inputs)),
         }
     }
 }

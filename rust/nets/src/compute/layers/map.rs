@@ -26,6 +26,6 @@ impl<B: Backend> LineEncoder<B> {
     pub fn forward(&self, batch: &B::Batch<'_>) -> Option<B::Tensor> {
         let x = B::apply_relu(&self.line[1], &B::apply_relu(&self.line[0], &B::lines(batch)?));
         let (own, greatest) = B::apply_joint(&self.among_all, &x, &B::greatest(&x));
-        Some(B::normed(&self.norm, &B::sum_token(own, &greatest)))
+        Some(B::normed(&self.norm, &B::sum_shared(own, &greatest)))
     }
 }

@@ -17,7 +17,7 @@ use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
 use crate::guidance::Guidance;
-use crate::networks::planner::{Asked, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use grid::{CELLS_PER_TOKEN, SIDE};
@@ -58,7 +58,7 @@ impl<B: Backend> Bits<B> {
     /// lines.
     pub fn cells(&self, seen: &Encoded<B>) -> Option<B::Tensor> {
         let lines = self.lines.memory(seen.map.as_ref()?);
-        let blocks = B::cut(B::apply(&self.blocks, &seen.state), GOAL_WIDTHS[0]);
+        let blocks = B::cut(&B::apply(&self.blocks, &seen.state), GOAL_WIDTHS[0]);
         Some(self.cells.forward(&B::sum(&blocks, self.lines.forward(&blocks, &lines, None))))
     }
 
@@ -102,7 +102,7 @@ impl<B: Backend> Proposes<B> for Bits<B> {
         batch: &B::Batch<'_>,
         asked: &Asked<'_>,
         guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<Proposed> {
         asked.rows.check_seeds(asked.seeds)?;
         let (config, seen) = (self.config(), self.encode(batch));
         let Some(cells) = self.cells(&seen) else {
@@ -111,13 +111,13 @@ impl<B: Backend> Proposes<B> for Bits<B> {
         let goals = grid::goals(&B::numbers(&cells), asked);
         let mut knots = Vec::with_capacity(goals.len() / GOAL * 2 * config.num_knots());
         for goals in goals.chunks_exact((asked.rows.count() * GOAL).max(1)) {
-            let goals = B::placed(&seen.state, goals.to_vec(), 1, GOAL);
+            let goals = B::placed(batch, goals.to_vec(), 1, GOAL);
             knots.extend(B::numbers(&self.plans(&seen, &goals)));
         }
         if let Some(guide) = guide {
             guide.choose_against(B::numbers(&self.predicted(&seen)), None)?;
             guide.adjust_finished(&mut knots)?;
         }
-        Ok(knots)
+        Ok((knots, None))
     }
 }

@@ -5,7 +5,8 @@ mod network;
 pub use network::{Context, Network};
 
 use crate::compute::cpu::Cpu;
-use crate::networks::cpu_planner::denoising;
+use crate::networks::cpu_planner::on_cpu;
+use crate::networks::denoising::Denoising;
 use crate::networks::kind::NetworkKind;
 
 /// Scene diffusion over the decision causal graph.
@@ -16,12 +17,12 @@ pub const CCDIFF: NetworkKind = NetworkKind {
     causal: true,
     routes: true,
     sizes: |preset| preset,
-    ..NetworkKind::of("ccdiff", "CCDiff", denoising::<Network<Cpu>>)
+    ..NetworkKind::of("ccdiff", "CCDiff", on_cpu::<Denoising<Network<Cpu>>>)
 };
 
 /// Scene diffusion over a graph of distances.
 pub const CTGPP: NetworkKind = NetworkKind {
     denoises: true,
     attends: true,
-    ..NetworkKind::of("ctgpp", "CTG++", denoising::<Network<Cpu>>)
+    ..NetworkKind::of("ctgpp", "CTG++", on_cpu::<Denoising<Network<Cpu>>>)
 };

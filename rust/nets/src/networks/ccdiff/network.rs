@@ -14,6 +14,7 @@ use crate::compute::layers::map::LineEncoder;
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::networks::planner::{Denoises, Weighted};
+use crate::sampling::plan_space::PlanSpace;
 
 /// Decoder rounds: the first ends in the edge-aware social layers, the second in a plain one.
 const ROUNDS: usize = 2;
@@ -29,7 +30,7 @@ struct Round<B: Backend> {
 #[derive(Debug)]
 pub struct Network<B: Backend> {
     config: ModelConfig,
-    space: B::Space,
+    space: PlanSpace,
     history: HistoryEmbedding<B>,
     route: Option<RouteEmbedding<B>>,
     noisy: B::Linear,
@@ -83,7 +84,7 @@ impl<B: Backend> Weighted<B> for Network<B> {
         let tokens = config.history_token_steps().len() + config.num_knots();
         let hidden = config.social_feed_forward;
         Self {
-            space: B::space(p, config),
+            space: PlanSpace::new(config),
             history: HistoryEmbedding::new(&at("history"), config),
             noisy: B::linear(&at("noisy"), 6 * config.knot_stride as i64, d),
             step: StepEmbedding::new(&at("step"), config.diffusion_steps, d),
@@ -110,10 +111,6 @@ impl<B: Backend> Weighted<B> for Network<B> {
 
 impl<B: Backend> Denoises<B> for Network<B> {
     type Context = Context<B>;
-
-    fn space(&self) -> &B::Space {
-        &self.space
-    }
 
     fn slots(context: &Context<B>) -> Option<&B::Slots> {
         Some(&context.slots)
@@ -142,7 +139,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
         &self,
         context: &Context<B>,
         noisy: &B::Tensor,
-        steps: &B::Steps,
+        steps: &[usize],
     ) -> (B::Tensor, Option<B::Attention>) {
         let plan = B::apply(&self.noisy, &B::plan(&self.space, noisy, &context.speed));
         // with one history token, its content also goes straight into the plan's tokens
@@ -153,7 +150,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
             if let (Some(layer), Some(kv)) = (&round.map, &context.map[r]) {
                 x = B::sum(&x, layer.forward(&x, kv, None));
             }
-            x = B::sum_table(x, &self.positions);
+            x = B::sum_shared(x, &self.positions);
             for layer in &round.temporal {
                 x = layer.within(&x, context.mask.as_ref());
             }

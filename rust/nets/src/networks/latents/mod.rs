@@ -18,19 +18,18 @@ use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
-use crate::networks::cpu_planner::proposing;
+use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
-use crate::networks::planner::{Asked, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use descent::{Gaussian, descended};
 
 /// Latents of all agents decoded jointly, after the paper.
-pub const TRAFFICSIM: NetworkKind =
-    NetworkKind::with_trunk("trafficsim", "TrafficSim", proposing::<Cvae<Cpu>>);
+pub const TRAFFICSIM: NetworkKind = NetworkKind::with_trunk("trafficsim", "TrafficSim", on_cpu::<Cvae<Cpu>>);
 /// Latents of each agent under a learned prior, optimised.
 pub const STRIVE: NetworkKind =
-    NetworkKind { road: true, ..NetworkKind::with_trunk("strive", "STRIVE", proposing::<Cvae<Cpu>>) };
+    NetworkKind { road: true, ..NetworkKind::with_trunk("strive", "STRIVE", on_cpu::<Cvae<Cpu>>) };
 
 /// Bounds of ln σ² of latents.
 pub const LOG_VARIANCE: (f64, f64) = (-6.0, 2.0);
@@ -178,8 +177,8 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
         batch: &B::Batch<'_>,
         asked: &Asked<'_>,
         guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Vec<f32>> {
-        let Asked { rows, seeds, options } = *asked;
+    ) -> Result<Proposed> {
+        let Asked { rows, seeds, options, .. } = *asked;
         rows.check_seeds(seeds)?;
         let (latent, seen) = (self.form.latent(), self.encode(batch));
         let of_sample = rows.count() * latent;
@@ -189,7 +188,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
         }
         let prior = Gaussian::new(&B::numbers(&self.prior(&seen)), latent);
         let mut z = prior.sample(&noise);
-        let placed = |z: &[f32]| B::placed(&seen.token, z.to_vec(), 1, latent);
+        let placed = |z: &[f32]| B::placed(batch, z.to_vec(), 1, latent);
         let decode = |z: &[f32]| -> Vec<f32> {
             z.chunks_exact(of_sample).flat_map(|z| B::numbers(&self.decode(&seen, &placed(z)))).collect()
         };
@@ -204,6 +203,6 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
             };
             z = descended(&z, latent, likely, guide, decode, pulled)?;
         }
-        Ok(decode(&z))
+        Ok((decode(&z), None))
     }
 }

@@ -45,7 +45,7 @@ pub(crate) fn drawn(
     config: &ModelConfig,
     guide: Option<&mut Guidance<'_>>,
 ) -> Result<Vec<f32>> {
-    let Asked { rows, seeds, options } = *asked;
+    let Asked { rows, seeds, options, .. } = *asked;
     rows.check_seeds(seeds)?;
     let (count, n) = (rows.count(), options.num_samples);
     if logits.len() != count * NUM_TOKENS {

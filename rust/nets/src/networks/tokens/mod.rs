@@ -18,7 +18,7 @@ use crate::compute::cpu::Cpu;
 use crate::config::{ModelConfig, NeighbourOrder};
 use crate::error::{ModelError, Result};
 use crate::inputs::tokens::{HISTORY_STEPS, NEAR, build};
-use crate::networks::cpu_planner::proposing;
+use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
 
 /// Each agent's next token of a grid of motions.
@@ -28,7 +28,7 @@ pub const TOKENS: NetworkKind = NetworkKind {
     sizes,
     fits,
     features: build,
-    ..NetworkKind::of("tokens", "Tokens", proposing::<Network<Cpu>>)
+    ..NetworkKind::of("tokens", "Tokens", on_cpu::<Network<Cpu>>)
 };
 
 /// Places on a route that the network is told of, metres ahead.

@@ -8,7 +8,7 @@ use crate::error::{ModelError, Result};
 use crate::guidance::Guidance;
 use crate::inputs::segments::SEGMENT_FEATURES;
 use crate::inputs::tokens::{NEAR_NUMBERS, own_columns};
-use crate::networks::planner::{Asked, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 
 /// Attention of the query to elements, which are their own keys and values.
 #[derive(Debug)]
@@ -107,7 +107,7 @@ impl<B: Backend> Proposes<B> for Network<B> {
         batch: &B::Batch<'_>,
         asked: &Asked<'_>,
         guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Vec<f32>> {
+    ) -> Result<Proposed> {
         let Some(lines) = B::lines(batch) else {
             return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
         };
@@ -115,6 +115,6 @@ impl<B: Backend> Proposes<B> for Network<B> {
         let logits = B::numbers(&self.logits(&own, &near, &lines));
         let speed_mps = B::numbers(&B::speed(batch));
         let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &yaw_rate_radps };
-        drawn(&logits, now, asked, self.config(), guide)
+        Ok((drawn(&logits, now, asked, self.config(), guide)?, None))
     }
 }

@@ -5,7 +5,7 @@ use super::SWIFT;
 use super::seen::{EGO, OTHER, OWN, Rows, WHO};
 use crate::compute::weights::{Entry, Weights, broken, field};
 use crate::error::Result;
-use crate::kernels::{Checked, Packed, linear};
+use crate::kernels::{How, Packed, linear};
 use crate::networks::tokens::grid::{BINS, SPEED, YAW_RATE};
 use crate::sampling::noise::Noise;
 use ccdiff_sim::geom::Real;
@@ -97,15 +97,15 @@ impl Network {
 
     /// Features and logits of rows at strengths [n]. Who is not guided does not know who the ego is.
     pub(super) fn see(&self, rows: &mut Rows, strengths: &[Real], hidden: &mut Hidden) {
-        let (level, far) = (Checked::now(), self.others[1].columns);
+        let far = self.others[1].columns;
         let Hidden { x, a, b, speed, turning, .. } = hidden;
         let mut others = rows.others.chunks_exact_mut(OTHER);
         for (seen, strength) in rows.seen.iter().zip(strengths) {
             let told = |other: &mut [Real]| other[WHO] = other[WHO].min(0.0);
             others.by_ref().take(*seen).filter(|_| *strength <= 0.0).for_each(told);
         }
-        linear(level, &rows.others, &self.others[0], true, a);
-        linear(level, a, &self.others[1], true, b);
+        linear(&rows.others, &self.others[0], true, How::Exact, a);
+        linear(a, &self.others[1], true, How::Exact, b);
         x.clear();
         let mut found = b.chunks_exact(far);
         let mut greatest = vec![0.0; far];
@@ -122,10 +122,10 @@ impl Network {
             x.extend(ego.iter().map(|e| e * strength));
             x.extend_from_slice(&greatest);
         }
-        linear(level, x, &self.trunk[0], true, a);
-        linear(level, a, &self.trunk[1], true, b);
-        linear(level, b, &self.speed, false, speed);
-        linear(level, b, &self.turning, false, turning);
+        linear(x, &self.trunk[0], true, How::Exact, a);
+        linear(a, &self.trunk[1], true, How::Exact, b);
+        linear(b, &self.speed, false, How::Exact, speed);
+        linear(b, &self.turning, false, How::Exact, turning);
     }
 
     /// A change of speed (m/s in half a second) and a yaw rate (rad/s) of a row, by four random words.
@@ -144,7 +144,7 @@ impl Network {
         let add = |(t, s): (&Real, &Real)| if t + s > 0.0 { t + s } else { 0.0 };
         a.clear();
         a.extend(turning[row * width..][..width].iter().zip(&self.by_speed[bin * width..]).map(add));
-        linear(Checked::now(), a, &self.yaw_rate, false, b);
+        linear(a, &self.yaw_rate, false, How::Exact, b);
         let turn = drawn(b, words[2], temperature, cumulative);
         [SPEED.value(bin, words[1]), YAW_RATE.value(turn, words[3])]
     }

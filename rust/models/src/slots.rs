@@ -1,5 +1,7 @@
 //! Attention over the rows in slots, as tensors.
 
+use crate::batch::Neighbourhood;
+use crate::config::ModelConfig;
 use tch::{Kind, Tensor};
 
 /// Which row sits in which slot, and who may be seen.
@@ -16,6 +18,32 @@ pub struct Slots {
 }
 
 impl Slots {
+    /// The edges of all tokens, normalised, [R, K, T, 8], and who may be seen. History tokens have the edge of their step; future ones
+    /// that of now, moved on at constant relative velocity.
+    pub(crate) fn at_tokens(of: &Neighbourhood, config: &ModelConfig) -> (Tensor, Self) {
+        let n = &config.normalisation;
+        let (pos, vel, edges) = (&n.edge_position_std, n.edge_velocity_std, &of.edges);
+        let now = edges.narrow(2, edges.size()[2] - 1, 1);
+        let times: Vec<f32> = config.future_token_times_s().iter().map(|t| *t as f32).collect();
+        let tokens = times.len() as i64;
+        let times = Tensor::from_slice(&times).view([1, 1, tokens, 1]).to_device(edges.device());
+        let moved = now.narrow(3, 0, 2) + now.narrow(3, 4, 2) * times;
+        let rest = now.narrow(3, 2, 7).expand([-1, -1, tokens, -1], false);
+        let all = Tensor::cat(&[edges.shallow_clone(), Tensor::cat(&[moved, rest], 3)], 2);
+        let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);
+        let scaled = all.narrow(3, 0, 8) * Tensor::from_slice(&scale).to_device(edges.device());
+        (scaled, Self::new(&of.rows, &of.is_edge, &all.select(3, 8).gt(0.5)))
+    }
+
+    /// The edges of now as a single token, and who may be seen.
+    pub(crate) fn now(of: &Neighbourhood, config: &ModelConfig) -> (Tensor, Self) {
+        let (edges, slots) = Self::at_tokens(of, config);
+        let [others_or_self, with_self] =
+            [&slots.others_or_self, &slots.with_self].map(|seen| seen.narrow(2, 0, 1));
+        // the first token's edges are those of now
+        (edges.narrow(2, 0, 1), Self { others_or_self, with_self, ..slots })
+    }
+
     /// From neighbour rows [R, K], edges of G [R, K] and availability [R, K, T].
     pub(crate) fn new(neighbours: &Tensor, is_edge: &Tensor, available: &Tensor) -> Self {
         let others = available.logical_and(&is_edge.unsqueeze(2));
