@@ -5,7 +5,7 @@ use ccdiff_nets::traffic::STATIONARY_REACH_M;
 
 use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, Normalisation};
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
 use crate::lateral_perturbation::{LateralPerturbation, RECOVERY_S};
 use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
@@ -87,15 +87,11 @@ impl Dataset {
     /// [`ModelError::NoSamples`] where no step qualifies.
     pub fn new(scenes: Vec<Arc<Scene>>, config: &ModelConfig, stride: usize) -> Result<Self> {
         let num_scenes = scenes.len();
-        if stride == 0 {
-            return Err(ModelError::Config { field: "stride", got: "0".into(), expected: "at least 1" });
-        }
-        if let Some(odd) = scenes.iter().find(|s| (f64::from(s.dt_s) - config.dt_s).abs() > 1e-6) {
-            return Err(ModelError::Config {
-                field: "dt_s",
-                got: format!("{} s in scene {:?}", odd.dt_s, odd.name),
-                expected: "the time step of the network",
-            });
+        require(stride > 0, "stride", stride, "at least 1")?;
+        for scene in &scenes {
+            let fits = (f64::from(scene.dt_s) - config.dt_s).abs() <= 1e-6;
+            let got = format!("{} s in scene {:?}", scene.dt_s, scene.name);
+            require(fits, "dt_s", got, "the time step of the network")?;
         }
         let network = config.network()?;
         let scenes: Vec<Prepared> = scenes

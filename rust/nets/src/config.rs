@@ -1,41 +1,16 @@
 //! What a network is: sizes, map view, graph thresholds, normalisation. Stored with the weights.
 
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use ccdiff_sim::causal::graph::GraphThresholds;
-use ccdiff_sim::options::{Form, Range, Setting, Table, WEIGHT, within};
+use ccdiff_sim::options::{Range, Table, WEIGHT, within};
 use ccdiff_sim::{choices, options};
-use serde::{Deserialize, Serialize};
 
 /// The tables of networks.
 pub const TABLES: &[&Table] = &[&ModelConfig::TABLE, &MapConfig::TABLE, &Normalisation::TABLE];
 
-/// Which network it is, by its name in files, options and tables: one of [`crate::networks::NETWORKS`]. Files that name none are of
-/// CCDiff.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct KindName(String);
-
-impl KindName {
-    /// The name.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
-impl From<&str> for KindName {
-    fn from(name: &str) -> Self {
-        Self(name.into())
-    }
-}
-
-impl Default for KindName {
-    fn default() -> Self {
-        "ccdiff".into()
-    }
-}
-
-impl Setting for KindName {
-    const FORM: Form = Form::Text;
+/// The network of files that name none.
+fn ccdiff() -> String {
+    "ccdiff".into()
 }
 
 choices! {
@@ -110,8 +85,8 @@ options! {
     #[derive(Clone)]
     pub struct ModelConfig {
         /// Which network, by name.
-        #[serde(default)]
-        kind: KindName = KindName::default();
+        #[serde(default = "ccdiff")]
+        kind: String = ccdiff();
         /// Name of the preset this came from.
         preset: String = "paper".into();
         /// History steps, the current one included.
@@ -223,23 +198,15 @@ impl ModelConfig {
     /// [`ModelError::Config`] and [`ModelError::Sim`] name the first field that is wrong.
     pub(crate) fn check_sizes(&self) -> Result<()> {
         options::check("model", self)?;
-        let fail =
-            |field: &'static str, got: String, expected| Err(ModelError::Config { field, got, expected });
-        if self.width % self.heads != 0 || self.width % 2 != 0 {
-            let got = format!("{} for {} heads", self.width, self.heads);
-            return fail("model.width", got, "an even multiple of heads");
-        }
-        if !self.horizon_steps.is_multiple_of(self.knot_stride) {
-            return fail("model.knot_stride", self.knot_stride.to_string(), "a divisor of horizon_steps");
-        }
-        if self.route_points_m.len() > 64 {
-            let got = format!("{} points", self.route_points_m.len());
-            return fail("model.route_points_m", got, "at most 64");
-        }
-        if let Some(map) = self.map.as_ref().filter(|map| map.rounds.len() > 64) {
-            return fail("model.map.rounds", format!("{} rounds", map.rounds.len()), "at most 64");
-        }
-        Ok(())
+        let (width, heads, stride) = (self.width, self.heads, self.knot_stride);
+        let (points, rounds) =
+            (self.route_points_m.len(), self.map.as_ref().map_or(0, |map| map.rounds.len()));
+        let (fits, got) = (width % heads == 0 && width % 2 == 0, format!("{width} for {heads} heads"));
+        require(fits, "model.width", got, "an even multiple of heads")?;
+        let fits = self.horizon_steps.is_multiple_of(stride);
+        require(fits, "model.knot_stride", stride, "a divisor of horizon_steps")?;
+        require(points <= 64, "model.route_points_m", format!("{points} points"), "at most 64")?;
+        require(rounds <= 64, "model.map.rounds", format!("{rounds} rounds"), "at most 64")
     }
 
     /// Number of action knots, which is the number of future tokens.

@@ -216,7 +216,7 @@ macro_rules! options {
         pub struct $name:ident {
             $(
                 $(#[doc = $doc:literal])+
-                $(#[serde($later:ident)])?
+                $(#[serde($later:ident $(= $path:literal)?)])?
                 $field:ident: $type:ty $(= $default:expr)? $(, unit $unit:literal)? $(, range $range:expr)?;
             )+
         }
@@ -225,7 +225,7 @@ macro_rules! options {
         #[derive(Debug, PartialEq, serde::Serialize, serde::Deserialize, $($derive),+)]
         $(#[serde($($serde),+)])?
         pub struct $name {
-            $($(#[doc = $doc])+ $(#[serde($later)])? pub $field: $type,)+
+            $($(#[doc = $doc])+ $(#[serde($later $(= $path)?)])? pub $field: $type,)+
         }
 
         $crate::options!(@default $name; $($field $(= $default)?;)+);

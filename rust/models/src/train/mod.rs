@@ -11,7 +11,7 @@ use crate::batch::{Batch, Targets};
 use crate::checkpoint::{self, variables};
 use crate::config::ModelConfig;
 use crate::dataset::Dataset;
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use crate::grad::guarded;
 use crate::kinds::build;
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
@@ -99,18 +99,11 @@ impl Trainer {
     /// What [`TorchModel::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
     pub fn taught_by(mut self, path: &Path) -> Result<Self> {
         let teacher = TorchModel::load(path, self.store.device())?;
-        let fail = |got: &str, expected: &'static str| {
-            Err(ModelError::Config { field: "teacher", got: got.into(), expected })
-        };
-        if *teacher.network().space().config() != self.model {
-            return fail("another network", "weights of the network that is trained");
-        }
-        if !self.model.network()?.denoises {
-            return fail(self.model.kind.as_str(), "a network that denoises");
-        }
-        if self.config.teacher_steps == 0 {
-            return fail("given", "none where teacher_steps is 0");
-        }
+        let same = *teacher.network().space().config() == self.model;
+        require(same, "teacher", "another network", "weights of the network that is trained")?;
+        let denoises = self.model.network()?.denoises;
+        require(denoises, "teacher", self.model.kind.as_str(), "a network that denoises")?;
+        require(self.config.teacher_steps > 0, "teacher", "given", "none where teacher_steps is 0")?;
         for store in [&self.store, &self.average.store] {
             checkpoint::fill(path, &teacher.variables(), "", &mut variables(store))?;
         }
@@ -139,9 +132,8 @@ impl Trainer {
     fn taught(&self, batch: &Batch) -> Result<Option<Taught>> {
         let steps = self.config.teacher_steps;
         let Some(teacher) = &self.teacher else {
-            let (got, expected) = (format!("{steps} without a teacher"), "the weights of a teacher");
-            let none = || Err(ModelError::Config { field: "teacher_steps", got, expected });
-            return if steps == 0 { Ok(None) } else { none() };
+            let got = format!("{steps} without a teacher");
+            return require(steps == 0, "teacher_steps", got, "the weights of a teacher").map(|()| None);
         };
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());

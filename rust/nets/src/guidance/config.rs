@@ -1,7 +1,7 @@
 //! What guidance seeks and how hard it pulls.
 
 use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed, TargetDistance};
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
 
@@ -49,9 +49,6 @@ choices! {
         Unweighted = "unweighted",
     }
 }
-
-/// Most terms of a loss.
-const MOST_OBJECTIVES: usize = 32;
 
 /// The tables of guidance.
 pub const TABLES: &[&Table] = &[
@@ -172,10 +169,8 @@ impl GuidanceConfig {
     /// [`ModelError::Config`] names the field.
     pub fn validated(self) -> Result<Self> {
         options::check("guidance", &self)?;
-        if self.objectives.len() > MOST_OBJECTIVES {
-            let (field, got) = ("guidance.objectives", format!("{} objectives", self.objectives.len()));
-            return Err(ModelError::Config { field, got, expected: "at most 32" });
-        }
+        let count = self.objectives.len();
+        require(count <= 32, "guidance.objectives", format!("{count} objectives"), "at most 32")?;
         Ok(self)
     }
 }

@@ -1,7 +1,7 @@
 //! What guidance knows about one world: where its agents are, how large, who may be guided, road.
 
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{Result, equal};
 use crate::inputs::features::{SceneFeatures, Window};
 use ccdiff_sim::geom::{Pose2, Region};
 
@@ -81,7 +81,7 @@ impl<'a> GuidanceContext<'a> {
     /// The agents of a scene's features; `discount` is γ per step of a plan.
     ///
     /// # Errors
-    /// [`ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
+    /// [`crate::ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
     pub fn new(
         guide: &WorldGuidance<'a>,
         window: &Window,
@@ -96,10 +96,7 @@ impl<'a> GuidanceContext<'a> {
             ("guide roads", guide.roads.map(<[_]>::len)),
             ("guide collision_targets", guide.collision_targets.map(<[_]>::len)),
         ] {
-            if let Some(got) = got.filter(|got| *got != expected) {
-                let expected = format!("{expected} (one per agent of the window)");
-                return Err(ModelError::Shape { what, got: got.to_string(), expected });
-            }
+            equal(what, got.unwrap_or(expected), expected)?;
         }
         let rows = &features.agents;
         Ok(Self {

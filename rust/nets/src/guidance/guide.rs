@@ -8,7 +8,7 @@ use super::objective::{Evaluation, Objective};
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, equal};
 use rayon::prelude::*;
 
 /// Jobs (one sample of one world) from which on the pool is used.
@@ -55,8 +55,11 @@ struct Job<'j, 'a> {
     watch: Option<(&'j mut GradientSums, &'j [f32])>,
 }
 
-/// Scratch of one job.
-struct Scratch {
+/// A world, and memory for its plans.
+struct Scratch<'s, 'a> {
+    config: &'s GuidanceConfig,
+    map: &'s KnotMap,
+    context: &'s GuidanceContext<'a>,
     actions: Vec<f32>,
     of_actions: Vec<f32>,
     of_knots: Vec<f32>,
@@ -65,34 +68,101 @@ struct Scratch {
     of_states: StateGradient,
 }
 
-impl Scratch {
-    fn new(context: &GuidanceContext<'_>, knots: &KnotMap) -> Self {
+impl<'s, 'a> Scratch<'s, 'a> {
+    fn new(config: &'s GuidanceConfig, map: &'s KnotMap, context: &'s GuidanceContext<'a>) -> Self {
         let (m, t) = (context.num_agents(), context.num_steps);
         Self {
+            config,
+            map,
+            context,
             actions: vec![0.0; 2 * t],
             of_actions: vec![0.0; 2 * t],
-            of_knots: vec![0.0; knots.width()],
+            of_knots: vec![0.0; map.width()],
             losses: vec![0.0; m],
             plan: Rollout::zeros(m, t),
             of_states: StateGradient::zeros(m, t),
         }
     }
 
-    fn roll(&mut self, context: &GuidanceContext<'_>, map: &KnotMap, agent: usize, knots: &[f32]) {
-        let width = map.width();
-        map.actions(&knots[agent * width..(agent + 1) * width], &mut self.actions);
-        self.plan.roll(context, agent, &self.actions);
+    /// Rolls an agent's part of the world's knots out.
+    fn roll(&mut self, agent: usize, knots: &[f32]) {
+        let width = self.map.width();
+        self.map.actions(&knots[agent * width..(agent + 1) * width], &mut self.actions);
+        self.plan.roll(self.context, agent, &self.actions);
+    }
+
+    fn roll_all(&mut self, knots: &[f32]) {
+        (0..self.context.num_agents()).for_each(|agent| self.roll(agent, knots));
     }
 
     /// Adds an objective's losses, and its gradient times a scale.
-    fn evaluate(&mut self, context: &GuidanceContext<'_>, of: &Objective, wanted: &[bool], scale: f32) {
+    fn evaluate(&mut self, of: &Objective, wanted: &[bool], scale: f32) {
         let (losses, gradient) = (&mut self.losses, &mut self.of_states);
-        of.evaluate(context, &self.plan, &mut Evaluation { losses, gradient, wanted, scale });
+        of.evaluate(self.context, &self.plan, &mut Evaluation { losses, gradient, wanted, scale });
     }
 
-    fn vjp(&mut self, context: &GuidanceContext<'_>, map: &KnotMap, agent: usize) {
-        self.plan.vjp(context, agent, &self.of_states, &mut self.of_actions);
-        map.vjp(&self.of_actions, &mut self.of_knots);
+    fn vjp(&mut self, agent: usize) {
+        self.plan.vjp(self.context, agent, &self.of_states, &mut self.of_actions);
+        self.map.vjp(&self.of_actions, &mut self.of_knots);
+    }
+
+    /// Moves the guided rows of one sample.
+    fn adjust(&mut self, mask: &[f32], knots: &mut [f32], shift_sq: &mut [f64], step: GuidanceStep<'_>) {
+        let (config, context, width) = (self.config, self.context, self.map.width());
+        let m = context.num_agents();
+        let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
+        if rows.is_empty() || config.gradient_steps == 0 {
+            return;
+        }
+        let limit = match config.clip {
+            Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
+            Clip::Norm => f64::from(config.clip_limit),
+        };
+        let before = knots.to_vec();
+        let part = |a: usize| a * width..(a + 1) * width;
+        let mut descents: Vec<Descent<'_>> =
+            rows.iter().map(|a| Descent::new(config, &before[part(*a)], limit as f32)).collect();
+        self.roll_all(knots);
+        for turn in 0..config.gradient_steps {
+            if turn > 0 {
+                rows.iter().for_each(|a| self.roll(*a, knots));
+            }
+            self.of_states.clear();
+            for objective in &config.objectives {
+                self.evaluate(objective, &context.guided, objective.weight() / m as f32);
+            }
+            for (a, descent) in rows.iter().zip(&mut descents) {
+                self.vjp(*a);
+                self.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
+                descent.step(&self.of_knots, &mut knots[part(*a)]);
+            }
+        }
+        for a in rows {
+            if context.guidance_scale != 1.0 {
+                let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
+                moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
+            }
+            let moved = knots[part(a)].iter().zip(&before[part(a)]);
+            let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
+            shift_sq[a] += squared * (step.gain / step.sigma).powi(2);
+        }
+    }
+
+    /// Weighted gradients of the objectives, [J][M, knots, 2].
+    fn gradients(&mut self, knots: &[f32]) -> Vec<Vec<f32>> {
+        let (m, config) = (self.context.num_agents(), self.config);
+        let wanted = vec![true; m];
+        self.roll_all(knots);
+        let mut of = |objective: &Objective| {
+            self.of_states.clear();
+            self.evaluate(objective, &wanted, objective.weight() / m as f32);
+            let of_agent = |agent| {
+                self.vjp(agent);
+                self.of_knots.clone()
+            };
+            (0..m).flat_map(of_agent).collect()
+        };
+        config.objectives.iter().map(&mut of).collect()
     }
 }
 
@@ -165,8 +235,8 @@ impl<'a> Guidance<'a> {
     pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) -> Result<()> {
         let width = self.knots.width();
         let expected = self.shift_sq.len() * width;
-        expect("knots", knots.len(), expected)?;
-        expect("score", step.score.map_or(expected, <[f32]>::len), expected)?;
+        equal("knots", knots.len(), expected)?;
+        equal("score", step.score.map_or(expected, <[f32]>::len), expected)?;
         if !(step.sigma > 0.0 && step.gain > 0.0) {
             return Ok(());
         }
@@ -187,11 +257,11 @@ impl<'a> Guidance<'a> {
         }
         let (config, map, mask) = (self.config, &self.knots, self.mask.as_slice());
         let run = |job: Job<'_, '_>| {
-            let mut scratch = Scratch::new(job.context, map);
+            let mut scratch = Scratch::new(config, map, job.context);
             if let Some((sums, score)) = job.watch {
-                sums.add(&gradients_of(config, map, job.context, job.knots, &mut scratch), score, width);
+                sums.add(&scratch.gradients(job.knots), score, width);
             }
-            adjust_world(config, map, mask, job.context, job.knots, job.shift_sq, step, &mut scratch);
+            scratch.adjust(mask, job.knots, job.shift_sq, step);
         };
         if jobs.len() < PARALLEL_JOBS {
             jobs.into_iter().for_each(run);
@@ -220,7 +290,7 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn choose_against(&mut self, predicted: Vec<f32>, draws: Option<usize>) -> Result<()> {
         let expected = self.sizes.iter().sum::<usize>() * self.knots.width();
-        expect("predicted knots", predicted.len(), expected)?;
+        equal("predicted knots", predicted.len(), expected)?;
         (self.predicted, self.draws) = (Some(predicted), draws);
         Ok(())
     }
@@ -261,7 +331,7 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn gradient(&self, knots: &[f32]) -> Result<Vec<f32>> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        expect("knots", knots.len(), self.num_samples * rows * width)?;
+        equal("knots", knots.len(), self.num_samples * rows * width)?;
         let offsets = crate::inputs::features::row_offsets(&self.sizes);
         let jobs: Vec<(usize, usize)> = (0..self.num_samples)
             .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
@@ -291,10 +361,10 @@ impl<'a> Guidance<'a> {
     /// # Errors
     /// [`ModelError::Shape`] for a world that is not there or knots of another length.
     pub fn gradients(&self, world: usize, knots: &[f32]) -> Result<Vec<Vec<f32>>> {
-        expect("knots", knots.len(), self.sizes.get(world).map_or(0, |s| s * self.knots.width()))?;
-        Ok(self.worlds.get(world).and_then(Option::as_ref).map_or_else(Vec::new, |context| {
-            let mut scratch = Scratch::new(context, &self.knots);
-            gradients_of(self.config, &self.knots, context, knots, &mut scratch)
+        equal("knots", knots.len(), self.sizes.get(world).map_or(0, |s| s * self.knots.width()))?;
+        let context = self.worlds.get(world).and_then(Option::as_ref);
+        Ok(context.map_or_else(Vec::new, |context| {
+            Scratch::new(self.config, &self.knots, context).gradients(knots)
         }))
     }
 
@@ -304,23 +374,23 @@ impl<'a> Guidance<'a> {
     /// [`ModelError::Shape`] for knots of another length.
     pub fn report(&self, knots: &[f32]) -> Result<Vec<Option<GuidanceReport>>> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        expect("knots", knots.len(), self.shift_sq.len() * width)?;
+        equal("knots", knots.len(), self.shift_sq.len() * width)?;
         let offsets: Vec<usize> = crate::inputs::features::row_offsets(&self.sizes);
         let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
             let context = context.as_ref()?;
             let (m, n) = (self.sizes[world], self.num_samples);
             let mut losses = vec![0.0; self.config.objectives.len() * n * m];
-            let mut scratch = Scratch::new(context, &self.knots);
+            let mut scratch = Scratch::new(self.config, &self.knots, context);
             let predicted = self.predicted.as_ref().map(|p| &p[offsets[world] * width..][..m * width]);
             for sample in 0..n {
                 let first = sample * rows + offsets[world];
                 let part = &knots[first * width..(first + m) * width];
-                (0..m).for_each(|a| scratch.roll(context, &self.knots, a, predicted.unwrap_or(part)));
-                let mut evaluate = |scratch: &mut Scratch, agents: std::ops::Range<usize>| {
+                scratch.roll_all(predicted.unwrap_or(part));
+                let mut evaluate = |scratch: &mut Scratch<'_, '_>, agents: std::ops::Range<usize>| {
                     let wanted: Vec<bool> = (0..m).map(|a| agents.contains(&a)).collect();
                     for (j, objective) in self.config.objectives.iter().enumerate() {
                         scratch.losses.fill(0.0);
-                        scratch.evaluate(context, objective, &wanted, 0.0);
+                        scratch.evaluate(objective, &wanted, 0.0);
                         let at = (j * n + sample) * m;
                         losses[at..][agents.clone()].copy_from_slice(&scratch.losses[agents.clone()]);
                     }
@@ -330,9 +400,9 @@ impl<'a> Guidance<'a> {
                     continue;
                 };
                 for agent in 0..m {
-                    scratch.roll(context, &self.knots, agent, part);
+                    scratch.roll(agent, part);
                     evaluate(&mut scratch, agent..agent + 1);
-                    scratch.roll(context, &self.knots, agent, predicted);
+                    scratch.roll(agent, predicted);
                 }
             }
             let selected_sample = if predicted.is_some() {
@@ -355,86 +425,4 @@ impl<'a> Guidance<'a> {
         };
         Ok(self.worlds.par_iter().enumerate().map(of_world).collect())
     }
-}
-
-/// Checks that there are as many numbers as expected.
-fn expect(what: &'static str, got: usize, expected: usize) -> Result<()> {
-    if got == expected {
-        return Ok(());
-    }
-    Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() })
-}
-
-/// Moves the guided rows of one sample of one world.
-fn adjust_world(
-    config: &GuidanceConfig,
-    map: &KnotMap,
-    mask: &[f32],
-    context: &GuidanceContext<'_>,
-    knots: &mut [f32],
-    shift_sq: &mut [f64],
-    step: GuidanceStep<'_>,
-    scratch: &mut Scratch,
-) {
-    let (m, width) = (context.num_agents(), map.width());
-    let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
-    if rows.is_empty() || config.gradient_steps == 0 {
-        return;
-    }
-    let limit = match config.clip {
-        Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
-        Clip::Norm => f64::from(config.clip_limit),
-    };
-    let before = knots.to_vec();
-    let part = |a: usize| a * width..(a + 1) * width;
-    let mut descents: Vec<Descent<'_>> =
-        rows.iter().map(|a| Descent::new(config, &before[part(*a)], limit as f32)).collect();
-    (0..m).for_each(|a| scratch.roll(context, map, a, knots));
-    for turn in 0..config.gradient_steps {
-        if turn > 0 {
-            rows.iter().for_each(|a| scratch.roll(context, map, *a, knots));
-        }
-        scratch.of_states.clear();
-        for objective in &config.objectives {
-            scratch.evaluate(context, objective, &context.guided, objective.weight() / m as f32);
-        }
-        for (a, descent) in rows.iter().zip(&mut descents) {
-            scratch.vjp(context, map, *a);
-            scratch.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
-            descent.step(&scratch.of_knots, &mut knots[part(*a)]);
-        }
-    }
-    for a in rows {
-        if context.guidance_scale != 1.0 {
-            let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
-            moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
-        }
-        let moved = knots[part(a)].iter().zip(&before[part(a)]);
-        let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
-        shift_sq[a] += squared * (step.gain / step.sigma).powi(2);
-    }
-}
-
-/// Weighted gradients of the objectives, [J][M, knots, 2].
-fn gradients_of(
-    config: &GuidanceConfig,
-    map: &KnotMap,
-    context: &GuidanceContext<'_>,
-    knots: &[f32],
-    scratch: &mut Scratch,
-) -> Vec<Vec<f32>> {
-    let (m, width) = (context.num_agents(), map.width());
-    let wanted = vec![true; m];
-    (0..m).for_each(|a| scratch.roll(context, map, a, knots));
-    let of = |objective: &Objective| {
-        scratch.of_states.clear();
-        scratch.evaluate(context, objective, &wanted, objective.weight() / m as f32);
-        let mut out = vec![0.0; m * width];
-        for (agent, out) in out.chunks_exact_mut(width).enumerate() {
-            scratch.vjp(context, map, agent);
-            out.copy_from_slice(&scratch.of_knots);
-        }
-        out
-    };
-    config.objectives.iter().map(of).collect()
 }

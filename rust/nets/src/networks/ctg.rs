@@ -9,12 +9,23 @@
 //! is left out; the condition is the trunk's.
 
 use crate::compute::backend::Backend;
+use crate::compute::cpu::Cpu;
 use crate::compute::layers::embed::StepEmbedding;
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
+use crate::networks::cpu_planner::on_cpu;
+use crate::networks::denoising::Denoising;
+use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Denoises, Weighted};
 use crate::networks::trunk::Trunk;
 use crate::sampling::plan_space::PlanSpace;
+
+/// Diffusion of each agent's actions.
+pub const CTG: NetworkKind = NetworkKind {
+    denoises: true,
+    fits,
+    ..NetworkKind::with_trunk("ctg", "CTG", on_cpu::<Denoising<HalfUnet<Cpu>>>)
+};
 
 /// Channels after the rolled-out states' six.
 const WIDTHS: [i64; 3] = [32, 48, 64];
@@ -28,12 +39,9 @@ const GROUPS: i64 = 8;
 const KERNEL: i64 = 5;
 
 /// Checks that the halved steps are those of the knots.
-pub(crate) fn fits(config: &ModelConfig) -> Result<()> {
-    if config.knot_stride == 4 {
-        return Ok(());
-    }
-    let expected = "4: the steps of a plan are halved twice";
-    Err(ModelError::Config { field: "model.knot_stride", got: config.knot_stride.to_string(), expected })
+fn fits(config: &ModelConfig) -> Result<()> {
+    let (stride, expected) = (config.knot_stride, "4: the steps of a plan are halved twice");
+    require(stride == 4, "model.knot_stride", stride, expected)
 }
 
 /// Convolution over time, group normalisation, Mish.

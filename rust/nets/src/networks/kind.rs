@@ -2,7 +2,7 @@
 
 use crate::compute::weights::Entry;
 use crate::config::{HistoryTokens, ModelConfig, NeighbourOrder};
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::guidance::Clip;
 use crate::inputs::features::{self, SceneFeatures, Window};
 use crate::inputs::segments::MapLines;
@@ -84,17 +84,14 @@ impl NetworkKind {
     /// Checks that the network can have these sizes.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the field.
+    /// [`crate::ModelError::Config`] names the field.
     pub fn check(&self, config: &ModelConfig) -> Result<()> {
-        let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
-        if self.trunk && config.history != HistoryTokens::Summary {
-            let got = config.history.name().to_owned();
-            return fail("model.history", got, "a summary, as in \"fast\", for this model");
-        }
-        if !self.routes && !config.route_points_m.is_empty() {
-            let got = format!("{} points for {}", config.route_points_m.len(), self.kind.name);
-            return fail("model.route_points_m", got, "none: this model knows no routes");
-        }
+        let fits = !self.trunk || config.history == HistoryTokens::Summary;
+        let expected = "a summary, as in \"fast\", for this model";
+        require(fits, "model.history", config.history.name(), expected)?;
+        let (points, name) = (config.route_points_m.len(), self.kind.name);
+        let (fits, got) = (self.routes || points == 0, format!("{points} points for {name}"));
+        require(fits, "model.route_points_m", got, "none: this model knows no routes")?;
         (self.fits)(config)
     }
 
@@ -104,33 +101,27 @@ impl NetworkKind {
     /// the guided denoising steps of the default sampler take together.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the option.
+    /// [`crate::ModelError::Config`] names the option.
     pub fn options(&self, mut options: PlanOptions) -> Result<PlanOptions> {
         let sampling = options.sampling;
-        if sampling.guidance_weight > 1.0 && !self.causal {
-            let (got, expected) =
-                (sampling.guidance_weight.to_string(), "1: it was not trained without its graph");
-            return Err(ModelError::Config { field: "guidance_weight", got, expected });
-        }
+        let (weight, temperature) = (sampling.guidance_weight, sampling.temperature);
+        let fits = weight <= 1.0 || self.causal;
+        require(fits, "guidance_weight", weight, "1: it was not trained without its graph")?;
+        let fits = self.samples_tokens || self.denoises || temperature == 1.0;
+        require(fits, "temperature", temperature, "1: this model neither denoises nor draws tokens")?;
         if self.samples_tokens {
             // a choice among draws
             if let Some(guidance) = &mut options.guidance {
                 guidance.gradient_steps = 0;
             }
-        } else if sampling.temperature != 1.0 && !self.denoises {
-            let (got, expected) =
-                (sampling.temperature.to_string(), "1: this model neither denoises nor draws tokens");
-            return Err(ModelError::Config { field: "temperature", got, expected });
         }
         if self.denoises && sampling.solver_steps != Some(1) {
             return Ok(options);
         }
         let default = SampleOptions::default().solver_steps;
-        if !self.denoises && sampling.solver_steps != default {
-            let (got, expected) =
-                (format!("{:?}", sampling.solver_steps), "the default: this model does not denoise");
-            return Err(ModelError::Config { field: "solver_steps", got, expected });
-        }
+        let (fits, got) =
+            (self.denoises || sampling.solver_steps == default, format!("{:?}", sampling.solver_steps));
+        require(fits, "solver_steps", got, "the default: this model does not denoise")?;
         options.gradient_statistics &= self.denoises;
         if let (Some(guidance), Some(steps)) = (&mut options.guidance, default) {
             guidance.gradient_steps *= steps - 1;

@@ -1,8 +1,8 @@
 //! Networks by name, and the sizes that they may have.
 
-use crate::compute::{cpu, weights};
-use crate::config::ModelConfig;
-use crate::error::Result;
+use crate::compute::weights;
+use crate::config::{HistoryTokens, ModelConfig};
+use crate::error::{Result, require};
 use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
 use ccdiff_sim::SimError;
@@ -70,6 +70,6 @@ pub fn described(path: &Path, header: &serde_json::Value) -> Result<ModelConfig>
 /// # Errors
 /// [`crate::ModelError::Config`] names what they lack.
 pub fn check_cpu(config: &ModelConfig) -> Result<()> {
-    let network = config.network()?;
-    if network.samples_tokens { Ok(()) } else { cpu::check(config) }
+    let fits = config.network()?.samples_tokens || config.history == HistoryTokens::Summary;
+    require(fits, "model.history", config.history.name(), "\"summary\" without torch")
 }

@@ -1,6 +1,6 @@
 //! Plans from logged histories.
 
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::guidance::WorldGuidance;
 use crate::inputs::features::{Window, vehicles};
 use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
@@ -38,13 +38,11 @@ impl Logged<'_> {
     /// Their plans.
     ///
     /// # Errors
-    /// As [`TrajectoryModel::plan`], and [`ModelError::Config`] for routes that the weights do not know.
+    /// As [`TrajectoryModel::plan`], and [`crate::ModelError::Config`] for routes that the weights do not know.
     pub fn plans(&self, model: &mut TrajectoryModel, options: &PlanOptions) -> Result<Vec<Plan>> {
         let (history, points_m) = (model.config().history_steps, model.config().route_points_m.clone());
-        if self.follow_route && points_m.is_empty() {
-            let expected = "False: these weights were trained without routes";
-            return Err(ModelError::Config { field: "follow_route", got: "True".into(), expected });
-        }
+        let knows = !self.follow_route || !points_m.is_empty();
+        require(knows, "follow_route", "True", "False: these weights were trained without routes")?;
         let maps: Vec<_> = self.scenes.iter().map(|s| model.map(s)).collect();
         let windows: Vec<Window> = self
             .scenes

@@ -10,7 +10,6 @@ pub mod kinds;
 pub mod latents;
 pub mod logged;
 pub mod planner;
-pub mod rivals;
 pub mod simnet;
 pub mod tokens;
 pub mod trajectory_model;
@@ -21,11 +20,11 @@ use kind::NetworkKind;
 /// All of them, in the order in which recordings count them; a new one is its file, `pub mod`, and a line here.
 pub const NETWORKS: &[NetworkKind] = &[
     ccdiff::CCDIFF,
-    rivals::SIMNET,
+    simnet::SIMNET,
     latents::TRAFFICSIM,
     latents::STRIVE,
-    rivals::BITS,
-    rivals::CTG,
+    bits::BITS,
+    ctg::CTG,
     ccdiff::CTGPP,
     tokens::TOKENS,
 ];

@@ -4,12 +4,19 @@
 //! one, and reads states and edges.
 
 use crate::compute::backend::Backend;
+use crate::compute::cpu::Cpu;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guidance;
+use crate::networks::cpu_planner::on_cpu;
+use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 use crate::networks::trunk::Trunk;
+
+/// One plan per agent by regression.
+pub const SIMNET: NetworkKind =
+    NetworkKind { one_plan: true, ..NetworkKind::with_trunk("simnet", "SimNet", on_cpu::<Simnet<Cpu>>) };
 
 /// Hidden width of the regression head.
 pub const HIDDEN: i64 = 128;

@@ -4,7 +4,7 @@ pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 
 use crate::compute::weights::{self, Entry};
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::inputs::features::{SceneFeatures, Window, row_offsets};
 use crate::inputs::segments::MapLines;
@@ -136,11 +136,8 @@ impl TrajectoryModel {
     /// # Errors
     /// [`ModelError::Config`] where it is asked for more.
     pub fn check_solver_steps(&self, steps: Option<usize>) -> Result<()> {
-        if !self.plans_in_one_step() || steps == Some(1) {
-            return Ok(());
-        }
-        let expected = "1: these weights were taught to plan in one step";
-        Err(ModelError::Config { field: "denoising_steps", got: format!("{steps:?}"), expected })
+        let (fits, got) = (!self.plans_in_one_step() || steps == Some(1), format!("{steps:?}"));
+        require(fits, "denoising_steps", got, "1: these weights were taught to plan in one step")
     }
 
     /// The network's configuration.

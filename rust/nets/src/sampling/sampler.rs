@@ -1,6 +1,6 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
-use crate::error::{ModelError, Result};
+use crate::error::{Result, equal};
 use crate::guidance::{Guidance, GuidanceStep, Target};
 use crate::inputs::features::row_offsets;
 use crate::sampling::noise::Noise;
@@ -32,7 +32,7 @@ impl SampleOptions {
     /// Checks ranges.
     ///
     /// # Errors
-    /// [`ModelError::Sim`] names the field.
+    /// [`crate::ModelError::Sim`] names the field.
     pub fn validated(self) -> Result<Self> {
         options::check("", &self)?;
         Ok(self)
@@ -57,16 +57,9 @@ impl Rows<'_> {
     /// Checks that there is one seed per scene.
     ///
     /// # Errors
-    /// [`ModelError::Shape`] where there is not.
+    /// [`crate::ModelError::Shape`] where there is not.
     pub fn check_seeds(&self, seeds: &[u64]) -> Result<()> {
-        if seeds.len() == self.scene_sizes.len() {
-            return Ok(());
-        }
-        Err(ModelError::Shape {
-            what: "seeds",
-            got: seeds.len().to_string(),
-            expected: format!("{} (one per scene)", self.scene_sizes.len()),
-        })
+        equal("seeds", seeds.len(), self.scene_sizes.len())
     }
 
     /// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
@@ -121,7 +114,7 @@ fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
 ///
 /// # Errors
-/// [`ModelError::Shape`] for a wrong number of seeds, [`ModelError::Config`] for bad options.
+/// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
 pub fn sample(
     schedule: &Schedule,
     num_knots: usize,

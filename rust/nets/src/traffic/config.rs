@@ -1,6 +1,6 @@
 //! What can be chosen about the traffic of a planning network.
 
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
@@ -214,16 +214,11 @@ impl CcdiffConfig {
     /// Checks every range against a network and the horizon of its weights, steps.
     ///
     /// # Errors
-    /// [`ModelError::Config`] and [`ModelError::Sim`] name the field.
+    /// [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] name the field.
     pub fn validate(&self, network: &NetworkKind, horizon_steps: usize) -> Result<()> {
         options::check("ccdiff", self)?;
-        if self.replan_steps > horizon_steps {
-            return Err(ModelError::Config {
-                field: "ccdiff.replan_steps",
-                got: self.replan_steps.to_string(),
-                expected: "1 up to the horizon of the plans",
-            });
-        }
+        let (steps, expected) = (self.replan_steps, "1 up to the horizon of the plans");
+        require(steps <= horizon_steps, "ccdiff.replan_steps", steps, expected)?;
         self.guided(network)?.validated()?;
         self.unguided(network).validated()?;
         Ok(())
@@ -251,29 +246,22 @@ impl CcdiffConfig {
     /// Checks that all of it means something to a network.
     ///
     /// # Errors
-    /// [`ModelError::Config`] names the field.
+    /// [`crate::ModelError::Config`] names the field.
     pub fn check_network(&self, network: &NetworkKind) -> Result<()> {
-        let fail = |field: &'static str, got: String, expected: &'static str| {
-            Err(ModelError::Config { field, got, expected })
-        };
-        if self.graph == GraphMode::Full && !network.causal {
-            return fail("ccdiff.graph", "full".into(), "causal: this network sees neighbours by distance");
-        }
-        match self.ranking {
-            Ranking::Greedy if !network.attends => {
-                fail("ccdiff.ranking", "greedy".into(), "one without attention: this network has none")
-            }
-            Ranking::Gradient if !network.denoises => {
-                fail("ccdiff.ranking", "gradient".into(), "one without scores: this network does not denoise")
-            }
-            _ => network.options(self.guided(network)?).map(drop),
-        }
+        let fits = self.graph == GraphMode::Causal || network.causal;
+        require(fits, "ccdiff.graph", "full", "causal: this network sees neighbours by distance")?;
+        let fits = self.ranking != Ranking::Greedy || network.attends;
+        require(fits, "ccdiff.ranking", "greedy", "one without attention: this network has none")?;
+        let fits = self.ranking != Ranking::Gradient || network.denoises;
+        let expected = "one without scores: this network does not denoise";
+        require(fits, "ccdiff.ranking", "gradient", expected)?;
+        network.options(self.guided(network)?).map(drop)
     }
 
     /// How the plans of worlds with guidance are drawn. Those of tokens are the best of as many draws as the criticality asks for.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for an unknown preset or settings of another form.
+    /// [`crate::ModelError::Config`] for an unknown preset or settings of another form.
     pub fn guided(&self, network: &NetworkKind) -> Result<PlanOptions> {
         let guidance = match &self.guidance {
             GuidanceChoice::Preset(name) => GuidanceConfig::preset(name)?,

@@ -25,7 +25,7 @@ pub use planned_agents::STATIONARY_REACH_M;
 pub(crate) use planned_agents::{is_ego, select_guided};
 
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
@@ -64,10 +64,8 @@ impl PlannedTraffic {
     /// # Errors
     /// [`ModelError::Io`], [`ModelError::Checkpoint`], [`ModelError::Config`].
     pub fn new(config: CcdiffConfig, weights: &Path, num_threads: usize) -> Result<Self> {
-        if config.device != config::CPU {
-            let (got, expected) = (format!("{:?}", config.device), "\"cpu\" without torch");
-            return Err(ModelError::Config { field: "ccdiff.device", got, expected });
-        }
+        let (fits, got) = (config.device == config::CPU, format!("{:?}", config.device));
+        require(fits, "ccdiff.device", got, "\"cpu\" without torch")?;
         let pool = planning_pool(num_threads)?;
         let copies =
             (0..num_threads.max(1)).map(|_| TrajectoryModel::load(weights)).collect::<Result<_>>()?;
@@ -90,10 +88,8 @@ impl PlannedTraffic {
         let network = copies[0].network();
         config.validate(network, model.horizon_steps)?;
         config.check_network(network)?;
-        if config.follow_route && model.route_points_m.is_empty() {
-            let expected = "false: these weights were trained without routes";
-            return Err(ModelError::Config { field: "ccdiff.follow_route", got: "true".into(), expected });
-        }
+        let knows = !config.follow_route || !model.route_points_m.is_empty();
+        require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")?;
         copies[0].check_solver_steps(config.denoising_steps)?;
         let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);
@@ -113,13 +109,8 @@ impl PlannedTraffic {
     /// without a map where the network reads it.
     pub fn check(&self, dt_s: Real, scenes: &[Arc<Scene>]) -> Result<()> {
         let model = &self.model;
-        if (f64::from(dt_s) - model.dt_s).abs() > 1e-6 {
-            return Err(ModelError::Config {
-                field: "dt_s",
-                got: dt_s.to_string(),
-                expected: "the step that the weights of the traffic were trained with",
-            });
-        }
+        let expected = "the step that the weights of the traffic were trained with";
+        require((f64::from(dt_s) - model.dt_s).abs() <= 1e-6, "dt_s", dt_s, expected)?;
         let blank = |s: &&Arc<Scene>| s.map.drivable_area.is_empty() && s.map.lanes.is_empty();
         if let Some(scene) = scenes.iter().find(blank).filter(|_| model.map.is_some()) {
             return Err(SimError::Scene {

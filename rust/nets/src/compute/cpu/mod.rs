@@ -7,8 +7,7 @@ pub use parts::{Array, Batch, Filter, Groups, Norm, Pairs, Place};
 
 use crate::compute::backend::{Inputs, KeyValue, Ops};
 use crate::compute::layers::embed::ROUTE_SCALE_M;
-use crate::config::{HistoryTokens, ModelConfig};
-use crate::error::{ModelError, Result};
+use crate::config::ModelConfig;
 use crate::inputs::features::{EDGE_FEATURES, HISTORY_FEATURES};
 use crate::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
 use crate::inputs::tokens::{NEAR, NEAR_NUMBERS};
@@ -23,18 +22,6 @@ use std::rc::Rc;
 /// Layers on the kernels of this crate.
 #[derive(Debug)]
 pub struct Cpu;
-
-/// Checks that these kernels have all layers of a network with these sizes.
-///
-/// # Errors
-/// [`ModelError::Config`] names what they lack.
-pub fn check(config: &ModelConfig) -> Result<()> {
-    if config.history == HistoryTokens::Summary {
-        return Ok(());
-    }
-    let (got, expected) = (config.history.name().into(), "\"summary\" without torch");
-    Err(ModelError::Config { field: "model.history", got, expected })
-}
 
 impl Ops for Cpu {
     type Tensor = Array;

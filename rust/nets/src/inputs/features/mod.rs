@@ -11,7 +11,7 @@ pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
 use crate::config::{ModelConfig, NeighbourOrder};
-use crate::error::{ModelError, Result};
+use crate::error::{Result, equal};
 use crate::inputs::segments::{self, MapLines};
 use crate::inputs::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
@@ -36,7 +36,7 @@ const HEADWAY_SPEED_MPS: f32 = 2.0;
 /// Builds the inputs of one scene.
 ///
 /// # Errors
-/// [`ModelError::Shape`] where the window's arrays do not fit the configuration.
+/// [`crate::ModelError::Shape`] where the window's arrays do not fit the configuration.
 pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> Result<SceneFeatures> {
     window.check(config.history_steps)?;
     let now = config.history_steps - 1;
@@ -121,10 +121,7 @@ fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize)
     let mut out = vec![0.0; agents.len() * width];
     for ((agent, frame), row) in agents.iter().zip(poses).zip(out.chunks_exact_mut(width.max(1))) {
         let Some(points) = window.routes.get(*agent).filter(|points| !points.is_empty()) else { continue };
-        if points.len() != num_points {
-            let (got, expected) = (points.len().to_string(), format!("{num_points} places"));
-            return Err(ModelError::Shape { what: "window routes", got, expected });
-        }
+        equal("places of window routes", points.len(), num_points)?;
         row[0] = 1.0;
         for (place, point) in row[1..].chunks_exact_mut(2).zip(points) {
             let local = frame.to_local(*point);

@@ -1,6 +1,6 @@
 //! States of the agents of a scene over the last steps: what the network's inputs are made from.
 
-use crate::error::{ModelError, Result};
+use crate::error::{Result, equal};
 use ccdiff_sim::causal::measures::{Moving, distance_m, ttc_s};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
@@ -79,7 +79,7 @@ impl Window {
     /// Checks the lengths of all arrays.
     ///
     /// # Errors
-    /// [`ModelError::Shape`] names the first that does not fit.
+    /// [`crate::ModelError::Shape`] names the first that does not fit.
     pub fn check(&self, num_steps: usize) -> Result<()> {
         let (agents, entries) = (self.num_agents(), self.num_agents() * num_steps);
         for (what, got, expected) in [
@@ -95,9 +95,7 @@ impl Window {
             ("window apart", self.apart.len().max(agents * agents), agents * agents),
             ("window routes", self.routes.len().max(agents), agents),
         ] {
-            if got != expected {
-                return Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() });
-            }
+            equal(what, got, expected)?;
         }
         Ok(())
     }

@@ -12,15 +12,22 @@ mod grid;
 pub use grid::{CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 
 use crate::compute::backend::Backend;
+use crate::compute::cpu::Cpu;
 use crate::compute::layers::attention::Attention;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{ModelError, Result, require};
 use crate::guidance::Guidance;
+use crate::networks::cpu_planner::on_cpu;
+use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
 use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use grid::{CELLS_PER_TOKEN, SIDE};
+
+/// Goals on a grid, a policy that drives to them, a choice among them.
+pub const BITS: NetworkKind =
+    NetworkKind { fits, ..NetworkKind::with_trunk("bits", "BITS", on_cpu::<Bits<Cpu>>) };
 
 /// Width of a block of cells, hidden width of the goal head, width of an encoded goal.
 const GOAL_WIDTHS: [i64; 3] = [16, 96, 32];
@@ -40,12 +47,8 @@ pub struct Bits<B: Backend> {
 }
 
 /// Checks that there is a map that goals are scored by.
-pub(crate) fn fits(config: &ModelConfig) -> Result<()> {
-    if config.map.is_some() {
-        return Ok(());
-    }
-    let expected = "a map: goals are scored by its lines";
-    Err(ModelError::Config { field: "model.map", got: "None".into(), expected })
+fn fits(config: &ModelConfig) -> Result<()> {
+    require(config.map.is_some(), "model.map", "None", "a map: goals are scored by its lines")
 }
 
 impl<B: Backend> Bits<B> {

@@ -2,7 +2,7 @@
 
 use super::grid::{BINS, NUM_TOKENS, SPEED, TOKEN_STEPS, YAW_RATE};
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result};
+use crate::error::{Result, equal};
 use crate::guidance::Guidance;
 use crate::inputs::features::row_offsets;
 use crate::networks::planner::Asked;
@@ -37,7 +37,7 @@ pub(crate) struct Now<'a> {
 /// speeds.
 ///
 /// # Errors
-/// [`ModelError::Shape`] for a wrong number of seeds.
+/// [`crate::ModelError::Shape`] for a wrong number of seeds.
 pub(crate) fn drawn(
     logits: &[f32],
     now: Now<'_>,
@@ -48,10 +48,7 @@ pub(crate) fn drawn(
     let Asked { rows, seeds, options, .. } = *asked;
     rows.check_seeds(seeds)?;
     let (count, n) = (rows.count(), options.num_samples);
-    if logits.len() != count * NUM_TOKENS {
-        let (got, expected) = (logits.len().to_string(), format!("{count} x {NUM_TOKENS}"));
-        return Err(ModelError::Shape { what: "logits", got, expected });
-    }
+    equal("logits", logits.len(), count * NUM_TOKENS)?;
     let width = 2 * config.horizon_steps;
     let mut knots = vec![0.0; n * count * width];
     for ((size, offset), seed) in rows.scene_sizes.iter().zip(row_offsets(rows.scene_sizes)).zip(seeds) {

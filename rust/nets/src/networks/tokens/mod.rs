@@ -16,7 +16,7 @@ pub use network::Network;
 
 use crate::compute::cpu::Cpu;
 use crate::config::{ModelConfig, NeighbourOrder};
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::inputs::tokens::{HISTORY_STEPS, NEAR, build};
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
@@ -55,14 +55,9 @@ fn sizes(preset: ModelConfig) -> ModelConfig {
 
 /// Checks what tokens are made of.
 fn fits(config: &ModelConfig) -> Result<()> {
-    let fail = |field, got: String, expected| Err(ModelError::Config { field, got, expected });
-    if config.map.is_none() || config.history_steps != HISTORY_STEPS || config.knot_stride != 1 {
-        let (steps, stride) = (config.history_steps, config.knot_stride);
-        let got = format!("a history of {steps} steps, knots of {stride}");
-        return fail("model", got, "lines of the map, 62 steps and knots of 1 for tokens");
-    }
-    if config.horizon_steps <= TOKEN_STEPS {
-        return fail("model.horizon_steps", config.horizon_steps.to_string(), "more than a token's 5");
-    }
-    Ok(())
+    let (steps, stride, horizon) = (config.history_steps, config.knot_stride, config.horizon_steps);
+    let fits = config.map.is_some() && steps == HISTORY_STEPS && stride == 1;
+    let got = format!("a history of {steps} steps, knots of {stride}");
+    require(fits, "model", got, "lines of the map, 62 steps and knots of 1 for tokens")?;
+    require(horizon > TOKEN_STEPS, "model.horizon_steps", horizon, "more than a token's 5")
 }

@@ -10,7 +10,7 @@ mod watch;
 pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
 
 use crate::compute::weights::{Entry, parse, read};
-use crate::error::{ModelError, Result};
+use crate::error::{Result, require};
 use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
 use crate::networks::tokens::grid::TOKEN_STEPS;
@@ -94,7 +94,7 @@ impl Swift {
     /// From a file of weights, for worlds with a step; it plans on so many threads, which changes no bit.
     ///
     /// # Errors
-    /// [`ModelError::Io`], [`ModelError::Checkpoint`] for the files, [`ModelError::Config`] and [`ModelError::Sim`] for options.
+    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] for the files, [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] for options.
     pub fn load(config: CcdiffConfig, weights: &Path, dt_s: Real, num_threads: usize) -> Result<Self> {
         let pool = if num_threads > 1 { Some(planning_pool(num_threads)?) } else { None };
         Self::of(config, weights, read(weights)?, dt_s, pool)
@@ -103,7 +103,7 @@ impl Swift {
     /// The same of the bytes of a file, on the caller's thread; errors name `name`.
     ///
     /// # Errors
-    /// [`ModelError::Checkpoint`], [`ModelError::Config`], [`ModelError::Sim`].
+    /// [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`], [`crate::ModelError::Sim`].
     pub fn from_bytes(config: CcdiffConfig, name: &str, bytes: &[u8], dt_s: Real) -> Result<Self> {
         Self::of(config, Path::new(name), parse(Path::new(name), bytes)?, dt_s, None)
     }
@@ -117,10 +117,8 @@ impl Swift {
     ) -> Result<Self> {
         let network = Network::new(path, &header, tensors)?;
         options::check("ccdiff", &config)?;
-        if (dt_s - DT_S).abs() > 1e-6 {
-            let expected = "0.1: what swift traffic was trained with";
-            return Err(ModelError::Config { field: "dt_s", got: dt_s.to_string(), expected });
-        }
+        let expected = "0.1: what swift traffic was trained with";
+        require((dt_s - DT_S).abs() <= 1e-6, "dt_s", dt_s, expected)?;
         let mut changed = serde_json::to_value(&config).unwrap_or_default();
         options::without_defaults(&CcdiffConfig::TABLE, &mut changed);
         let others =
