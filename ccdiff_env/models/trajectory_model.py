@@ -50,7 +50,7 @@ class ScenePlan:
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
-    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``, ``"strive_target"``.
+    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``.
 
     docs/method.md says what they mean; every one of them may be changed.
     """

@@ -9,7 +9,7 @@ use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
-    MapCollision, Objective, Optimiser, OverSpeed, Rollout, Target, WorldGuidance, choose_samples,
+    MapCollision, Objective, OverSpeed, Rollout, Target, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::SampleOptions;
@@ -83,18 +83,16 @@ fn only_guided_agents_and_executed_knots_move_and_the_rest_keeps_its_bits() {
         let toy = toy(&NEAR_MISS, model);
         let knots_per_agent = toy.model.num_knots();
         let base = config(vec![collision(-50.0), approach(-10.0)]);
-        for optimiser in [Optimiser::Adam, Optimiser::Sgd] {
-            for clip in [Clip::Sigma, Clip::Norm] {
-                let config = GuidanceConfig { executed_steps: Some(5), optimiser, clip, ..base.clone() };
-                let (before, after) = (toy.still(), guided(&toy, &WorldGuidance::new(&who), &config, 3));
-                for (k, (a, b)) in before.iter().zip(&after).enumerate() {
-                    let (agent, knot) = (k / 2 / knots_per_agent, k / 2 % knots_per_agent);
-                    if agent != 0 || knot >= free {
-                        assert_eq!(a.to_bits(), b.to_bits(), "agent {agent}, knot {knot}");
-                    }
+        for clip in [Clip::Sigma, Clip::Norm] {
+            let config = GuidanceConfig { executed_steps: Some(5), clip, ..base.clone() };
+            let (before, after) = (toy.still(), guided(&toy, &WorldGuidance::new(&who), &config, 3));
+            for (k, (a, b)) in before.iter().zip(&after).enumerate() {
+                let (agent, knot) = (k / 2 / knots_per_agent, k / 2 % knots_per_agent);
+                if agent != 0 || knot >= free {
+                    assert_eq!(a.to_bits(), b.to_bits(), "agent {agent}, knot {knot}");
                 }
-                assert_ne!(before[..2 * free], after[..2 * free]);
             }
+            assert_ne!(before[..2 * free], after[..2 * free]);
         }
     }
 }

@@ -1,20 +1,9 @@
 //! What guidance seeks and how hard it pulls.
 
-use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed, TargetDistance};
+use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed};
 use crate::error::{ModelError, Result, require};
 use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
-
-choices! {
-    /// The rule of a gradient step.
-    #[derive(Clone, Copy, Eq)]
-    pub enum Optimiser {
-        /// Adam from a fresh state in every denoising step: the first step moves every coordinate by the learning rate.
-        Adam = "adam",
-        /// Plain gradient descent.
-        Sgd = "sgd",
-    }
-}
 
 choices! {
     /// How far guidance may move a plan in one denoising step.
@@ -57,7 +46,6 @@ pub const TABLES: &[&Table] = &[
     &MapCollision::TABLE,
     &OverSpeed::TABLE,
     &Approach::TABLE,
-    &TargetDistance::TABLE,
 ];
 
 options! {
@@ -77,10 +65,8 @@ options! {
         discount: f32 = 0.9, range within(0.0, 1.0).open_below();
         /// Gradient steps per denoising step; 0 chooses among samples only.
         gradient_steps: usize = 1, range within(0.0, 1000.0);
-        /// Learning rate, normalised units.
+        /// Learning rate of Adam, fresh in every denoising step, normalised units.
         learning_rate: f32 = 0.3, range within(0.0, 1000.0).open_below();
-        /// Rule of a gradient step.
-        optimiser: Optimiser = Optimiser::Adam;
         /// How far guidance may move a plan in one denoising step.
         clip: Clip = Clip::Sigma;
         /// The largest such move.
@@ -132,33 +118,19 @@ impl GuidanceConfig {
         }
     }
 
-    /// STRIVE's: one attacker is drawn to the target, all stay on the road.
-    ///
-    /// Differs from STRIVE: its latents' own terms are the prior's alone, and the steps are those of [`Self::rl`].
-    pub fn strive_target() -> Self {
-        Self {
-            objectives: vec![
-                Objective::TargetDistance(TargetDistance::default()),
-                Objective::MapCollision(MapCollision::default()),
-            ],
-            ..Self::rl()
-        }
-    }
-
     /// A preset by name.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for another name than `paper`, `released`, `rl` and `strive_target`.
+    /// [`ModelError::Config`] for another name than `paper`, `released` and `rl`.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
             "released" => Ok(Self::released()),
             "rl" => Ok(Self::rl()),
-            "strive_target" => Ok(Self::strive_target()),
             _ => Err(ModelError::Config {
                 field: "guidance.preset",
                 got: format!("{name:?}"),
-                expected: "\"paper\", \"released\", \"rl\" or \"strive_target\"",
+                expected: "\"paper\", \"released\" or \"rl\"",
             }),
         }
     }
@@ -181,7 +153,7 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_survive_json() {
-        for name in ["paper", "released", "rl", "strive_target"] {
+        for name in ["paper", "released", "rl"] {
             let config = GuidanceConfig::preset(name).unwrap().validated().unwrap();
             let text = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<GuidanceConfig>(&text).unwrap(), config);

@@ -22,12 +22,12 @@ mod objective;
 mod report;
 mod rollout;
 
-pub use config::{Clip, FilterWeights, GuidanceConfig, Optimiser, TABLES, Target};
+pub use config::{Clip, FilterWeights, GuidanceConfig, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep};
 pub use knots::KnotMap;
 pub use objective::{
-    AgentCollision, Approach, Evaluation, MapCollision, Objective, OverSpeed, TargetDistance,
+    AgentCollision, Approach, Evaluation, MapCollision, Objective, OverSpeed,
 };
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

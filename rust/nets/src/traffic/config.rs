@@ -174,7 +174,7 @@ options! {
         /// denoising step: 0.28 of it, routes: 1.7, so that an ego collides as often). Tokens: guided
         /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
         criticality: Real = 0.0, range CRITICALITY;
-        /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`, `"strive_target"`) or settings.
+        /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
         /// Whether plans without guidance are moved off contacts and onto the road, at the cost of the gradients. Tokens:
         /// whether they are the first of 8 draws without either in 1.5 s.

@@ -6,13 +6,11 @@ mod approach;
 mod disks;
 mod map_collision;
 mod over_speed;
-mod target_distance;
 
 pub use agent_collision::AgentCollision;
 pub use approach::Approach;
 pub use map_collision::MapCollision;
 pub use over_speed::OverSpeed;
-pub use target_distance::TargetDistance;
 
 use super::context::GuidanceContext;
 use super::rollout::{Rollout, StateGradient};
@@ -32,8 +30,6 @@ choices! {
         OverSpeed(OverSpeed) = "over_speed",
         /// Closeness of vehicles, with a gradient before contact (ours).
         Approach(Approach) = "approach",
-        /// Distance of the likeliest attacker to the target, as STRIVE seeks it.
-        TargetDistance(TargetDistance) = "target_distance",
     }
 }
 
@@ -45,13 +41,12 @@ impl Objective {
             Self::MapCollision(o) => o.weight,
             Self::OverSpeed(o) => o.weight,
             Self::Approach(o) => o.weight,
-            Self::TargetDistance(o) => o.weight,
         }
     }
 
     /// Whether the loss of an agent depends on where the others go.
     pub fn is_joint(&self) -> bool {
-        matches!(self, Self::AgentCollision(_) | Self::Approach(_) | Self::TargetDistance(_))
+        matches!(self, Self::AgentCollision(_) | Self::Approach(_))
     }
 }
 
@@ -76,7 +71,6 @@ impl Objective {
             Self::MapCollision(o) => o.evaluate(context, plan, out),
             Self::OverSpeed(o) => o.evaluate(context, plan, out),
             Self::Approach(o) => o.evaluate(context, plan, out),
-            Self::TargetDistance(o) => o.evaluate(context, plan, out),
         }
     }
 }
