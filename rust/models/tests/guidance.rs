@@ -1,21 +1,15 @@
-//! Guidance: signs, masks, batches, costs, choice among samples, and with the shipped network.
+//! Guidance: signs, masks, batches, costs, choice among samples.
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod common;
 
 use ccdiff_models::config::ModelConfig;
-use ccdiff_models::dataset::vehicles;
-use ccdiff_models::features::Window;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
     MapCollision, Objective, OverSpeed, Rollout, Target, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
-use ccdiff_models::sampler::SampleOptions;
-use ccdiff_models::torch_model;
-use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
-use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
 
 fn config(objectives: Vec<Objective>) -> GuidanceConfig {
@@ -239,91 +233,6 @@ fn gradient_statistics_say_who_pulls_which_way() {
     assert!(found.alignment[0] > 0.0 && found.alignment[1] < 0.0);
     assert!((found.objective_cosine[0] - 1.0).abs() < 1e-5);
     assert_eq!(found.objective_cosine[1], found.objective_cosine[2]);
-}
-
-fn shipped(name: &str) -> TrajectoryModel {
-    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ccdiff_env/data");
-    torch_model::load(&data.join(format!("ccdiff_{name}.safetensors")), tch::Device::Cpu).unwrap()
-}
-
-/// Plans of a shipped network for a follower, its leader and a third vehicle far off.
-fn planned(
-    model: &mut TrajectoryModel,
-    guided: &[bool],
-    guidance: Option<GuidanceConfig>,
-    seeds: &[u64],
-) -> Vec<Plan> {
-    let scene = common::following_pair();
-    let window = Window::from_scene(&scene, 40, &vehicles(&scene), 31);
-    let (map, region) = (model.map(&scene), Region::new(&scene.map.drivable_area).unwrap());
-    let guide = WorldGuidance { road: Some(&region), ..WorldGuidance::new(guided) };
-    let view = |seed: &u64| PlanInput { window: &window, map: map.as_ref(), seed: *seed, guide: Some(guide) };
-    let views: Vec<_> = seeds.iter().map(view).collect();
-    let solver_steps = Some(if model.plans_in_one_step() { 1 } else { 5 });
-    let sampling = SampleOptions { solver_steps, num_samples: 2, ..SampleOptions::default() };
-    let options = PlanOptions { sampling, guidance, attention: true, gradient_statistics: false };
-    model.plan(&views, &options).unwrap()
-}
-
-#[test]
-fn a_network_plans_contacts_or_avoids_them_as_the_sign_says_and_lone_agents_keep_their_bits() {
-    follows_the_sign(shipped("fast"));
-}
-
-#[test]
-fn so_does_one_that_plans_in_one_step() {
-    follows_the_sign(shipped("one_step"));
-}
-
-fn follows_the_sign(mut model: TrajectoryModel) {
-    let seeds: Vec<u64> = (0..6).collect();
-    let guided = [true, false, false];
-    let with = |weight: f32, steps: usize| GuidanceConfig {
-        gradient_steps: steps,
-        ..config(vec![
-            collision(weight),
-            approach(weight / 5.0),
-            Objective::MapCollision(MapCollision::default()),
-        ])
-    };
-    let free = planned(&mut model, &guided, None, &seeds);
-    assert!(free.iter().all(|p| p.guidance.is_none() && p.selected_sample() == [0, 0, 0]));
-    let mut closeness = |config: GuidanceConfig| -> f32 {
-        let plans = planned(&mut model, &guided, Some(config.clone()), &seeds);
-        for (plan, free) in plans.iter().zip(&free) {
-            let report = plan.guidance.as_ref().unwrap();
-            assert_eq!((report.losses.len(), report.selected_sample.len()), (3 * 2 * 3, 3));
-            assert_eq!(report.realism_cost[0] > 0.0, config.gradient_steps > 0);
-            assert_eq!(report.realism_cost[1..], [0.0, 0.0]);
-            // the third vehicle has no edge in G: nothing that guidance does can reach it
-            for sample in 0..2 {
-                let own = (sample * 3 + 2) * T * 2..(sample * 3 + 3) * T * 2;
-                assert_eq!(plan.actions[own.clone()], free.actions[own]);
-            }
-        }
-        let losses = |p: &Plan| p.guidance.as_ref().map_or(0.0, |g| g.losses[6 + 3 * g.selected_sample[0]]);
-        plans.iter().map(losses).sum()
-    };
-    // the choice among samples follows the sign, too: each is held against its own choice without a gradient
-    for (weight, nearer) in [(-50.0, true), (50.0, false)] {
-        let [moved, chosen] = [with(weight, 4), with(weight, 0)].map(&mut closeness);
-        assert!(
-            if nearer { moved > 1.4 * chosen } else { moved < chosen / 1.4 },
-            "{weight}: {moved} {chosen}"
-        );
-    }
-}
-
-#[test]
-fn attention_is_given_between_joined_agents_and_adds_up_to_one() {
-    let plan = planned(&mut shipped("fast"), &[true; 3], None, &[3]).remove(0);
-    let matrix = plan.attention_matrix().unwrap();
-    assert_eq!(matrix.len(), 9);
-    for (k, weight) in matrix.iter().enumerate() {
-        let joined = plan.features.graph.contains(k / 3, k % 3) && k / 3 != k % 3;
-        assert_eq!(*weight > 0.0, joined, "{k}");
-    }
-    assert!((matrix[..3].iter().sum::<f32>() - 1.0).abs() < 1e-5, "{matrix:?}");
 }
 
 #[test]

@@ -312,33 +312,6 @@ fn sought(weight: f32) -> GuidanceConfig {
 }
 
 #[test]
-fn guidance_closes_in_or_keeps_away_as_the_sign_says_and_moves_nobody_else() {
-    let scene = common::following_pair();
-    let worlds: Vec<_> = (0..3).map(|seed| (&scene, 40, seed)).collect();
-    let guided = [true, false, false];
-    // a denoiser trained on one future alone finds back to it whatever guidance did; tokens are drawn, not moved
-    let moved = |kind: &&str| named(kind).is_ok_and(|network| !network.denoises && !network.samples_tokens);
-    for kind in kinds().filter(moved) {
-        let mut model = trained(kind, 40);
-        let mut closeness = |weight: f32, steps: usize| -> (f32, Vec<Plan>) {
-            let guidance = Some(GuidanceConfig { gradient_steps: steps, ..sought(weight) });
-            let options = PlanOptions { guidance, ..samples(1) };
-            let found = plans(&mut model, &worlds, &options, Some(&guided)).unwrap();
-            (found.iter().map(|p| p.guidance.as_ref().unwrap().losses[3]).sum(), found)
-        };
-        let ((near, plan), (free, unmoved), (far, _)) =
-            (closeness(-50.0, 2), closeness(-50.0, 0), closeness(50.0, 2));
-        assert!(near > free && free >= far, "{kind}: {near} {free} {far}");
-        for (plan, free) in plan.iter().zip(&unmoved) {
-            // the third vehicle is out of everybody's reach
-            assert_eq!(plan.actions[2 * STEPS * 2..], free.actions[2 * STEPS * 2..], "{kind}");
-            let report = plan.guidance.as_ref().unwrap();
-            assert!(report.realism_cost.iter().all(|c| c.is_nan()), "{kind}");
-        }
-    }
-}
-
-#[test]
 fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
     let scene = common::scene(&[[0.0, 0.0, 0.0, 0.0, 0.0]], 110);
     for kind in kinds() {
@@ -386,41 +359,6 @@ fn what_means_nothing_to_a_network_is_refused_by_name() {
     let blind = self::blind(config("bits"));
     let store = nn::VarStore::new(Device::Cpu);
     assert!(build(&store.root(), &blind).unwrap_err().to_string().contains("map"));
-}
-
-#[test]
-fn bad_options_and_damaged_files_are_refused_with_the_facts() {
-    let config = blind(ModelConfig::fast());
-    let run = run_on(vec![common::closing_pair()], 10, &config, quick("ccdiff", 1));
-    let path = temporary("weights.safetensors");
-    run.export(&path, &serde_json::json!({"licence": "test"})).unwrap();
-    let mut model = torch_model::load(&path, Device::Cpu).unwrap();
-    assert_eq!(model.header()["notes"]["licence"], "test");
-    let window = Window::from_scene(&common::closing_pair(), 40, &[0, 1], 30);
-    let view = PlanInput { window: &window, map: None, seed: 0, guide: None };
-    let short = model.plan(&[view], &PlanOptions::default()).unwrap_err();
-    assert!(short.to_string().contains("expected 31"), "{short}");
-    let bad = SampleOptions { guidance_weight: 0.4, ..SampleOptions::default() };
-    assert!(
-        bad.validated()
-            .unwrap_err()
-            .to_string()
-            .contains("guidance_weight is 0.4, expected a number in [1, 2)")
-    );
-    let empty = Window { num_steps: 31, ..Window::default() };
-    let nobody = PlanInput { window: &empty, map: None, seed: 0, guide: None };
-    assert!(model.plan(&[nobody], &PlanOptions::default()).unwrap()[0].agents.is_empty());
-
-    let mut bytes = std::fs::read(&path).unwrap();
-    bytes.truncate(bytes.len() - 40);
-    std::fs::write(&path, bytes).unwrap();
-    assert!(matches!(torch_model::load(&path, Device::Cpu), Err(ModelError::Checkpoint { .. })));
-    let state = temporary("state.safetensors");
-    run.save(&state).unwrap();
-    let text = torch_model::load(&state, Device::Cpu).unwrap_err().to_string();
-    assert!(text.contains("ccdiff-training"), "{text}");
-    let missing = temporary("missing.safetensors");
-    assert!(matches!(torch_model::load(&missing, Device::Cpu), Err(ModelError::Io { .. })));
 }
 
 #[test]

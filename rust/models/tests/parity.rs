@@ -124,12 +124,3 @@ fn every_form_has_the_same_plans_on_both() {
         }
     }
 }
-
-#[test]
-fn what_own_kernels_lack_is_named() {
-    let per_step = ModelConfig { history: HistoryTokens::PerStep, ..ModelConfig::fast() };
-    for config in [ModelConfig::paper(), per_step] {
-        let text = ccdiff_nets::networks::kinds::check_cpu(&config).unwrap_err().to_string();
-        assert!(text.contains("model.history is per_step") && text.contains("without torch"), "{text}");
-    }
-}

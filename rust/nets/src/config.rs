@@ -251,22 +251,6 @@ mod tests {
                 ModelConfig { heads: 0, ..ModelConfig::fast() },
                 "model.heads is 0, expected a whole number in [1, 4096]",
             ),
-            (
-                ModelConfig { width: -2, ..ModelConfig::fast() },
-                "model.width is -2, expected a whole number in [2, 4096]",
-            ),
-            (
-                ModelConfig { edge_width: 0, ..ModelConfig::fast() },
-                "model.edge_width is 0, expected a whole number in [1, 4096]",
-            ),
-            (
-                ModelConfig { agents_within_m: -1.0, ..ModelConfig::fast() },
-                "model.agents_within_m is -1.0, expected a number in",
-            ),
-            (
-                ModelConfig { dt_s: f64::NAN, ..ModelConfig::fast() },
-                "model.dt_s is null, expected a number in",
-            ),
             (wrong(MapConfig { rounds: vec![0; 65], ..map() }), "model.map.rounds is 65 rounds"),
             (
                 ModelConfig {

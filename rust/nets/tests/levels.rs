@@ -86,13 +86,3 @@ fn every_level_gives_the_same_plans() {
         }
     }
 }
-
-#[test]
-fn a_world_has_the_same_plan_in_every_batch_and_on_every_thread() {
-    let sizes = [3, 1, 7, 2, 11];
-    let together = bits("ccdiff_fast", &sizes);
-    let alone = |size| std::thread::spawn(move || bits("ccdiff_fast", &[size]).remove(0));
-    for (thread, expected) in sizes.map(alone).into_iter().zip(together) {
-        assert_eq!(thread.join().unwrap(), expected);
-    }
-}

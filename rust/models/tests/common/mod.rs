@@ -72,9 +72,3 @@ pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
 pub(crate) fn closing_pair() -> Arc<Scene> {
     scene(&[[0.0, 0.0, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 4.0, 0.3], [150.0, -4.0, 3.1, 6.0, 0.0]], 110)
 }
-
-#[allow(dead_code, reason = "not every test file uses it")]
-/// A follower that can pass its leader by or meet it, and a third car far off.
-pub(crate) fn following_pair() -> Arc<Scene> {
-    scene(&[[0.0, 0.0, 0.0, 12.0, -0.5], [30.0, 0.5, 0.0, 8.0, 0.0], [150.0, -4.0, 3.1, 6.0, 0.0]], 110)
-}
