@@ -269,30 +269,28 @@ impl Dataset {
         let mut order = Noise::new(seed, u64::MAX / 2).permutation(self.samples.len());
         order.truncate(count.max(1));
         let samples = self.samples(&order, None)?;
-        let mut trajectory = [Moments::default(); 6];
-        let mut history = [Moments::default(); 5];
-        let mut edges = [Moments::default(); 4];
+        let mut trajectory = [[0.0; 3]; 6];
+        let mut history = [[0.0; 3]; 5];
+        let mut edges = [[0.0; 3]; 4];
         let per_edge = self.config.history_token_steps().len() * EDGE_FEATURES;
         for (features, futures) in &samples {
             for (state, valid) in futures.states.chunks_exact(6).zip(&futures.valid) {
                 if *valid {
-                    trajectory.iter_mut().zip(state).for_each(|(m, v)| m.add(*v));
+                    trajectory.iter_mut().zip(state).for_each(|(m, v)| add(m, *v));
                 }
             }
             for step in features.history.chunks_exact(HISTORY_FEATURES).filter(|s| s[7] > 0.5) {
                 let picked = [step[0], step[1], step[4], step[5], step[6]];
-                history.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));
+                history.iter_mut().zip(picked).for_each(|(m, v)| add(m, v));
             }
             for (edge, is_edge) in features.edges.chunks_exact(per_edge).zip(&features.is_edge) {
                 if *is_edge {
                     let now = &edge[per_edge - EDGE_FEATURES..];
                     let picked = [now[0], now[1], now[4], now[5]];
-                    edges.iter_mut().zip(picked).for_each(|(m, v)| m.add(v));
+                    edges.iter_mut().zip(picked).for_each(|(m, v)| add(m, v));
                 }
             }
         }
-        let default = Normalisation::default();
-        let [mean, std] = [Moments::mean, Moments::std];
         let mut found = Normalisation {
             trajectory_mean: trajectory.each_ref().map(mean),
             trajectory_std: trajectory.each_ref().map(std),
@@ -300,11 +298,11 @@ impl Dataset {
             action_std: [std(&trajectory[4]), std(&trajectory[5])],
             history_mean: history.each_ref().map(mean),
             history_std: history.each_ref().map(std),
-            ..default
+            ..Normalisation::default()
         };
-        if edges[0].count > 100.0 {
+        if edges[0][0] > 100.0 {
             // about zero, since the direction of an offset carries meaning
-            let spread = |m: &Moments| (m.squares / m.count).sqrt().max(0.1);
+            let spread = |m: &[f64; 3]| (m[2] / m[0]).sqrt().max(0.1);
             found.edge_position_std = [spread(&edges[0]), spread(&edges[1])];
             found.edge_velocity_std = spread(&edges[2]).max(spread(&edges[3]));
         }
@@ -312,28 +310,17 @@ impl Dataset {
     }
 }
 
-/// Count, sum and sum of squares.
-#[derive(Debug, Clone, Copy, Default)]
-struct Moments {
-    count: f64,
-    sum: f64,
-    squares: f64,
+/// Adds a number to count, sum and sum of squares.
+fn add(moments: &mut [f64; 3], value: f32) {
+    let v = f64::from(value);
+    moments.iter_mut().zip([1.0, v, v * v]).for_each(|(m, v)| *m += v);
 }
 
-impl Moments {
-    fn add(&mut self, value: f32) {
-        let v = f64::from(value);
-        self.count += 1.0;
-        self.sum += v;
-        self.squares += v * v;
-    }
+fn mean([count, sum, _]: &[f64; 3]) -> f64 {
+    sum / count.max(1.0)
+}
 
-    fn mean(&self) -> f64 {
-        self.sum / self.count.max(1.0)
-    }
-
-    /// Standard deviation, at least 1e-3.
-    fn std(&self) -> f64 {
-        (self.squares / self.count.max(1.0) - self.mean().powi(2)).max(0.0).sqrt().max(1e-3)
-    }
+/// Standard deviation, at least 1e-3.
+fn std(moments: &[f64; 3]) -> f64 {
+    (moments[2] / moments[0].max(1.0) - mean(moments).powi(2)).max(0.0).sqrt().max(1e-3)
 }

@@ -18,27 +18,18 @@ use ccdiff_nets::sampling::plan_space::PlanSpace;
 use ccdiff_nets::traffic::planning_pool;
 use std::collections::BTreeMap;
 use std::path::Path;
-use tch::{Device, Tensor, nn};
+use tch::{Device, nn};
 
 /// A network on torch with the weights of a file.
 #[derive(Debug)]
-pub struct TorchModel {
-    network: Box<dyn PlanModel>,
-    store: nn::VarStore,
-    device: Device,
+pub(crate) struct TorchModel {
+    pub(crate) network: Box<dyn PlanModel>,
+    pub(crate) store: nn::VarStore,
 }
 
 impl TorchModel {
-    /// Loads a weight file, checking every name and shape.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`].
-    pub fn load(path: &Path, device: Device) -> Result<Self> {
-        let (header, entries) = weights::read(path)?;
-        Self::of(path, &described(path, &header)?, &entries, device)
-    }
-
-    fn of(
+    /// From the tensors of a file, checking every name and shape.
+    pub(crate) fn of(
         path: &Path,
         config: &ModelConfig,
         entries: &BTreeMap<String, Entry>,
@@ -49,18 +40,8 @@ impl TorchModel {
             let network = build(&store.root(), config)?;
             store.freeze();
             checkpoint::fill(path, &checkpoint::tensors(entries), "", &mut variables(&store))?;
-            Ok(Self { network, store, device })
+            Ok(Self { network, store })
         })
-    }
-
-    /// The network.
-    pub(crate) fn network(&self) -> &dyn PlanModel {
-        self.network.as_ref()
-    }
-
-    /// All numbers of the network by name.
-    pub(crate) fn variables(&self) -> BTreeMap<String, Tensor> {
-        variables(&self.store)
     }
 }
 
@@ -77,7 +58,7 @@ impl PlanSampler for TorchModel {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         guarded(false, "planning", || {
-            let (config, batch) = (self.network.space().config(), Batch::new(scenes.to_vec(), self.device)?);
+            let (config, batch) = (self.network.space().config(), Batch::new(scenes.to_vec(), self.store.device())?);
             let asked = options.asked(batch.rows(), seeds, config);
             let proposed = self.network.propose(&batch, &asked, guide)?;
             Ok(drawn(&PlanSpace::new(config), scenes, proposed))
@@ -85,24 +66,14 @@ impl PlanSampler for TorchModel {
     }
 }
 
-/// Loads a weight file on torch, on any device.
+/// Loads a weight file on torch, on any device, checking every name and shape.
 ///
 /// # Errors
-/// As [`TorchModel::load`].
+/// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`].
 pub fn load(path: &Path, device: Device) -> Result<TrajectoryModel> {
     let (header, entries) = weights::read(path)?;
     let config = described(path, &header)?;
-    on_torch(path, header, config, &entries, device)
-}
-
-fn on_torch(
-    path: &Path,
-    header: serde_json::Value,
-    config: ModelConfig,
-    entries: &BTreeMap<String, Entry>,
-    device: Device,
-) -> Result<TrajectoryModel> {
-    let model = TorchModel::of(path, &config, entries, device)?;
+    let model = TorchModel::of(path, &config, &entries, device)?;
     let num_parameters = entries.values().map(|(_, numbers)| numbers.len()).sum();
     TrajectoryModel::of(Box::new(model), header, config, num_parameters)
 }

@@ -19,6 +19,8 @@ use crate::sampler::SampleOptions;
 use crate::tape::{Parameters, Tape};
 use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
+use ccdiff_nets::compute::weights;
+use ccdiff_nets::networks::kinds::described;
 use ccdiff_nets::networks::planner::PlanOptions;
 use optimiser::{Adam, MovingAverage};
 use serde::{Deserialize, Serialize};
@@ -96,16 +98,17 @@ impl Trainer {
     /// The run with a teacher, from whose weights it begins.
     ///
     /// # Errors
-    /// What [`TorchModel::load`] refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
+    /// What reading weights refuses; [`ModelError::Config`] for a network that does not denoise or differs from this one.
     pub fn taught_by(mut self, path: &Path) -> Result<Self> {
-        let teacher = TorchModel::load(path, self.store.device())?;
-        let same = *teacher.network().space().config() == self.model;
+        let (header, entries) = weights::read(path)?;
+        let teacher = TorchModel::of(path, &described(path, &header)?, &entries, self.store.device())?;
+        let same = *teacher.network.space().config() == self.model;
         require(same, "teacher", "another network", "weights of the network that is trained")?;
         let denoises = self.model.network()?.denoises;
         require(denoises, "teacher", self.model.kind.as_str(), "a network that denoises")?;
         require(self.config.teacher_steps > 0, "teacher", "given", "none where teacher_steps is 0")?;
         for store in [&self.store, &self.average.store] {
-            checkpoint::fill(path, &teacher.variables(), "", &mut variables(store))?;
+            checkpoint::fill(path, &variables(&teacher.store), "", &mut variables(store))?;
         }
         self.teacher = Some(teacher);
         Ok(self)
@@ -138,8 +141,8 @@ impl Trainer {
         let options = SampleOptions { solver_steps: Some(steps), ..SampleOptions::default() };
         let seeds = plan_model::taught_seeds(&self.config, self.step, batch.scene_sizes.len());
         let asked = PlanOptions::from(options).asked(batch.rows(), &seeds, &self.model);
-        let (knots, _) = tch::no_grad(|| teacher.network().propose(batch, &asked, None))?;
-        Ok(Some(Taught { knots: teacher.network().space().knots(&knots), seeds }))
+        let (knots, _) = tch::no_grad(|| teacher.network.propose(batch, &asked, None))?;
+        Ok(Some(Taught { knots: teacher.network.space().knots(&knots), seeds }))
     }
 
     /// Steps taken.

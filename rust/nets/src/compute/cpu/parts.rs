@@ -82,15 +82,8 @@ pub(super) fn packed(
 /// A layer norm.
 #[derive(Debug)]
 pub struct Norm {
-    pub(super) weight: Vec<f32>,
+    pub(crate) weight: Vec<f32>,
     pub(super) bias: Vec<f32>,
-}
-
-impl Norm {
-    /// Weights of the numbers of a row.
-    pub(crate) fn weights(&self) -> &[f32] {
-        &self.weight
-    }
 }
 
 /// A convolution over tokens.

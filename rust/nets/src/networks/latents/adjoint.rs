@@ -147,7 +147,7 @@ fn through_norm(norm: &Norm, x: &Array, gradient: &Array) -> Array {
         let middle = mean(&mut x.iter().copied());
         let variance = mean(&mut x.iter().map(|x| (x - middle) * (x - middle)));
         let scale = 1.0 / (variance + 1e-5).sqrt();
-        let weighted = || gradient.iter().zip(norm.weights()).map(|(g, w)| g * w);
+        let weighted = || gradient.iter().zip(&norm.weight).map(|(g, w)| g * w);
         let normed = || x.iter().map(|x| (x - middle) * scale);
         let (shift, turn) = (mean(&mut weighted()), mean(&mut weighted().zip(normed()).map(|(g, x)| g * x)));
         numbers.extend(weighted().zip(normed()).map(|(g, x)| scale * (g - shift - x * turn)));
