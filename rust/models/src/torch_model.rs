@@ -58,7 +58,8 @@ impl PlanSampler for TorchModel {
         guide: Option<&mut Guidance<'_>>,
     ) -> Result<Drawn> {
         guarded(false, "planning", || {
-            let (config, batch) = (self.network.space().config(), Batch::new(scenes.to_vec(), self.store.device())?);
+            let (config, batch) =
+                (self.network.space().config(), Batch::new(scenes.to_vec(), self.store.device())?);
             let asked = options.asked(batch.rows(), seeds, config);
             let proposed = self.network.propose(&batch, &asked, guide)?;
             Ok(drawn(&PlanSpace::new(config), scenes, proposed))

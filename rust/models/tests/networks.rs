@@ -15,7 +15,6 @@ use ccdiff_models::kinds::build;
 use ccdiff_models::noise::Noise;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::torch::Torch;
-use ccdiff_models::torch_model;
 use ccdiff_models::train::{TrainConfig, Trainer, settings_of};
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use ccdiff_models::{ModelError, segments::MapLines};

@@ -5,7 +5,7 @@
 
 mod common;
 
-use ccdiff_models::config::{HistoryTokens, MapConfig, ModelConfig};
+use ccdiff_models::config::{MapConfig, ModelConfig};
 use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::noise::Noise;

@@ -190,14 +190,4 @@ impl Weights {
             (None, None) => Ok(()),
         }
     }
-
-    /// All numbers.
-    pub fn len(&self) -> usize {
-        self.tensors.values().map(|(_, numbers)| numbers.len()).sum()
-    }
-
-    /// Whether there is no number.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
 }

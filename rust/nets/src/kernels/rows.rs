@@ -174,30 +174,8 @@ at_levels! {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use crate::kernels::{Level, with_level};
-    use crate::sampling::noise::Noise;
-    use proptest::prelude::*;
-
-    /// What a kernel makes of numbers at every level, once it is the same at all.
-    pub(crate) fn at_all(of: impl Fn() -> Vec<f32>) -> Vec<f32> {
-        let found: Vec<Vec<f32>> = Level::available().into_iter().map(|l| with_level(l, &of)).collect();
-        let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-        assert!(found.iter().all(|f| bits(f) == bits(&found[0])), "levels differ");
-        found.into_iter().next_back().unwrap()
-    }
-
-    pub(crate) fn numbers(seed: u64, count: usize) -> Vec<f32> {
-        Noise::new(seed, 7).normals(count)
-    }
-
-    pub(crate) fn close(got: &[f32], want: &[f64]) {
-        assert_eq!(got.len(), want.len());
-        for (at, (g, w)) in got.iter().zip(want).enumerate() {
-            assert!((f64::from(*g) - w).abs() <= 1e-5 + 1e-5 * w.abs(), "{at}: {g}, expected {w}");
-        }
-    }
 
     #[test]
     fn exponentials_are_those_of_double_precision() {

@@ -64,9 +64,9 @@ pub(super) fn at_level<W: Work>(work: W) {
         fn avx512<W: Work>(work: W) {
             work.run();
         }
-        match Checked::now().0 {
+        match level() {
             Level::Base => work.run(),
-            // SAFETY: a `Checked` level is one that the processor was asked for
+            // SAFETY: the level is one that the processor was asked for
             Level::Avx2 => unsafe { avx2(work) },
             // SAFETY: as above
             Level::Avx512 => unsafe { avx512(work) },
@@ -76,34 +76,22 @@ pub(super) fn at_level<W: Work>(work: W) {
     work.run();
 }
 
-/// A level that this processor has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Checked(pub(super) Level);
-
-impl Checked {
-    /// A level, or the widest below it that the processor has.
-    fn at_most(level: Level) -> Self {
-        let levels = Level::available();
-        Self(if levels.contains(&level) { level } else { levels[levels.len() - 1] })
-    }
-
-    /// The one that this thread computes with: the widest, unless [`with_level`] says otherwise.
-    pub(super) fn now() -> Self {
-        static WIDEST: OnceLock<Checked> = OnceLock::new();
-        let base = ccdiff_sim::is_held_to_base().then_some(Self(Level::Base));
-        HELD.get()
-            .or(base)
-            .unwrap_or_else(|| *WIDEST.get_or_init(|| Self(Level::available().pop().unwrap_or(Level::Base))))
-    }
-}
-
 thread_local! {
-    static HELD: Cell<Option<Checked>> = const { Cell::new(None) };
+    static HELD: Cell<Option<Level>> = const { Cell::new(None) };
 }
 
-/// Computes with the instructions of a level at most, on this thread: the bits are those of all others.
+/// The level that this thread computes with, one that its processor has: the widest, unless [`with_level`] says otherwise.
+pub(super) fn level() -> Level {
+    static WIDEST: OnceLock<Level> = OnceLock::new();
+    let base = ccdiff_sim::is_held_to_base().then_some(Level::Base);
+    let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
+    HELD.get().or(base).unwrap_or_else(widest)
+}
+
+/// Computes with the instructions of a level, or the widest if the processor has it not, on this thread: the bits are those of all
+/// others.
 pub fn with_level<T>(level: Level, work: impl FnOnce() -> T) -> T {
-    let before = HELD.replace(Some(Checked::at_most(level)));
+    let before = HELD.replace(Some(level).filter(|level| Level::available().contains(level)));
     let made = work();
     HELD.set(before);
     made

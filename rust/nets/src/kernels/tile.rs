@@ -9,7 +9,7 @@ use super::shape::{PANEL, Product};
 use super::simd::Four;
 use super::simd::Vector;
 #[cfg(target_arch = "x86_64")]
-use super::simd::{Checked, Level};
+use super::simd::{Level, level};
 
 /// How sums are formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -64,7 +64,7 @@ pub(super) fn multiply(
             unsafe { product::<__m512, 12, true>(p, s) }
         }
         let fused = how == How::Fused;
-        match Checked::now().0 {
+        match level() {
             Level::Base => unsafe { product::<__m128, 6, false>(p, sides) },
             Level::Avx512 if fused => unsafe { avx512_fused(p, sides) },
             Level::Avx2 if fused && std::arch::is_x86_feature_detected!("fma") => unsafe {

@@ -2,8 +2,8 @@
 
 use crate::config::ModelConfig;
 use crate::guidance::KnotMap;
-use crate::inputs::unicycle::plan_limits;
-use ccdiff_sim::geom::math;
+use crate::inputs::unicycle::rolled;
+use ccdiff_sim::geom::Pose2;
 
 /// Maps between normalised knots [R, knots, 2], physical actions [R, T, 2] and states [R, T, 6].
 #[derive(Debug, Clone)]
@@ -41,23 +41,11 @@ impl PlanSpace {
     /// States x, y, v, yaw, acceleration, yaw rate [R, T, 6] of actions from the origin, heading +x, at speeds [R], which are
     /// repeated for more rows. The last two are the actions as given, not clipped.
     pub fn states(&self, actions: &[f32], speed_mps: &[f32]) -> Vec<f32> {
-        let limits = plan_limits();
-        let [hardest, strongest] = limits.acceleration_mps2;
-        let [slowest, fastest] = limits.speed_mps;
         let mut out = Vec::with_capacity(actions.len() * 3);
         for (row, start) in actions.chunks_exact(2 * self.steps).zip(speed_mps.iter().cycle()) {
-            let (mut x, mut y, mut yaw, mut gained, mut before) = (0f32, 0f32, 0f32, 0f32, *start);
-            for action in row.chunks_exact(2) {
-                gained += action[0].clamp(hardest, strongest) * self.dt_s;
-                let after = (gained + start).clamp(slowest, fastest);
-                let bound = limits.yaw_rate_bound(before);
-                let step_m = (before + after) * (0.5 * self.dt_s);
-                let (sin, cos) = math::sin_cos(yaw);
-                x += step_m * cos;
-                y += step_m * sin;
-                yaw += action[1].clamp(-bound, bound) * self.dt_s;
-                before = after;
-                out.extend([x, y, after, yaw, action[0], action[1]]);
+            let moments = rolled(Pose2::new(0.0, 0.0, 0.0), *start, self.dt_s, row);
+            for (m, action) in moments.zip(row.chunks_exact(2)) {
+                out.extend([m.x_m, m.y_m, m.speed_mps, m.turned_rad, action[0], action[1]]);
             }
         }
         out

@@ -135,12 +135,8 @@ impl PlannedTraffic {
                 new.push((world.scene_idx, &world.scene.scene));
             }
         }
-        let read = |(idx, scene): &(usize, &Arc<Scene>)| (*idx, Arc::new(MapLines::from_scene(scene)));
-        let made: Vec<_> = match &self.pool {
-            Some(pool) => pool.install(|| new.par_iter().map(read).collect()),
-            None => new.iter().map(read).collect(),
-        };
-        for (idx, map) in made {
+        let read = |(idx, scene): (usize, &Arc<Scene>)| (idx, Arc::new(MapLines::from_scene(scene)));
+        for (idx, map) in side_by_side(self.pool.as_ref(), new, read) {
             self.maps.resize(self.maps.len().max(idx + 1), None);
             self.maps[idx] = Some(map);
         }
@@ -166,6 +162,18 @@ pub fn planning_pool(num_threads: usize) -> Result<ThreadPool> {
         .thread_name(|i| format!("ccdiff-plan-{i}"))
         .build()
         .map_err(|e| ModelError::Config { field: "num_threads", got: e.to_string(), expected: "threads" })
+}
+
+/// What is made of items, in their order, on the threads of a pool; without one on the caller's.
+fn side_by_side<T: Send, R: Send>(
+    pool: Option<&ThreadPool>,
+    items: Vec<T>,
+    of: impl Fn(T) -> R + Send + Sync,
+) -> Vec<R> {
+    match pool {
+        Some(pool) => pool.install(|| items.into_par_iter().map(of).collect()),
+        None => items.into_iter().map(of).collect(),
+    }
 }
 
 /// The error of this crate as the simulator passes it on.

@@ -3,7 +3,7 @@
 use super::config::{BackgroundDriver, CollisionTargets, Ranking};
 use super::planned_agents::{self, PlannedAgents, RankingInputs};
 use super::way_out::{self, PlannedPoses};
-use super::{Memory, PlannedTraffic};
+use super::{Memory, PlannedTraffic, side_by_side};
 use crate::error::Result;
 use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
 use crate::inputs::segments::MapLines;
@@ -12,7 +12,6 @@ use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::geom::{Real, Region, Vector2};
 use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, WorldView};
-use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -66,11 +65,8 @@ impl PlannedTraffic {
     ) -> Result<Vec<(&'a PlanRequest<'a>, PlanState)>> {
         let worlds: Vec<WorldView<'_>> = requests.iter().map(|r| r.world).collect();
         self.read_maps(&worlds);
-        let prepare = |r: &&'a PlanRequest<'a>| self.prepare(r);
-        let mut due: Vec<_> = match &self.pool {
-            Some(pool) => pool.install(|| requests.par_iter().map(prepare).collect::<Result<_>>())?,
-            None => requests.iter().map(prepare).collect::<Result<_>>()?,
-        };
+        let due = side_by_side(self.pool.as_ref(), requests.to_vec(), |r| self.prepare(r));
+        let mut due = due.into_iter().collect::<Result<Vec<_>>>()?;
         self.rank(&mut due)?;
         let (with, without): (Vec<_>, Vec<_>) = due.into_iter().partition(PreparedRequest::is_guided);
         let (guided, unguided) = (self.guided.clone(), self.unguided.clone());
@@ -181,10 +177,8 @@ impl PlannedTraffic {
             d.guided = d.planned.agents.iter().map(|a| d.chosen.contains(a)).collect();
             Ok(())
         };
-        match &self.pool {
-            Some(pool) => pool.install(|| due.par_iter_mut().zip(ranking_inputs).try_for_each(rank)),
-            None => due.iter_mut().zip(ranking_inputs).try_for_each(rank),
-        }
+        let items = due.iter_mut().zip(ranking_inputs).collect();
+        side_by_side(self.pool.as_ref(), items, rank).into_iter().collect()
     }
 
     /// What some rankings ask the network for: attention, or how the gradients agree. Nothing is guided here.
@@ -242,11 +236,7 @@ impl PlannedTraffic {
                 own.push((at, model.plan(views, options)));
             }
         };
-        let copies = self.copies.get_mut();
-        let made: Vec<Vec<_>> = match &self.pool {
-            Some(pool) => pool.install(|| copies.par_iter_mut().map(work).collect()),
-            None => copies.iter_mut().map(work).collect(),
-        };
+        let made = side_by_side(self.pool.as_ref(), self.copies.get_mut().iter_mut().collect(), work);
         let mut made: Vec<_> = made.into_iter().flatten().collect();
         made.sort_unstable_by_key(|(at, _)| *at);
         let plans = made.into_iter().map(|(_, plans)| plans).collect::<Result<Vec<_>>>()?;

@@ -92,9 +92,6 @@ fn add_prior(gradient: &mut [f32], z: &[f32], latent: usize, prior: &Gaussian, s
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::ModelConfig;
-    use crate::guidance::{AgentCollision, Approach, GuidanceConfig, GuidanceContext, Objective};
-    use ccdiff_sim::geom::Pose2;
 
     #[test]
     fn samples_and_the_gradient_of_a_prior_have_the_tabulated_values() {

@@ -15,7 +15,7 @@ use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
 use crate::networks::tokens::grid::TOKEN_STEPS;
 use crate::sampling::noise::Noise;
-use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided};
+use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided, side_by_side};
 use ccdiff_sim::SimError;
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::Real;
@@ -27,7 +27,6 @@ use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 use network::{Hidden, Network};
 use rayon::ThreadPool;
-use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 use watch::Watch;
@@ -277,17 +276,11 @@ impl TrafficPolicy for Swift {
             return Ok(vec![None; requests.len()]);
         }
         let this = &*self;
-        let plans = match &this.pool {
-            Some(pool) => {
-                let share = due.len().div_ceil(pool.current_num_threads()).max(1);
-                let plan = |part: &[&PlanRequest<'_>]| this.planned(part, &mut Scratch::default());
-                let parts: Vec<_> =
-                    pool.install(|| due.par_chunks(share).map(plan).collect::<ccdiff_sim::Result<_>>())?;
-                parts.concat()
-            }
-            None => this.planned(&due, &mut Scratch::default())?,
-        };
-        let mut plans = plans.into_iter();
+        let threads = this.pool.as_ref().map_or(1, ThreadPool::current_num_threads);
+        let parts = due.chunks(due.len().div_ceil(threads).max(1)).collect();
+        let plan = |part: &[&PlanRequest<'_>]| this.planned(part, &mut Scratch::default());
+        let parts = side_by_side(this.pool.as_ref(), parts, plan).into_iter();
+        let mut plans = parts.collect::<ccdiff_sim::Result<Vec<_>>>()?.into_iter().flatten();
         Ok(requests.iter().map(|r| if is_due(&r) { plans.next() } else { None }).collect())
     }
 
