@@ -2,8 +2,8 @@
 
 use crate::batch::Batch;
 use crate::config::ModelConfig;
-use crate::plan_model::Trains;
 use crate::slots::{Slots, mix, weights};
+use crate::trains::Trains;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::cpu::{Array, Cpu};
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
