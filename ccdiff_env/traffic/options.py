@@ -415,7 +415,7 @@ class CcdiffConfig(Options):
     #: (in [0, 10]). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may
     #: be told another one at any time.
     criticality: float = 0.0
-    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``, ``"strive_target"``) or settings.
+    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
     #: Whether plans without guidance are moved off contacts and onto the road, at the cost of the
     #: gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
