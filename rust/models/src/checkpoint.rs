@@ -69,27 +69,24 @@ pub(crate) fn tensors(entries: &BTreeMap<String, Entry>) -> BTreeMap<String, Ten
     entries.iter().map(tensor).collect()
 }
 
-/// Copies `prefix`-named tensors into variables; both sides must have the same names and shapes.
+/// Copies tensors into variables; both sides must have the same names and shapes.
 ///
 /// # Errors
 /// [`ModelError::Checkpoint`] names the first tensor that is missing, left over or of another shape.
 pub fn fill(
     path: &Path,
     tensors: &BTreeMap<String, Tensor>,
-    prefix: &str,
     variables: &mut BTreeMap<String, Tensor>,
 ) -> Result<()> {
     for (name, variable) in variables.iter_mut() {
-        let full = format!("{prefix}{name}");
         let want = format!("{:?}", variable.size());
-        let found = tensors.get(&full).ok_or_else(|| broken(path, &full, "missing", &want))?;
+        let found = tensors.get(name).ok_or_else(|| broken(path, name, "missing", &want))?;
         if found.size() != variable.size() {
-            return Err(broken(path, &full, format!("{:?}", found.size()), want));
+            return Err(broken(path, name, format!("{:?}", found.size()), want));
         }
         tch::no_grad(|| variable.copy_(found));
     }
-    let extra = tensors.keys().find(|k| k.strip_prefix(prefix).is_some_and(|n| !variables.contains_key(n)));
-    match extra {
+    match tensors.keys().find(|name| !variables.contains_key(*name)) {
         Some(name) => Err(broken(path, name, "an unknown tensor", "only the network's own")),
         None => Ok(()),
     }
@@ -115,14 +112,14 @@ mod tests {
         assert_eq!(field::<u64>(&path, &header, "step").unwrap(), 7);
         assert!(field::<u64>(&path, &header, "steps").unwrap_err().to_string().contains("steps"));
         let mut into = variables(0.0);
-        fill(&path, &tensors, "", &mut into).unwrap();
+        fill(&path, &tensors, &mut into).unwrap();
         assert_eq!(into["a"].double_value(&[1, 2]), 3.5);
         let mut other = variables(0.0);
         other.insert("a".into(), Tensor::zeros([3, 2], (Kind::Float, tch::Device::Cpu)));
-        let text = fill(&path, &tensors, "", &mut other).unwrap_err().to_string();
+        let text = fill(&path, &tensors, &mut other).unwrap_err().to_string();
         assert!(text.contains("[2, 3]") && text.contains("[3, 2]"), "{text}");
         other.remove("a");
-        assert!(fill(&path, &tensors, "", &mut other).unwrap_err().to_string().contains("unknown"));
+        assert!(fill(&path, &tensors, &mut other).unwrap_err().to_string().contains("unknown"));
         // one flipped bit of one number
         let whole = std::fs::read(&path).unwrap();
         let mut bytes = whole.clone();

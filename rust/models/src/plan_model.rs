@@ -43,9 +43,6 @@ pub trait PlanModel: Debug + Send {
     fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)>;
 
     /// As [`Proposes::propose`].
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
     fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>)
     -> Result<Proposed>;
 }

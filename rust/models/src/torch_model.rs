@@ -39,7 +39,7 @@ impl TorchModel {
             let mut store = nn::VarStore::new(device);
             let network = build(&store.root(), config)?;
             store.freeze();
-            checkpoint::fill(path, &checkpoint::tensors(entries), "", &mut variables(&store))?;
+            checkpoint::fill(path, &checkpoint::tensors(entries), &mut variables(&store))?;
             Ok(Self { network, store })
         })
     }

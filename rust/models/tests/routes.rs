@@ -125,14 +125,3 @@ fn a_fork_is_taken_as_the_route_says() {
     // histories are the same: untold, the network cannot know
     assert_eq!(sideways(&left, None), sideways(&right, None));
 }
-
-#[test]
-fn routes_are_refused_where_they_mean_nothing() {
-    let ctg = ModelConfig { route_points_m: POINTS_M.to_vec(), ..ModelConfig::of("ctg", "fast").unwrap() };
-    for (model, words) in
-        [(ctg, "knows no routes"), (network(&[1.0; 65]), "at most 64"), (network(&[-1.0]), "route_points_m")]
-    {
-        let text = model.validated().unwrap_err().to_string();
-        assert!(text.contains("route_points_m") && text.contains(words), "{text}");
-    }
-}

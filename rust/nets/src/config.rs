@@ -193,9 +193,6 @@ impl ModelConfig {
     }
 
     /// Checks every range, and that the sizes fit together.
-    ///
-    /// # Errors
-    /// [`ModelError::Config`] and [`ModelError::Sim`] name the first field that is wrong.
     pub(crate) fn check_sizes(&self) -> Result<()> {
         options::check("model", self)?;
         let (width, heads, stride) = (self.width, self.heads, self.knot_stride);

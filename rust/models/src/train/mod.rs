@@ -19,7 +19,7 @@ use crate::sampler::SampleOptions;
 use crate::tape::{Parameters, Tape};
 use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
-use ccdiff_nets::compute::weights;
+use ccdiff_nets::compute::weights::{self, broken};
 use ccdiff_nets::networks::kinds::described;
 use ccdiff_nets::networks::planner::PlanOptions;
 use optimiser::{Adam, MovingAverage};
@@ -108,7 +108,7 @@ impl Trainer {
         require(denoises, "teacher", self.model.kind.as_str(), "a network that denoises")?;
         require(self.config.teacher_steps > 0, "teacher", "given", "none where teacher_steps is 0")?;
         for store in [&self.store, &self.average.store] {
-            checkpoint::fill(path, &variables(&teacher.store), "", &mut variables(store))?;
+            checkpoint::fill(path, &variables(&teacher.store), &mut variables(store))?;
         }
         self.teacher = Some(teacher);
         Ok(self)
@@ -124,7 +124,7 @@ impl Trainer {
             for store in [&self.store, &self.average.store] {
                 let mut known = variables(store);
                 known.retain(|name, _| tensors.contains_key(name));
-                checkpoint::fill(path, &tensors, "", &mut known)?;
+                checkpoint::fill(path, &tensors, &mut known)?;
             }
             Ok(())
         })?;
@@ -281,6 +281,21 @@ impl Trainer {
         })
     }
 
+    /// All numbers that an exact resume needs, in the memory where the run has them.
+    fn state(&self) -> BTreeMap<String, Tensor> {
+        let Adam { parameters, first, second } = &self.adam;
+        let parts = [
+            ("weights", variables(&self.store)),
+            ("average", variables(&self.average.store)),
+            ("first", parameters.views(first)),
+            ("second", parameters.views(second)),
+        ];
+        let named = |(part, tensors): (&'static str, BTreeMap<String, Tensor>)| {
+            tensors.into_iter().map(move |(name, tensor)| (format!("{part}.{name}"), tensor))
+        };
+        parts.into_iter().flat_map(named).collect()
+    }
+
     /// Writes everything that an exact resume needs.
     ///
     /// # Errors
@@ -294,17 +309,7 @@ impl Trainer {
                 "step": self.step,
                 "cooldown": self.cooldown,
             });
-            let mut tensors = BTreeMap::new();
-            for (prefix, part) in
-                [("weights.", variables(&self.store)), ("average.", variables(&self.average.store))]
-            {
-                tensors.extend(part.into_iter().map(|(n, t)| (format!("{prefix}{n}"), t)));
-            }
-            for (prefix, part) in [("first.", &self.adam.first), ("second.", &self.adam.second)] {
-                let part = self.adam.parameters.views(part);
-                tensors.extend(part.into_iter().map(|(n, t)| (format!("{prefix}{n}"), t)));
-            }
-            checkpoint::write(path, &header, &tensors)
+            checkpoint::write(path, &header, &self.state())
         })
     }
 
@@ -315,29 +320,13 @@ impl Trainer {
     pub fn resume(&mut self, path: &Path) -> Result<()> {
         guarded(false, "reading a training state", || {
             let (header, tensors) = checkpoint::read(path)?;
-            let same = |name: &str, got: bool| {
-                if got {
-                    return Ok(());
+            let (model, training): (ModelConfig, TrainConfig) = settings_in(path, &header)?;
+            for (name, same) in [("model", model == self.model), ("training", training == self.config)] {
+                if !same {
+                    return Err(broken(path, name, "of other settings", "the settings of this run"));
                 }
-                Err(ModelError::Checkpoint {
-                    path: path.to_path_buf(),
-                    entry: name.to_string(),
-                    got: "of other settings".into(),
-                    expected: "the settings of this run".into(),
-                })
-            };
-            same("model", checkpoint::field::<ModelConfig>(path, &header, "model")? == self.model)?;
-            same("training", checkpoint::field::<TrainConfig>(path, &header, "training")? == self.config)?;
-            let part = |prefix: &str| -> BTreeMap<String, Tensor> {
-                let own = tensors.iter().filter(|(n, _)| n.starts_with(prefix));
-                own.map(|(n, t)| (n.clone(), t.shallow_clone())).collect()
-            };
-            checkpoint::fill(path, &part("weights."), "weights.", &mut variables(&self.store))?;
-            let average = &mut variables(&self.average.store);
-            checkpoint::fill(path, &part("average."), "average.", average)?;
-            for (prefix, moments) in [("first.", &self.adam.first), ("second.", &self.adam.second)] {
-                checkpoint::fill(path, &part(prefix), prefix, &mut self.adam.parameters.views(moments))?;
             }
+            checkpoint::fill(path, &tensors, &mut self.state())?;
             self.step = checkpoint::field(path, &header, "step")?;
             self.cooldown = checkpoint::field(path, &header, "cooldown")?;
             Ok(())
@@ -350,8 +339,11 @@ impl Trainer {
 /// # Errors
 /// [`ModelError::Io`], [`ModelError::Checkpoint`].
 pub fn settings_of(path: &Path) -> Result<(ModelConfig, TrainConfig)> {
-    let (header, _) = guarded(false, "reading a training state", || checkpoint::read(path))?;
-    Ok((checkpoint::field(path, &header, "model")?, checkpoint::field(path, &header, "training")?))
+    settings_in(path, &weights::read(path)?.0)
+}
+
+fn settings_in(path: &Path, header: &serde_json::Value) -> Result<(ModelConfig, TrainConfig)> {
+    Ok((checkpoint::field(path, header, "model")?, checkpoint::field(path, header, "training")?))
 }
 
 impl Validation {

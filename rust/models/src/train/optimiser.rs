@@ -16,16 +16,14 @@ pub(crate) struct Flat {
 impl Flat {
     /// Moves the tensors of a store into one.
     fn new(store: &nn::VarStore) -> Self {
-        let mut parameters = variables(store);
-        let numbers = tch::no_grad(|| {
+        let parameters = variables(store);
+        tch::no_grad(|| {
             let numbers = Tensor::cat(&parameters.values().map(|p| p.flatten(0, -1)).collect::<Vec<_>>(), 0);
-            let views: Vec<Tensor> = Self::parts(&parameters, &numbers).into_values().collect();
-            for (parameter, view) in parameters.values_mut().zip(&views) {
-                parameter.set_data(view);
-            }
-            numbers
-        });
-        Self { parameters, numbers }
+            let mut flat = Self { parameters, numbers };
+            let views = flat.views(&flat.numbers).into_values();
+            flat.parameters.values_mut().zip(views).for_each(|(parameter, view)| parameter.set_data(&view));
+            flat
+        })
     }
 
     /// Where the tensors begin.
@@ -40,17 +38,12 @@ impl Flat {
 
     /// As many numbers, as tensors of these names.
     pub(crate) fn views(&self, numbers: &Tensor) -> BTreeMap<String, Tensor> {
-        Self::parts(&self.parameters, numbers)
-    }
-
-    fn parts(parameters: &BTreeMap<String, Tensor>, numbers: &Tensor) -> BTreeMap<String, Tensor> {
-        let mut next = 0;
-        let mut view = |p: &Tensor| {
-            let count = p.numel() as i64;
-            next += count;
-            numbers.narrow(0, next - count, count).view(p.size().as_slice())
+        let places = self.places();
+        let view = |(name, p): (&String, &Tensor)| {
+            let part = numbers.narrow(0, places[name] as i64, p.numel() as i64);
+            (name.clone(), part.view(p.size().as_slice()))
         };
-        parameters.iter().map(|(name, p)| (name.clone(), view(p))).collect()
+        self.parameters.iter().map(view).collect()
     }
 
     /// The gradients that torch has summed up, which are cleared.

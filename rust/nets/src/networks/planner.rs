@@ -72,9 +72,6 @@ pub trait PlanSampler: Debug + Send {
 
     /// Draws plans for all agents of all scenes; at least one has an agent. `seeds` holds one seed per scene; `guide` moves
     /// the plans on the way.
-    ///
-    /// # Errors
-    /// What sampling and the network's library refuse.
     fn draw(
         &self,
         scenes: &[SceneFeatures],
@@ -99,9 +96,6 @@ pub type Proposed = (Vec<f32>, Option<Vec<f32>>);
 /// A network that plans.
 pub trait Proposes<B: Backend>: Weighted<B> {
     /// Draws plans; `guide` moves them, or has agents choose.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Shape`] for a wrong number of seeds.
     fn propose(
         &self,
         batch: &B::Batch<'_>,

@@ -40,31 +40,19 @@ impl Noise {
         f64::from(self.block(index)[0]) / 4_294_967_296.0
     }
 
-    /// Appends `count` standard normal numbers, the first of them at counter 0.
-    pub fn normals_into(&self, count: usize, out: &mut Vec<f32>) {
-        let end = out.len() + count;
-        let mut counter = 0;
-        while out.len() < end {
-            let words = self.block(counter);
-            counter += 1;
-            for pair in words.chunks_exact(2) {
+    /// `count` standard normal numbers, the first of them at counter 0.
+    pub fn normals(&self, count: usize) -> Vec<f32> {
+        let mut out = Vec::with_capacity(count + 3);
+        for counter in 0..count.div_ceil(4) as u64 {
+            for pair in self.block(counter).chunks_exact(2) {
                 // Box-Muller; u in (0, 1]
                 let u = (f64::from(pair[0]) + 1.0) / 4_294_967_296.0;
                 let angle = std::f64::consts::TAU * f64::from(pair[1]) / 4_294_967_296.0;
                 let radius = (-2.0 * libm::log(u)).sqrt();
-                for v in [radius * libm::cos(angle), radius * libm::sin(angle)] {
-                    if out.len() < end {
-                        out.push(v as f32);
-                    }
-                }
+                out.extend([radius * libm::cos(angle), radius * libm::sin(angle)].map(|v| v as f32));
             }
         }
-    }
-
-    /// `count` standard normal numbers.
-    pub fn normals(&self, count: usize) -> Vec<f32> {
-        let mut out = Vec::with_capacity(count);
-        self.normals_into(count, &mut out);
+        out.truncate(count);
         out
     }
 

@@ -29,9 +29,6 @@ pub(crate) struct AdversaryPolicy {
 
 impl AdversaryPolicy {
     /// Reads a file that `ccdiff_env.envs.selection_policy.save_policy` wrote.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] name the file and what does not fit.
     fn load(path: &Path) -> Result<Self> {
         let (header, tensors) = read(path)?;
         let kind: String = field(path, &header, "kind")?;
@@ -58,9 +55,6 @@ impl AdversaryPolicy {
     }
 
     /// That of the options.
-    ///
-    /// # Errors
-    /// As [`Self::load`].
     pub(crate) fn of(config: &CcdiffConfig) -> Result<Option<Self>> {
         config.adversary_policy.as_ref().map(|file| Self::load(Path::new(file))).transpose()
     }

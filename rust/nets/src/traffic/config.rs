@@ -283,31 +283,21 @@ impl CcdiffConfig {
     /// the road is taken, as in the released code (reference.md#sampling). [`Self::careful`] moves them as well; those of tokens
     /// are the first that does neither in [`CAREFUL_STEPS`].
     pub fn unguided(&self, network: &NetworkKind) -> PlanOptions {
-        let objectives = |collision| {
-            vec![
-                Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
-                Objective::MapCollision(MapCollision { weight: 1.0 }),
-            ]
-        };
-        let careful = GuidanceConfig {
-            objectives: objectives(-AgentCollision::default().weight),
-            ..GuidanceConfig::rl()
-        };
-        let (filter, num_samples) = match (self.careful, network.samples_tokens) {
-            (true, true) => (
-                GuidanceConfig { gradient_steps: 0, seen_steps: Some(CAREFUL_STEPS), ..careful },
-                self.num_samples.max(CAREFUL_DRAWS),
-            ),
-            (true, false) => (careful, self.num_samples),
-            (false, _) => (
-                GuidanceConfig {
-                    objectives: objectives(1.0),
-                    gradient_steps: 0,
-                    ..GuidanceConfig::released()
-                },
-                self.num_samples,
-            ),
-        };
+        let collision = if self.careful { -AgentCollision::default().weight } else { 1.0 };
+        let objectives = vec![
+            Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
+            Objective::MapCollision(MapCollision { weight: 1.0 }),
+        ];
+        let preset = if self.careful { GuidanceConfig::rl() } else { GuidanceConfig::released() };
+        let mut filter = GuidanceConfig { objectives, ..preset };
+        let mut num_samples = self.num_samples;
+        if !self.careful || network.samples_tokens {
+            filter.gradient_steps = 0;
+        }
+        if self.careful && network.samples_tokens {
+            filter.seen_steps = Some(CAREFUL_STEPS);
+            num_samples = num_samples.max(CAREFUL_DRAWS);
+        }
         PlanOptions {
             sampling: self.sampling(num_samples),
             guidance: (self.careful || self.num_samples > 1).then_some(filter),

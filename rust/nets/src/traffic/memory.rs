@@ -35,9 +35,6 @@ impl Memory {
     }
 
     /// What the plan of a world with some agents remembers.
-    ///
-    /// # Errors
-    /// [`SimError::Snapshot`] where the bytes are none of this policy.
     pub(super) fn of(plan: &PlanState, num_agents: usize) -> Result<Self> {
         let whole = plan.memory.split_at_checked(num_agents).and_then(|(flags, rest)| {
             let (seed, ranking) = rest.split_first_chunk::<8>()?;

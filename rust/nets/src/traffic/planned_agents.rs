@@ -71,9 +71,6 @@ pub(crate) fn select_guided(
 impl PlannedAgents {
     /// Vehicles that are there now, within a distance from the ego if one is given: all that move, and the standing ones
     /// near them.
-    ///
-    /// # Errors
-    /// [`ccdiff_sim::SimError::Policy`] where the world keeps no history.
     pub(super) fn new(
         request: &PlanRequest<'_>,
         parked: &[bool],
@@ -162,9 +159,6 @@ impl PlannedAgents {
     }
 
     /// Agents of the scene that may be guided, by falling importance, from the times to contact in the window.
-    ///
-    /// # Errors
-    /// What the ranker refuses.
     pub(super) fn ranking(
         &self,
         world: &WorldView<'_>,

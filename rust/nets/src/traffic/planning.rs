@@ -153,10 +153,11 @@ impl PlannedTraffic {
         ranking_inputs.resize_with(due.len(), RankingInputs::default);
         let (traffic, config) = (&*self, &self.config);
         let rank = |(d, mut inputs): (&mut PreparedRequest<'_>, RankingInputs)| -> Result<()> {
-            if config.ranking == Ranking::Ttc {
+            let ranks = traffic.ranks(d.request);
+            if ranks && config.ranking == Ranking::Ttc {
                 inputs.scores = Some(d.planned.contact_scores(&d.collision_targets));
             }
-            d.ranking = if traffic.ranks(d.request) {
+            d.ranking = if ranks {
                 d.planned.ranking(&d.request.world, config, &inputs)?
             } else {
                 d.memory.first_ranking.clone()

@@ -35,9 +35,6 @@ pub(crate) struct Now<'a> {
 /// Normalised knots [N · R, T, 2] of tokens drawn from logits [R, [`NUM_TOKENS`]], each world's by its own seed. Speed and yaw rate go
 /// evenly to the token's; then the speed is kept. A guide has each agent choose among its own draws, against others who keep their
 /// speeds.
-///
-/// # Errors
-/// [`crate::ModelError::Shape`] for a wrong number of seeds.
 pub(crate) fn drawn(
     logits: &[f32],
     now: Now<'_>,

@@ -42,9 +42,6 @@ pub(super) struct Hidden {
 
 impl Network {
     /// From header and tensors of a file.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Checkpoint`] names the field or tensor.
     pub(super) fn new(
         path: &Path,
         header: &serde_json::Value,
