@@ -2,7 +2,7 @@
 
 use crate::error::{ModelError, Result};
 use crate::features::{EDGE_FEATURES, Futures, SceneFeatures, row_offsets};
-use ccdiff_nets::compute::cpu;
+use ccdiff_nets::compute::numbers;
 use ccdiff_nets::config::ModelConfig;
 use ccdiff_nets::inputs::tokens::{NEAR_NUMBERS, near_columns, own_columns};
 use ccdiff_nets::sampling::sampler::Rows;
@@ -71,8 +71,8 @@ impl Batch {
     }
 
     /// The same in plain numbers.
-    pub fn numbers(&self) -> cpu::Batch<'_> {
-        cpu::Batch { scenes: &self.scenes, alone: false }
+    pub fn numbers(&self) -> numbers::Batch<'_> {
+        numbers::Batch { scenes: &self.scenes, alone: false }
     }
 
     /// A number of each row, given its scene and its place there, [R].

@@ -7,6 +7,7 @@ use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
 use crate::trains::Trains;
+use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::ccdiff::Network;
 use ccdiff_nets::networks::ctg::HalfUnet;
 use ccdiff_nets::networks::denoising::Denoising;
@@ -35,7 +36,7 @@ fn predicted<B: Trains>(
     noisy: &Tensor,
     steps: &[usize],
 ) -> Tensor {
-    let knots = B::placed(batch, to_vec(noisy), network.config().num_knots(), 2);
+    let knots = B::placed(batch, Array::new(network.config().num_knots(), 2, to_vec(noisy)));
     B::leaf(&network.predict(&network.encode(batch), &knots, steps).0, &noisy.size())
 }
 

@@ -3,7 +3,7 @@
 use crate::batch::{Batch, Targets};
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
 use crate::tape::{self, Parameters, Tape};
@@ -43,8 +43,7 @@ pub trait PlanModel: Debug + Send {
     fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)>;
 
     /// As [`Proposes::propose`].
-    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Option<&mut Guidance<'_>>)
-    -> Result<Proposed>;
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed>;
 }
 
 type Learn = fn(&PlanSpace, &TrainingStep<'_>, &Parameters) -> f64;
@@ -94,12 +93,7 @@ impl<N: Learns<Torch> + Send> PlanModel for Model<N> {
         self.network.nats(batch, targets)
     }
 
-    fn propose(
-        &self,
-        batch: &Batch,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         self.network.propose(batch, asked, guide)
     }
 }

@@ -7,8 +7,7 @@ use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
 use crate::train::config::TrainConfig;
 use crate::trains::Trains;
-use ccdiff_nets::compute::backend::Inputs;
-use ccdiff_nets::compute::cpu::{Array, Cpu};
+use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{near_columns, own_columns};
 use ccdiff_nets::networks::planner::Weighted;
@@ -62,11 +61,11 @@ impl Labelled {
             rows.push((row, mirror));
             bins.extend(token_of(0.5 * (last[2] + next[2]) - speed, yaw_rate).map(|bin| bin as i64));
         }
-        let (numbers, lines) = (batch.numbers(), Cpu::lines(&batch.numbers())?);
+        let lines = batch.numbers().lines()?;
         if rows.is_empty() {
             return None;
         }
-        let (own, near, _) = Cpu::tokens(&numbers);
+        let (own, near, _) = batch.numbers().tokens();
         let of = |all: Array, odd: Vec<bool>| {
             let row = |(row, mirror): &(usize, bool)| {
                 let numbers = all.numbers[row * all.row()..][..all.row()].iter().zip(odd.iter().cycle());
@@ -85,8 +84,7 @@ impl Labelled {
 
     /// Logarithms of the probabilities of all tokens [L, tokens].
     fn log_p<B: Trains>(&self, network: &Network<B>, batch: &Batch) -> Tensor {
-        let [own, near, lines] =
-            self.inputs.each_ref().map(|x| B::placed(batch, x.numbers.clone(), x.tokens, x.width));
+        let [own, near, lines] = self.inputs.each_ref().map(|x| B::placed(batch, x.clone()));
         let size = [self.bins.size()[0], NUM_TOKENS as i64];
         B::leaf(&network.logits(&own, &near, &lines), &size).log_softmax(-1, Kind::Float)
     }

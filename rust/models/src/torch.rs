@@ -5,7 +5,8 @@ use crate::config::ModelConfig;
 use crate::slots::{Slots, mix, weights};
 use crate::trains::Trains;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
-use ccdiff_nets::compute::cpu::{Array, Cpu};
+use ccdiff_nets::compute::cpu::Cpu;
+use ccdiff_nets::compute::numbers::{self, Array};
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
 use ccdiff_nets::networks::trunk::Encoded;
 use ccdiff_nets::sampling::plan_space::PlanSpace;
@@ -204,16 +205,21 @@ impl Ops for Torch {
 impl Inputs for Torch {
     type Batch<'a> = Batch;
 
+    fn plain(batch: &Batch) -> numbers::Batch<'_> {
+        batch.numbers()
+    }
+
     fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
         batch.clone().with_graph_dropped(|_| true)
     }
 
-    fn placed(batch: &Batch, numbers: Vec<f32>, tokens: usize, width: usize) -> Tensor {
-        tensor(Array::new(tokens, width, numbers), batch.device)
+    fn placed(batch: &Batch, x: Array) -> Tensor {
+        tensor(x, batch.device)
     }
 
-    fn history(batch: &Batch, config: &ModelConfig) -> Tensor {
-        tensor(Cpu::history(&batch.numbers(), config), batch.device)
+    fn edges(batch: &Batch, config: &ModelConfig, moved: bool) -> (Tensor, Slots) {
+        let of = batch.neighbourhood();
+        if moved { Slots::at_tokens(&of, config) } else { Slots::now(&of, config) }
     }
 
     fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
@@ -221,36 +227,6 @@ impl Inputs for Torch {
         let future = past.narrow(1, config.history_steps as i64 - 1, 1);
         let future = future.expand([-1, config.num_knots() as i64], false);
         Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
-    }
-
-    fn route(batch: &Batch) -> Option<(Tensor, Tensor)> {
-        let (route, told) = Cpu::route(&batch.numbers())?;
-        Some((tensor(route, batch.device), tensor(told, batch.device)))
-    }
-
-    fn edges(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        Slots::at_tokens(&batch.neighbourhood(), config)
-    }
-
-    fn edges_now(batch: &Batch, config: &ModelConfig) -> (Tensor, Slots) {
-        Slots::now(&batch.neighbourhood(), config)
-    }
-
-    fn standard_speed(batch: &Batch, config: &ModelConfig) -> Tensor {
-        tensor(Cpu::standard_speed(&batch.numbers(), config), batch.device)
-    }
-
-    fn speed(batch: &Batch) -> Tensor {
-        tensor(Cpu::speed(&batch.numbers()), batch.device)
-    }
-
-    fn lines(batch: &Batch) -> Option<Tensor> {
-        Cpu::lines(&batch.numbers()).map(|lines| tensor(lines, batch.device))
-    }
-
-    fn tokens(batch: &Batch) -> (Tensor, Tensor, Vec<f32>) {
-        let (own, near, yaw_rate_radps) = Cpu::tokens(&batch.numbers());
-        (tensor(own, batch.device), tensor(near, batch.device), yaw_rate_radps)
     }
 }
 

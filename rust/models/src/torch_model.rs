@@ -6,7 +6,7 @@ use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::features::SceneFeatures;
 use crate::grad::guarded;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::kinds::build;
 use crate::plan_model::PlanModel;
 use crate::traffic::{CcdiffConfig, PlannedTraffic};
@@ -55,7 +55,7 @@ impl PlanSampler for TorchModel {
         scenes: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
-        guide: Option<&mut Guidance<'_>>,
+        guide: Guide<'_, '_>,
     ) -> Result<Drawn> {
         guarded(false, "planning", || {
             let (config, batch) =

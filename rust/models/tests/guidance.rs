@@ -240,14 +240,8 @@ fn guides_of_the_wrong_length_are_refused() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig::released();
     let short = [true, false];
-    let error = GuidanceContext::new(
-        &WorldGuidance::new(&short),
-        &toy.window,
-        &toy.features,
-        &toy.model,
-        config.discount,
-        config.seen_steps,
-    );
+    let error =
+        GuidanceContext::new(&WorldGuidance::new(&short), &toy.window, &toy.features, &toy.model, &config);
     assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
     let who = [true; 3];
     let context = toy.context(&WorldGuidance::new(&who), &config);

@@ -10,7 +10,7 @@ use std::path::Path;
 mod cruise {
     use ccdiff_nets::compute::backend::Backend;
     use ccdiff_nets::compute::cpu::Cpu;
-    use ccdiff_nets::guidance::Guidance;
+    use ccdiff_nets::guidance::Guide;
     use ccdiff_nets::networks::cpu_planner::on_cpu;
     use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes, Weighted};
     use ccdiff_nets::{ModelConfig, NetworkKind, Result};
@@ -33,12 +33,7 @@ mod cruise {
     }
 
     impl<B: Backend> Proposes<B> for Cruise<B> {
-        fn propose(
-            &self,
-            batch: &B::Batch<'_>,
-            asked: &Asked<'_>,
-            _: Option<&mut Guidance<'_>>,
-        ) -> Result<Proposed> {
+        fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, _: Guide<'_, '_>) -> Result<Proposed> {
             let knots = B::apply(&self.0, &B::standard_speed(batch, &self.1));
             Ok((B::numbers(&knots).repeat(asked.options.num_samples), None))
         }

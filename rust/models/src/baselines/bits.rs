@@ -7,6 +7,7 @@ use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
 use crate::trains::Trains;
+use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 use tch::{Kind, Tensor};
 
@@ -74,7 +75,7 @@ impl<B: Trains> Learns<B> for Bits<B> {
         mean(entropy.squeeze_dim(1))
             + mean(place)
             + mean(turned)
-            + to_log(&self.plans(&seen, &B::placed(batch, goals, 1, GOAL)))
+            + to_log(&self.plans(&seen, &B::placed(batch, Array::new(1, GOAL, goals))))
             + to_log(&self.predicted(&seen))
     }
 }

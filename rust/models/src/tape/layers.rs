@@ -179,7 +179,7 @@ fn blocks((columns, m): (&[f32], usize), (rows, n): (&[f32], usize), out: &mut [
     for (columns, rows) in columns.chunks(BLOCK * m).zip(rows.chunks(BLOCK * n)) {
         let a = Strided { numbers: rows, row: 1, step: n };
         kernels::matmul(a, (n, rows.len() / n, m), (columns, m), (&mut part, m), How::Fused);
-        kernels::add(out, &part);
+        kernels::add_cycle(out, &part);
     }
 }
 
@@ -227,7 +227,7 @@ impl Norm {
     /// Normed sums.
     pub(super) fn of_sum(&self, x: &Var, y: &Var) -> Var {
         let mut sum = x.numbers.clone();
-        kernels::add(&mut sum, &y.numbers);
+        kernels::add_cycle(&mut sum, &y.numbers);
         let (norm, x, y, numbers) = (Rc::clone(&self.0), x.clone(), y.clone(), self.made(sum.clone(), false));
         Var::made(y.like(numbers), true, move |_, mut gradient| {
             norm.back(&sum, &mut gradient);

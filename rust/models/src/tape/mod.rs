@@ -86,7 +86,7 @@ impl Node {
         if known.is_empty() {
             known = gradient;
         } else {
-            kernels::add(&mut known, &gradient);
+            kernels::add_cycle(&mut known, &gradient);
         }
         self.gradient.set(known);
     }

@@ -6,7 +6,8 @@ use super::{Tape, Var};
 use crate::batch::Batch;
 use crate::config::ModelConfig;
 use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
-use ccdiff_nets::compute::cpu::{Array, Cpu, Pairs};
+use ccdiff_nets::compute::cpu::Cpu;
+use ccdiff_nets::compute::numbers::{self, Array, Pairs};
 use ccdiff_nets::kernels;
 use ccdiff_nets::sampling::plan_space::PlanSpace;
 use std::convert::Infallible;
@@ -291,50 +292,20 @@ impl Ops for Tape {
 impl Inputs for Tape {
     type Batch<'a> = Batch;
 
+    fn plain(batch: &Batch) -> numbers::Batch<'_> {
+        batch.numbers()
+    }
+
     fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
         batch.clone().with_graph_dropped(|_| true)
     }
 
-    fn placed(_: &Batch, numbers: Vec<f32>, tokens: usize, width: usize) -> Var {
-        Var::data(tokens, width, numbers)
+    fn placed(_: &Batch, x: Array) -> Var {
+        Var::of(x)
     }
 
-    fn history(batch: &Batch, config: &ModelConfig) -> Var {
-        Var::of(Cpu::history(&batch.numbers(), config))
-    }
-
-    fn mask(_: &Batch, _: &ModelConfig) -> Option<Infallible> {
-        None
-    }
-
-    fn route(batch: &Batch) -> Option<(Var, Var)> {
-        Cpu::route(&batch.numbers()).map(|(route, told)| (Var::of(route), Var::of(told)))
-    }
-
-    fn edges(batch: &Batch, config: &ModelConfig) -> (Var, Pairs) {
-        let (edges, pairs) = Cpu::edges(&batch.numbers(), config);
+    fn edges(batch: &Batch, config: &ModelConfig, moved: bool) -> (Var, Pairs) {
+        let (edges, pairs) = batch.numbers().edges(config, moved);
         (Var::of(edges), pairs)
-    }
-
-    fn edges_now(batch: &Batch, config: &ModelConfig) -> (Var, Pairs) {
-        let (edges, pairs) = Cpu::edges_now(&batch.numbers(), config);
-        (Var::of(edges), pairs)
-    }
-
-    fn standard_speed(batch: &Batch, config: &ModelConfig) -> Var {
-        Var::of(Cpu::standard_speed(&batch.numbers(), config))
-    }
-
-    fn speed(batch: &Batch) -> Var {
-        Var::of(Cpu::speed(&batch.numbers()))
-    }
-
-    fn lines(batch: &Batch) -> Option<Var> {
-        Cpu::lines(&batch.numbers()).map(Var::of)
-    }
-
-    fn tokens(batch: &Batch) -> (Var, Var, Vec<f32>) {
-        let (own, near, yaw_rate_radps) = Cpu::tokens(&batch.numbers());
-        (Var::of(own), Var::of(near), yaw_rate_radps)
     }
 }

@@ -44,15 +44,7 @@ impl Toy {
         guide: &WorldGuidance<'a>,
         config: &GuidanceConfig,
     ) -> GuidanceContext<'a> {
-        GuidanceContext::new(
-            guide,
-            &self.window,
-            &self.features,
-            &self.model,
-            config.discount,
-            config.seen_steps,
-        )
-        .unwrap()
+        GuidanceContext::new(guide, &self.window, &self.features, &self.model, config).unwrap()
     }
 
     /// Rolled-out actions [M, T, 2].

@@ -4,6 +4,7 @@
 //! Three backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and two of `ccdiff-models` with gradients: on the
 //! kernels, and on libtorch.
 
+use crate::compute::numbers::{Array, Batch};
 use crate::config::ModelConfig;
 use crate::sampling::plan_space::PlanSpace;
 use std::fmt::Debug;
@@ -167,39 +168,48 @@ pub trait Inputs: Ops {
     /// Inputs of all rows.
     type Batch<'a>;
 
+    /// The same in plain numbers.
+    fn plain<'a>(batch: &'a Self::Batch<'_>) -> Batch<'a>;
+
     /// The same rows, each of which sees itself alone.
     fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a>;
 
-    /// Numbers [R, tokens, width] as a tensor where those of a batch are.
-    fn placed(batch: &Self::Batch<'_>, numbers: Vec<f32>, tokens: usize, width: usize) -> Self::Tensor;
+    /// Numbers where those of a batch are.
+    fn placed(batch: &Self::Batch<'_>, x: Array) -> Self::Tensor;
 
-    /// Standardised histories [R, H, 8], zero where not available.
-    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+    /// Edges of the slots, normalised, [.., 8], at every token or, if they are not moved on, now alone, and who may be seen.
+    fn edges(batch: &Self::Batch<'_>, config: &ModelConfig, moved: bool) -> (Self::Tensor, Self::Slots);
 
     /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
-    fn mask(batch: &Self::Batch<'_>, config: &ModelConfig) -> Option<Self::Mask>;
+    fn mask(_: &Self::Batch<'_>, _: &ModelConfig) -> Option<Self::Mask> {
+        None
+    }
 
-    /// Routes [R, 1, 1 + 2 P], places in units of [`crate::compute::layers::embed::ROUTE_SCALE_M`], and whether they are told
-    /// [R, 1, 1].
-    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)>;
+    /// As [`Batch::history`].
+    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor {
+        Self::placed(batch, Self::plain(batch).history(config))
+    }
 
-    /// Edges of the slots at every token, normalised, [.., 8], and who may be seen.
-    fn edges(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+    /// As [`Batch::route`].
+    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)> {
+        let (route, told) = Self::plain(batch).route()?;
+        Some((Self::placed(batch, route), Self::placed(batch, told)))
+    }
 
-    /// Edges of the slots now, as [`Self::edges`], and who may be seen.
-    fn edges_now(batch: &Self::Batch<'_>, config: &ModelConfig) -> (Self::Tensor, Self::Slots);
+    /// As [`Batch::standard_speed`].
+    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor {
+        Self::placed(batch, Self::plain(batch).standard_speed(config))
+    }
 
-    /// Standardised speeds now, a token of each row.
-    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor;
+    /// As [`Batch::speed`].
+    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor {
+        Self::placed(batch, Self::plain(batch).speed())
+    }
 
-    /// Speeds now [R].
-    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor;
-
-    /// Lines of the map [R, lines, 20]; `None` without them.
-    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor>;
-
-    /// Inputs of a network of tokens: own numbers [R, 1, own], neighbours [R, near, numbers] and yaw rates now (rad/s) [R].
-    fn tokens(batch: &Self::Batch<'_>) -> (Self::Tensor, Self::Tensor, Vec<f32>);
+    /// As [`Batch::lines`].
+    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor> {
+        Self::plain(batch).lines().map(|lines| Self::placed(batch, lines))
+    }
 }
 
 /// What a network is defined over.

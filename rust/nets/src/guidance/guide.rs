@@ -35,6 +35,9 @@ pub struct Guidance<'a> {
     draws: Option<usize>,
 }
 
+/// Guidance, where there is any.
+pub type Guide<'g, 'a> = Option<&'g mut Guidance<'a>>;
+
 /// A denoising step as guidance sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct GuidanceStep<'s> {

@@ -24,7 +24,7 @@ mod rollout;
 
 pub use config::{Clip, FilterWeights, GuidanceConfig, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
-pub use guide::{Guidance, GuidanceStep};
+pub use guide::{Guidance, GuidanceStep, Guide};
 pub use knots::KnotMap;
 pub use objective::{AgentCollision, Approach, Evaluation, MapCollision, Objective, OverSpeed};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};

@@ -1,8 +1,7 @@
 //! Gradients through the loops over rows and through attention, for training.
 
 use super::attention::{Mix, product_of, product_of_sum};
-use super::groups;
-use super::rows::{at_levels, exp, sum};
+use super::rows::{self, at_levels, exp, sum};
 use super::shape::PANEL;
 use super::simd::{Work, at_level};
 
@@ -151,7 +150,7 @@ at_levels! {
     /// Mish, in place.
     fn mish<'a>(x: &'a mut [f32]) {
         for x in x {
-            *x = groups::mish(*x);
+            *x = rows::mish(*x);
         }
     }
 

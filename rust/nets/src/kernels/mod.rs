@@ -3,7 +3,6 @@
 
 mod attention;
 mod back;
-mod groups;
 mod product;
 mod rows;
 mod shape;
@@ -13,10 +12,9 @@ mod within;
 
 pub use attention::{Mix, Seen, mix};
 pub use back::{MixBack, add_rows, gate_back, mish, mish_back, mix_back, norm_back, relu_back};
-pub(crate) use groups::groups_mish;
 pub use product::{Packed, Strided, linear, matmul};
-pub use rows::{add, add_cycle, gate, norm};
-pub(crate) use rows::{add_norm, most};
+pub use rows::{add_cycle, gate, norm};
+pub(crate) use rows::{add_norm, groups_mish, most};
 pub use shape::PANEL;
 pub use simd::{Level, with_level};
 pub use tile::How;

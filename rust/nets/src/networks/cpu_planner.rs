@@ -4,7 +4,7 @@ use crate::compute::cpu::{Batch, Cpu, Place};
 use crate::compute::weights::{Entry, Weights};
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::inputs::features::SceneFeatures;
 use crate::networks::planner::{Drawn, PlanOptions, PlanSampler, Proposed, Proposes};
 use crate::sampling::plan_space::PlanSpace;
@@ -46,7 +46,7 @@ impl<N: Proposes<Cpu> + Send> PlanSampler for OnCpu<N> {
         scenes: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
-        guide: Option<&mut Guidance<'_>>,
+        guide: Guide<'_, '_>,
     ) -> Result<Drawn> {
         let scene_sizes: Vec<usize> = scenes.iter().map(|s| s.agents.len()).collect();
         let noise_seeds: Vec<_> = scenes.iter().flat_map(|s| s.noise_seed.iter().copied()).collect();

@@ -1,9 +1,10 @@
 //! A network that denoises, as one that plans, on any backend.
 
 use crate::compute::backend::Backend;
+use crate::compute::numbers::Array;
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::networks::planner::{Denoises, Proposed, Proposes, Weighted};
 use crate::sampling::sampler::{Asked, sample};
 use crate::sampling::schedule::Schedule;
@@ -29,12 +30,7 @@ impl<B: Backend, N: Denoises<B>> Weighted<B> for Denoising<N> {
 
 impl<B: Backend, N: Denoises<B>> Proposes<B> for Denoising<N> {
     /// The attention is that of the last pass with the graph.
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let (network, config) = (&self.network, self.network.config());
         let (num_knots, rows) = (config.num_knots(), asked.rows.count());
         let with_graph = network.encode(batch);
@@ -47,7 +43,7 @@ impl<B: Backend, N: Denoises<B>> Proposes<B> for Denoising<N> {
             }
             let mut clean = Vec::with_capacity(noisy.len());
             for sample in noisy.chunks_exact((rows * num_knots * 2).max(1)) {
-                let noisy = B::placed(batch, sample.to_vec(), num_knots, 2);
+                let noisy = B::placed(batch, Array::new(num_knots, 2, sample.to_vec()));
                 let (plans, weights) = network.predict(context, &noisy, &[step]);
                 clean.extend(B::numbers(&plans));
                 if !is_alone {

@@ -3,7 +3,7 @@
 use crate::compute::backend::Backend;
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::{Guidance, GuidanceConfig};
+use crate::guidance::{GuidanceConfig, Guide};
 use crate::inputs::features::SceneFeatures;
 pub use crate::sampling::sampler::Asked;
 use crate::sampling::sampler::{Rows, SampleOptions};
@@ -77,7 +77,7 @@ pub trait PlanSampler: Debug + Send {
         scenes: &[SceneFeatures],
         seeds: &[u64],
         options: &PlanOptions,
-        guide: Option<&mut Guidance<'_>>,
+        guide: Guide<'_, '_>,
     ) -> Result<Drawn>;
 }
 
@@ -96,12 +96,7 @@ pub type Proposed = (Vec<f32>, Option<Vec<f32>>);
 /// A network that plans.
 pub trait Proposes<B: Backend>: Weighted<B> {
     /// Draws plans; `guide` moves them, or has agents choose.
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed>;
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed>;
 }
 
 /// A network from noisy plans to clean ones.

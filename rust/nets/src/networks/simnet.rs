@@ -8,7 +8,7 @@ use crate::compute::cpu::Cpu;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
@@ -51,12 +51,7 @@ impl<B: Backend> Weighted<B> for Simnet<B> {
 
 impl<B: Backend> Proposes<B> for Simnet<B> {
     /// The one plan, N times.
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         asked.rows.check_seeds(asked.seeds)?;
         let mut knots = B::numbers(&self.plan(batch)).repeat(asked.options.num_samples);
         if let Some(guide) = guide {

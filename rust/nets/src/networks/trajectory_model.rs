@@ -236,12 +236,7 @@ fn guide_of<'a>(
         return Ok(None);
     };
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
-        world
-            .guide
-            .map(|g| {
-                GuidanceContext::new(&g, world.window, features, model, config.discount, config.seen_steps)
-            })
-            .transpose()
+        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, config)).transpose()
     };
     let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
     let samples = options.sampling.num_samples;

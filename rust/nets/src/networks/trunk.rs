@@ -69,7 +69,7 @@ impl<B: Backend> Trunk<B> {
             x = B::sum(&x, attention.forward(&x, &attention.memory(&tokens), None));
             Some(tokens)
         });
-        let (edges, slots) = B::edges_now(batch, config);
+        let (edges, slots) = B::edges(batch, config, false);
         let edges = self.edges.forward(&edges, false);
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);
         let token = B::normed(&self.norm, &x);

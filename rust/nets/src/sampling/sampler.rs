@@ -1,7 +1,7 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
 use crate::error::{Result, equal};
-use crate::guidance::{Guidance, GuidanceStep, Target};
+use crate::guidance::{Guidance, GuidanceStep, Guide, Target};
 use crate::inputs::features::row_offsets;
 use crate::sampling::noise::Noise;
 use crate::sampling::schedule::{Posterior, Schedule};
@@ -120,7 +120,7 @@ pub fn sample(
     num_knots: usize,
     asked: &Asked<'_>,
     mut predict: impl FnMut(&[f32], usize, bool) -> Vec<f32>,
-    mut guide: Option<&mut Guidance<'_>>,
+    mut guide: Guide<'_, '_>,
 ) -> Result<Vec<f32>> {
     let Asked { rows, seeds, .. } = *asked;
     let options = asked.options.validated()?;

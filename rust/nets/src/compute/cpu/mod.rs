@@ -3,21 +3,17 @@
 mod attention;
 mod parts;
 
-pub use parts::{Array, Batch, Filter, Groups, Norm, Pairs, Place};
+pub use crate::compute::numbers::{Array, Batch, Pairs};
+pub use parts::{Filter, Groups, Norm, Place};
 
 use crate::compute::backend::{Inputs, KeyValue, Ops};
-use crate::compute::layers::embed::ROUTE_SCALE_M;
 use crate::config::ModelConfig;
-use crate::inputs::features::{EDGE_FEATURES, HISTORY_FEATURES};
-use crate::inputs::segments::{NUM_SEGMENTS, SEGMENT_FEATURES};
-use crate::inputs::tokens::{NEAR, NEAR_NUMBERS};
-use crate::kernels::{self, How, Packed, Seen};
+use crate::kernels::{self, How, Packed};
 use crate::sampling::plan_space::PlanSpace;
 use attention::{attended, mixed};
 use parts::packed;
 use std::convert::Infallible;
 use std::ops::Range;
-use std::rc::Rc;
 
 /// Layers on the kernels of this crate.
 #[derive(Debug)]
@@ -125,7 +121,7 @@ impl Ops for Cpu {
     }
 
     fn sum(x: &Array, mut y: Array) -> Array {
-        kernels::add(&mut y.numbers, &x.numbers);
+        kernels::add_cycle(&mut y.numbers, &x.numbers);
         y
     }
 
@@ -246,76 +242,20 @@ impl Ops for Cpu {
 impl Inputs for Cpu {
     type Batch<'a> = Batch<'a>;
 
+    fn plain<'a>(batch: &'a Batch<'_>) -> Batch<'a> {
+        *batch
+    }
+
     fn alone<'a>(batch: &Self::Batch<'a>) -> Self::Batch<'a> {
         Batch { alone: true, ..*batch }
     }
 
-    fn placed(_: &Batch<'_>, numbers: Vec<f32>, tokens: usize, width: usize) -> Array {
-        Array::new(tokens, width, numbers)
+    fn placed(_: &Batch<'_>, x: Array) -> Array {
+        x
     }
 
-    fn history(batch: &Batch<'_>, config: &ModelConfig) -> Array {
-        let n = &config.normalisation;
-        let (mean, std) = (n.history_mean.map(|v| v as f32), n.history_std.map(|v| v as f32));
-        let mut numbers = batch.numbers(|s| &s.history);
-        for x in numbers.as_chunks_mut::<HISTORY_FEATURES>().0 {
-            for (at, j) in [(0, 0), (1, 1), (4, 2), (5, 3), (6, 4)] {
-                x[at] = (x[at] - mean[j]) / std[j];
-            }
-            let available = x[7];
-            for v in x {
-                *v *= available;
-            }
-        }
-        Array::new(config.history_steps, HISTORY_FEATURES, numbers)
-    }
-
-    fn mask(_: &Batch<'_>, _: &ModelConfig) -> Option<Infallible> {
-        None
-    }
-
-    fn route(batch: &Batch<'_>) -> Option<(Array, Array)> {
-        let mut numbers = batch.numbers(|s| &s.route);
-        let width = numbers.len().checked_div(batch.num_rows()).filter(|width| *width > 0)?;
-        let told = numbers.iter().step_by(width).copied().collect();
-        for row in numbers.chunks_exact_mut(width) {
-            for place in &mut row[1..] {
-                *place /= ROUTE_SCALE_M as f32;
-            }
-        }
-        Some((Array::new(1, width, numbers), Array::new(1, 1, told)))
-    }
-
-    fn edges(batch: &Batch<'_>, config: &ModelConfig) -> (Array, Pairs) {
-        let future = config.future_token_times_s().into_iter().map(|t| t as f32);
-        edges_at(batch, config, &std::iter::once(0.0).chain(future).collect::<Vec<_>>())
-    }
-
-    fn edges_now(batch: &Batch<'_>, config: &ModelConfig) -> (Array, Pairs) {
-        edges_at(batch, config, &[0.0])
-    }
-
-    fn standard_speed(batch: &Batch<'_>, config: &ModelConfig) -> Array {
-        let n = &config.normalisation;
-        let (mean, std) = (n.trajectory_mean[2] as f32, n.trajectory_std[2] as f32);
-        let speeds = batch.numbers(|s| &s.speed_mps);
-        Array::new(1, 1, speeds.into_iter().map(|v| (v - mean) / std).collect())
-    }
-
-    fn speed(batch: &Batch<'_>) -> Array {
-        Array::new(1, 1, batch.numbers(|s| &s.speed_mps))
-    }
-
-    fn lines(batch: &Batch<'_>) -> Option<Array> {
-        let numbers = batch.numbers(|s| &s.segments);
-        (!numbers.is_empty()).then(|| Array::new(NUM_SEGMENTS, SEGMENT_FEATURES, numbers))
-    }
-
-    fn tokens(batch: &Batch<'_>) -> (Array, Array, Vec<f32>) {
-        let own = batch.numbers(|s| &s.tokens.own);
-        let own = Array::new(1, own.len() / batch.num_rows().max(1), own);
-        let near = Array::new(NEAR, NEAR_NUMBERS, batch.numbers(|s| &s.tokens.near));
-        (own, near, batch.numbers(|s| &s.tokens.yaw_rate_radps))
+    fn edges(batch: &Batch<'_>, config: &ModelConfig, moved: bool) -> (Array, Pairs) {
+        batch.edges(config, moved)
     }
 }
 
@@ -325,36 +265,4 @@ fn turned(weights: &[f32], inputs: usize, places: usize) -> Vec<f32> {
         (0..row.len()).map(|at| row[at % inputs * places + at / inputs]).collect()
     };
     weights.chunks_exact(places * inputs).flat_map(turn).collect()
-}
-
-/// Edges at times from now on, and who is seen.
-fn edges_at(batch: &Batch<'_>, config: &ModelConfig, times: &[f32]) -> (Array, Pairs) {
-    let n = &config.normalisation;
-    let (pos, vel) = (&n.edge_position_std, n.edge_velocity_std);
-    let scale = [pos[0], pos[1], 1.0, 1.0, vel, vel, 1.0, 1.0].map(|s| (1.0 / s) as f32);
-    let (mut others_of, mut all_of, mut numbers) = (Seen::empty(), Seen::empty(), Vec::new());
-    let mut offset = 0;
-    for scene in batch.scenes {
-        let k = scene.num_slots;
-        for row in 0..scene.agents.len() {
-            let edge = |slot: usize| &scene.edges[(row * k + slot) * EDGE_FEATURES..][..EDGE_FEATURES];
-            let sees = |slot: &usize| !batch.alone && scene.is_edge[row * k + slot] && edge(*slot)[8] > 0.5;
-            let others: Vec<usize> = (1..k).filter(sees).collect();
-            let other = |slot: usize| offset + scene.neighbours[row * k + slot];
-            all_of.push(std::iter::once(0).chain(others.iter().copied()).map(|s| (other(s), s)));
-            // alone: its own slot
-            let of = if others.is_empty() { vec![0] } else { others };
-            others_of.push(of.iter().map(|s| (other(*s), *s)));
-            for x in of.into_iter().map(edge) {
-                for time in times {
-                    numbers.extend([(x[0] + x[4] * time) * scale[0], (x[1] + x[5] * time) * scale[1]]);
-                    numbers.extend((2..8).map(|c| x[c] * scale[c]));
-                }
-            }
-        }
-        offset += scene.agents.len();
-    }
-    let slots = batch.scenes.iter().map(|s| s.num_slots).max().unwrap_or(1);
-    let pairs = Pairs { others: Rc::new(others_of), all: Rc::new(all_of), slots };
-    (Array::new(times.len(), EDGE_FEATURES - 1, numbers), pairs)
 }

@@ -5,9 +5,6 @@ use crate::compute::backend::Ops;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::inputs::features::HISTORY_FEATURES;
 
-/// Places on routes are given in units of so many metres.
-pub const ROUTE_SCALE_M: f64 = 20.0;
-
 /// Sinusoidal table [positions, width], sine and cosine interleaved, base 10⁴.
 pub fn positions(positions: usize, width: i64) -> Vec<f32> {
     let half = width / 2;

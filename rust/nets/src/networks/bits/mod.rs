@@ -15,9 +15,10 @@ use crate::compute::backend::Backend;
 use crate::compute::cpu::Cpu;
 use crate::compute::layers::attention::Attention;
 use crate::compute::layers::perceptron::Perceptron;
+use crate::compute::numbers::Array;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result, require};
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
@@ -100,12 +101,7 @@ impl<B: Backend> Weighted<B> for Bits<B> {
 
 impl<B: Backend> Proposes<B> for Bits<B> {
     /// Plans to N goals drawn from the grid. Each agent's sample is chosen against the predicted plans of the others.
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         asked.rows.check_seeds(asked.seeds)?;
         let (config, seen) = (self.config(), self.encode(batch));
         let Some(cells) = self.cells(&seen) else {
@@ -114,7 +110,7 @@ impl<B: Backend> Proposes<B> for Bits<B> {
         let goals = grid::goals(&B::numbers(&cells), asked);
         let mut knots = Vec::with_capacity(goals.len() / GOAL * 2 * config.num_knots());
         for goals in goals.chunks_exact((asked.rows.count() * GOAL).max(1)) {
-            let goals = B::placed(batch, goals.to_vec(), 1, GOAL);
+            let goals = B::placed(batch, Array::new(1, GOAL, goals.to_vec()));
             knots.extend(B::numbers(&self.plans(&seen, &goals)));
         }
         if let Some(guide) = guide {

@@ -119,7 +119,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
     fn encode(&self, batch: &B::Batch<'_>) -> Context<B> {
         let config = self.config();
         let history = B::history(batch, config);
-        let (edges, slots) = B::edges(batch, config);
+        let (edges, slots) = B::edges(batch, config, true);
         let map_tokens = self.map.as_ref().and_then(|m| m.forward(batch));
         let of_round = |r: &Round<B>| r.map.as_ref().zip(map_tokens.as_ref()).map(|(a, t)| a.memory(t));
         let map = self.rounds.iter().map(of_round).collect();

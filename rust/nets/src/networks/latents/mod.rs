@@ -15,9 +15,10 @@ use crate::compute::backend::Backend;
 use crate::compute::cpu::Cpu;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::compute::layers::social::EdgeAwareLayer;
+use crate::compute::numbers::Array;
 use crate::config::ModelConfig;
 use crate::error::Result;
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
@@ -172,12 +173,7 @@ impl<B: Pulls> Weighted<B> for Cvae<B> {
 impl<B: Pulls> Proposes<B> for Cvae<B> {
     /// Plans of samples of the prior; the first of STRIVE is its mean. Guidance moves the latents, those of STRIVE
     /// under the prior.
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let Asked { rows, seeds, options, .. } = *asked;
         rows.check_seeds(seeds)?;
         let (latent, seen) = (self.form.latent(), self.encode(batch));
@@ -188,7 +184,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
         }
         let prior = Gaussian::new(&B::numbers(&self.prior(&seen)), latent);
         let mut z = prior.sample(&noise);
-        let placed = |z: &[f32]| B::placed(batch, z.to_vec(), 1, latent);
+        let placed = |z: &[f32]| B::placed(batch, Array::new(1, latent, z.to_vec()));
         let decode = |z: &[f32]| -> Vec<f32> {
             z.chunks_exact(of_sample).flat_map(|z| B::numbers(&self.decode(&seen, &placed(z)))).collect()
         };

@@ -3,7 +3,7 @@
 use super::grid::{BINS, NUM_TOKENS, SPEED, TOKEN_STEPS, YAW_RATE};
 use crate::config::ModelConfig;
 use crate::error::{Result, equal};
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::inputs::features::row_offsets;
 use crate::networks::planner::Asked;
 use crate::sampling::noise::Noise;
@@ -40,7 +40,7 @@ pub(crate) fn drawn(
     now: Now<'_>,
     asked: &Asked<'_>,
     config: &ModelConfig,
-    guide: Option<&mut Guidance<'_>>,
+    guide: Guide<'_, '_>,
 ) -> Result<Vec<f32>> {
     let Asked { rows, seeds, options, .. } = *asked;
     rows.check_seeds(seeds)?;

@@ -5,7 +5,7 @@ use crate::compute::backend::Backend;
 use crate::compute::layers::perceptron::Perceptron;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result};
-use crate::guidance::Guidance;
+use crate::guidance::Guide;
 use crate::inputs::segments::SEGMENT_FEATURES;
 use crate::inputs::tokens::{NEAR_NUMBERS, own_columns};
 use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
@@ -102,18 +102,14 @@ impl<B: Backend> Network<B> {
 }
 
 impl<B: Backend> Proposes<B> for Network<B> {
-    fn propose(
-        &self,
-        batch: &B::Batch<'_>,
-        asked: &Asked<'_>,
-        guide: Option<&mut Guidance<'_>>,
-    ) -> Result<Proposed> {
+    fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let Some(lines) = B::lines(batch) else {
             return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
         };
-        let (own, near, yaw_rate_radps) = B::tokens(batch);
+        let (own, near, yaw_rate_radps) = B::plain(batch).tokens();
+        let [own, near] = [own, near].map(|x| B::placed(batch, x));
         let logits = B::numbers(&self.logits(&own, &near, &lines));
-        let speed_mps = B::numbers(&B::speed(batch));
+        let speed_mps = B::plain(batch).speed().numbers;
         let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &yaw_rate_radps };
         Ok((drawn(&logits, now, asked, self.config(), guide)?, None))
     }
