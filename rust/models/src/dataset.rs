@@ -7,9 +7,8 @@ use crate::batch::{Batch, Targets};
 use crate::config::{ModelConfig, Normalisation};
 use crate::error::{ModelError, Result, require};
 use crate::features::{self, EDGE_FEATURES, FIRST_STEP, Futures, HISTORY_FEATURES, SceneFeatures, Window};
-use crate::lateral_perturbation::{LateralPerturbation, RECOVERY_S};
-use crate::longitudinal_perturbation::{LongitudinalPerturbation, Trail};
 use crate::noise::Noise;
+use crate::perturbation::{ASIDE_S, Lateral, Longitudinal, Trail};
 use crate::segments::MapLines;
 use ccdiff_sim::geom::{Pose2, Region};
 use ccdiff_sim::scene::{LaneIndex, Scene};
@@ -47,16 +46,16 @@ pub struct Dataset {
 #[derive(Debug)]
 enum Move {
     /// Sideways, off the path.
-    Aside(LateralPerturbation),
+    Aside(Lateral),
     /// Along the path, with the poses after now.
-    Along(LongitudinalPerturbation, Trail, Vec<Pose2>),
+    Along(Longitudinal, Trail, Vec<Pose2>),
 }
 
 impl Move {
     /// Draws a move for the agent of a slot; `trail` gives its path and the time step.
     fn draw(noise: &Noise, slot: u64, speed_mps: f32, trail: impl FnOnce() -> (Trail, f32)) -> Option<Self> {
-        let Some(pace) = LongitudinalPerturbation::draw(noise, slot, speed_mps) else {
-            return LateralPerturbation::draw(noise, slot, speed_mps).map(Self::Aside);
+        let Some(pace) = Longitudinal::draw(noise, slot, speed_mps) else {
+            return Lateral::draw(noise, slot, speed_mps).map(Self::Aside);
         };
         let (trail, dt_s) = trail();
         let pace = pace.within(&trail, dt_s);
@@ -192,7 +191,7 @@ impl Dataset {
             .map(|(row, slot)| {
                 if tokens {
                     // changes of speed are what is learned
-                    let push = LateralPerturbation::draw(&noise?, slot, speeds[row])?;
+                    let push = Lateral::draw(&noise?, slot, speeds[row])?;
                     return Move::Aside(push).applied(&mut window, row);
                 }
                 let drawn = Move::draw(&noise?, slot, speeds[row], || {
@@ -207,7 +206,7 @@ impl Dataset {
             window.tell_routes(routes, &self.config.route_points_m);
         }
         let features = (network.features)(&window, prepared.map.as_ref(), &self.config)?;
-        let recovery_s = if tokens { TOKEN_RECOVERY_S } else { RECOVERY_S };
+        let recovery_s = if tokens { TOKEN_RECOVERY_S } else { ASIDE_S };
         let adapt = |row: usize, ahead: usize, pose: Pose2| match &moves[row] {
             Some(Move::Aside(push)) => {
                 push.recover(pose, ahead as f32 * self.config.dt_s as f32, speeds[row], recovery_s)
