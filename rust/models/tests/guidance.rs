@@ -240,8 +240,13 @@ fn guides_of_the_wrong_length_are_refused() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig::released();
     let short = [true, false];
-    let error =
-        GuidanceContext::new(&WorldGuidance::new(&short), &toy.window, &toy.features, &toy.model, &config);
+    let error = GuidanceContext::new(
+        &WorldGuidance::new(&short),
+        &toy.window,
+        &toy.features,
+        &toy.model,
+        (1.0, None),
+    );
     assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
     let who = [true; 3];
     let context = toy.context(&WorldGuidance::new(&who), &config);

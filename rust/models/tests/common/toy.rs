@@ -44,7 +44,8 @@ impl Toy {
         guide: &WorldGuidance<'a>,
         config: &GuidanceConfig,
     ) -> GuidanceContext<'a> {
-        GuidanceContext::new(guide, &self.window, &self.features, &self.model, config).unwrap()
+        let steps = (config.discount, config.seen_steps);
+        GuidanceContext::new(guide, &self.window, &self.features, &self.model, steps).unwrap()
     }
 
     /// Rolled-out actions [M, T, 2].

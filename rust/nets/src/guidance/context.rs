@@ -1,6 +1,5 @@
 //! What guidance knows about one world: where its agents are, how large, who may be guided, road.
 
-use super::config::GuidanceConfig;
 use crate::config::ModelConfig;
 use crate::error::{Result, equal};
 use crate::inputs::features::{SceneFeatures, Window};
@@ -79,7 +78,7 @@ pub struct GuidanceContext<'a> {
 }
 
 impl<'a> GuidanceContext<'a> {
-    /// The agents of a scene's features.
+    /// The agents of a scene's features; the guidance's discount, and the steps that its losses look at.
     ///
     /// # Errors
     /// [`crate::ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
@@ -88,7 +87,7 @@ impl<'a> GuidanceContext<'a> {
         window: &Window,
         features: &SceneFeatures,
         model: &ModelConfig,
-        config: &GuidanceConfig,
+        (discount, seen_steps): (f32, Option<usize>),
     ) -> Result<Self> {
         let expected = window.num_agents();
         for (what, got) in [
@@ -114,7 +113,7 @@ impl<'a> GuidanceContext<'a> {
             roads: guide.roads.map_or_else(Vec::new, |roads| rows.iter().map(|a| roads[*a]).collect()),
             apart: window.apart_of(rows),
             speed_limit_mps: guide.speed_limit_mps,
-            step_weights: step_weights(config.discount, model.horizon_steps, config.seen_steps),
+            step_weights: step_weights(discount, model.horizon_steps, seen_steps),
         })
     }
 

@@ -235,8 +235,9 @@ fn guide_of<'a>(
     let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
         return Ok(None);
     };
+    let steps = (config.discount, config.seen_steps);
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
-        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, config)).transpose()
+        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps)).transpose()
     };
     let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
     let samples = options.sampling.num_samples;
