@@ -67,7 +67,7 @@ pub struct Pairs {
 
 impl Batch<'_> {
     fn numbers(&self, of: impl Fn(&SceneFeatures) -> &[f32]) -> Vec<f32> {
-        self.scenes.iter().flat_map(|s| of(s)).copied().collect()
+        self.scenes.iter().flat_map(of).copied().collect()
     }
 
     fn num_rows(&self) -> usize {
