@@ -151,10 +151,7 @@ class Worlds:
 
 
 def rollout(
-    agent: Agent,
-    worlds: Worlds,
-    clock: dict[str, float],
-    anchor: Callable[[Floats], Floats] | None = None,
+    agent: Agent, worlds: Worlds, anchor: Callable[[Floats], Floats] | None = None
 ) -> dict[str, torch.Tensor]:
     """Let all worlds decide ROLLOUT times; tensors [T, E, ...], with what the anchor would do."""
     size, width = worlds.obs.shape[0], len(agent.log_std)
@@ -163,7 +160,6 @@ def rollout(
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
     anchored = torch.empty(ROLLOUT, size, 0 if anchor is None else width)
     for t in range(ROLLOUT):
-        begin = time.perf_counter()
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
         mean, values[t] = agent(x[t])
         if anchor is not None:
@@ -172,10 +168,7 @@ def rollout(
         worlds.noise = CORRELATION * worlds.noise + (1.0 - CORRELATION**2) ** 0.5 * new
         actions[t] = mean + agent.log_std.exp() * worlds.noise
         log_prob[t] = agent.log_prob(mean, actions[t])
-        middle = time.perf_counter()
         reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
-        clock["worlds"] += time.perf_counter() - middle
-        clock["decisions"] += middle - begin
         rewards[t], ends[t] = torch.from_numpy(reward), torch.from_numpy(end)
         if len(cut):  # a clock that runs out says nothing about the state: its value counts
             rewards[t, cut] += GAMMA * agent(agent.normalised(torch.from_numpy(last)))[1]
@@ -277,29 +270,24 @@ def train(args: argparse.Namespace) -> None:
         save_ego(file, agent.state_dict(), fitting, about)
 
     begin = shown = kept = time.perf_counter() - done["seconds"]
-    clock, first = dict.fromkeys(("worlds", "decisions", "update"), 0.0), done["decisions"]
     while done["decisions"] < args.decisions:
         left = 1.0 - done["decisions"] / args.decisions
         optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
         with torch.no_grad():
             agent.see(torch.from_numpy(worlds.obs))
-            data = rollout(agent, worlds, clock, anchor)
-        middle = time.perf_counter()
+            data = rollout(agent, worlds, anchor)
         moved = update(agent, optimiser, data, args.kl)
         agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
-        clock["update"] += time.perf_counter() - middle
         done["decisions"] += len(data["x"])
         done["updates"] += 1
         done["seconds"] = now = time.perf_counter() - begin
         if args.smoke or now - (shown - begin) > 30.0:
-            rate = (done["decisions"] - first) / sum(clock.values())
-            split = ", ".join(f"{n} {s / sum(clock.values()):.0%}" for n, s in clock.items())
             means = np.concatenate([*worlds.episodes, np.zeros((1, len(SHOWN)))])[:-1].mean(axis=0)
             figures = " ".join(f"{n} {m:.3f}" for n, m in zip(SHOWN, means, strict=True))
             noise = " ".join(f"{s:.2f}" for s in agent.log_std.exp().tolist())
             print(
-                f"{now / 60:5.1f} min {done['decisions']:9d} decisions {rate:6.0f}/s ({split}) "
-                f"{figures} noise {noise} kl {moved:.3f}",
+                f"{now / 60:5.1f} min {done['decisions']:9d} decisions {figures} noise {noise} "
+                f"kl {moved:.3f}",
                 flush=True,
             )
             worlds.episodes.clear()
