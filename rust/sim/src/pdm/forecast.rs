@@ -1,4 +1,4 @@
-//! Where the others will be: at constant speed along their headings, or as a network expects.
+//! Where the others will be: at constant speed along their headings.
 
 use super::Scene;
 use crate::events::limits::STOPPED_MPS;
@@ -23,13 +23,8 @@ pub(super) struct Other {
     /// Along its heading, forwards or backwards: that of boxes is noisier than their headings are.
     velocity: Vector2,
     pub speed_mps: Real,
-    /// Greatest speed of the forecast.
-    pub most_mps: Real,
     pub is_static: bool,
     pub footprint: Footprint,
-    /// Poses at every step from now on, until they end; none at constant velocity.
-    path: Vec<Pose2>,
-    dt_s: Real,
 }
 
 /// A box beside the centre line.
@@ -47,39 +42,18 @@ pub(super) struct Beside {
 impl Other {
     #[inline]
     pub(super) fn centre(&self, time_s: Real) -> Point2 {
-        let Some(last) = self.path.last() else { return self.pose.position + self.velocity * time_s };
-        let f = time_s / self.dt_s;
-        let at = f as usize;
-        match self.path.get(at..at + 2) {
-            Some([a, b]) => a.position + (b.position - a.position) * (f - at as Real),
-            _ => last.position + self.velocity_at(at) * (time_s - (self.path.len() - 1) as Real * self.dt_s),
-        }
+        self.pose.position + self.velocity * time_s
     }
 
     #[inline]
     pub(super) fn at(&self, time_s: Real) -> OrientedBox {
-        let pose = self.pose_at((time_s / self.dt_s) as usize);
-        self.footprint.at(&Pose2 { position: self.centre(time_s), ..*pose })
-    }
-
-    /// Pose at a step, its heading at constant velocity.
-    fn pose_at(&self, step: usize) -> &Pose2 {
-        self.path.get(step).or(self.path.last()).unwrap_or(&self.pose)
-    }
-
-    /// Velocity from a step to the next one; past the path's end, that of its last step.
-    fn velocity_at(&self, step: usize) -> Vector2 {
-        let from = step.min(self.path.len().saturating_sub(2));
-        match self.path.get(from..from + 2) {
-            Some([a, b]) => (b.position - a.position) / self.dt_s,
-            _ => self.velocity,
-        }
+        self.footprint.at(&Pose2 { position: self.centre(time_s), ..self.pose })
     }
 
     fn beside(&self, scene: &Scene<'_>, step: usize, hint_s_m: Option<Real>) -> Beside {
         let found = scene.line.project(self.centre(step as Real * scene.dt_s), hint_s_m);
         let direction = scene.line.polyline().tangent_at(found.s_m);
-        let Pose2 { cos, sin, .. } = *self.pose_at(step);
+        let Pose2 { cos, sin, .. } = self.pose;
         let along = (cos * direction.x + sin * direction.y).abs();
         let across = (sin * direction.x - cos * direction.y).abs();
         // past the line's corners the distance counts, as the offset from the segment says little there
@@ -90,7 +64,7 @@ impl Other {
             lateral_m,
             half_along_m: along * f.half_length_m + across * f.half_width_m,
             half_across_m: across * f.half_length_m + along * f.half_width_m,
-            speed_mps: self.velocity_at(step).dot(&direction),
+            speed_mps: self.velocity.dot(&direction),
         }
     }
 }
@@ -105,8 +79,7 @@ pub(super) struct Forecast {
 }
 
 impl Forecast {
-    /// `path` gives the poses of an agent from now on, where a network expects any.
-    pub(super) fn new(scene: &Scene<'_>, path: impl Fn(usize) -> Option<Vec<Pose2>>) -> Self {
+    pub(super) fn new(scene: &Scene<'_>) -> Self {
         let (states, ego) = (scene.states, scene.ego);
         let num_steps = (HORIZON_S / scene.dt_s).round().clamp(1.0, 400.0) as usize;
         let own_m = states.speed_mps[ego].max(0.0) * (HORIZON_S + 1.0) + 25.0;
@@ -124,13 +97,10 @@ impl Forecast {
             }
             let heading = Vector2::new(pose.cos, pose.sin);
             let velocity = heading * speed_mps.copysign(states.velocity(j).dot(&heading));
-            let (path, dt_s) = (path(j).unwrap_or_default(), scene.dt_s);
-            let moves = speed_mps > STOPPED_MPS || path.len() > 1;
-            let steps_m = path.windows(2).map(|pair| (pair[1].position - pair[0].position).norm());
-            let most_mps = steps_m.fold(speed_mps, |most, step_m| most.max(step_m / dt_s));
-            let other = Other { pose, velocity, speed_mps, most_mps, is_static, footprint, path, dt_s };
+            let moves = speed_mps > STOPPED_MPS;
+            let other = Other { pose, velocity, speed_mps, is_static, footprint };
             let first = other.beside(scene, 0, None);
-            let comes_m = most_mps * dt_s * num_steps as Real;
+            let comes_m = speed_mps * scene.dt_s * num_steps as Real;
             if first.lateral_m.abs() < footprint.radius_m + half_way_m + comes_m {
                 let begin = near.len();
                 near.push(first);

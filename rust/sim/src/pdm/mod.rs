@@ -10,11 +10,11 @@ mod score;
 mod tests;
 
 use crate::dynamics::{KinState, UnicycleLimits};
-use crate::geom::{Point2, Pose2, Projection, Real, Vector2, math};
+use crate::geom::{Point2, Projection, Real, Vector2, math};
 use crate::stage::{CentreLine, Ground, PreparedScene};
 use crate::state::{AgentStates, Footprint};
 use forecast::Forecast;
-use proposals::{BesideLine, Rollout, near, roll};
+use proposals::{BesideLine, near, roll};
 
 pub(crate) use proposals::steering;
 
@@ -89,19 +89,8 @@ pub(crate) struct Plan {
     pub acceleration_mps2: Real,
 }
 
-/// The plan that is best in the mean over futures. `path` gives the poses of an agent from now on in a future, where a
-/// network expects any; else others drive on at constant speed.
-pub(crate) fn plan(
-    scene: &Scene<'_>,
-    num_futures: usize,
-    path: impl Fn(usize, usize) -> Option<Vec<Pose2>>,
-) -> Plan {
-    let futures: Vec<(Forecast, Vec<Rollout>)> = (0..num_futures)
-        .map(|future| {
-            let forecast = Forecast::new(scene, |agent| path(future, agent));
-            let rollouts = roll(scene, &forecast);
-            (forecast, rollouts)
-        })
-        .collect();
-    score::best(scene, &futures)
+/// The plan of the best proposal.
+pub(crate) fn plan(scene: &Scene<'_>) -> Plan {
+    let forecast = Forecast::new(scene);
+    score::best(scene, &forecast, &roll(scene, &forecast))
 }

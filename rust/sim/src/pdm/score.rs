@@ -27,15 +27,11 @@ const BRAKE_MPS2: Real = -8.0;
 /// Below this speed with the most that is comfortable, m/s.
 const SLOW_MPS: Real = 5.0;
 
-/// What the proposal does that is best in the mean over futures, or an emergency brake where most of them have a contact.
-/// Of equals the first. Proposals whose progress cannot make up for the best so far are not looked at.
-pub(super) fn best(scene: &Scene<'_>, futures: &[(Forecast, Vec<Rollout>)]) -> Plan {
-    let futures: Vec<Future<'_>> =
-        futures.iter().map(|(forecast, rollouts)| Future::new(scene, forecast, rollouts)).collect();
-    let mean =
-        |of: &dyn Fn(&Future<'_>) -> Real| futures.iter().map(of).sum::<Real>() / futures.len() as Real;
-    let mut order: Vec<(usize, Real)> =
-        (0..futures[0].rollouts.len()).map(|i| (i, mean(&|f| f.bound(i)))).collect();
+/// What the best proposal does, or an emergency brake where it has a contact. Of equals the first. Proposals whose
+/// progress cannot make up for the best so far are not looked at.
+pub(super) fn best(scene: &Scene<'_>, forecast: &Forecast, rollouts: &[Rollout]) -> Plan {
+    let scores = Scores::new(scene, forecast, rollouts);
+    let mut order: Vec<(usize, Real)> = (0..rollouts.len()).map(|i| (i, scores.bound(i))).collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mut best = (0, Real::NEG_INFINITY);
     for (i, bound) in order {
@@ -43,20 +39,19 @@ pub(super) fn best(scene: &Scene<'_>, futures: &[(Forecast, Vec<Rollout>)]) -> P
             break;
         }
         // comfort, then contacts, cost less to find than the rest
-        if mean(&|f| f.mean(i, 1.0, false, f.calm(i))) < best.1
-            || mean(&|f| f.mean(i, 1.0, f.contacts(i).close, f.calm(i))) < best.1
+        if scores.mean(i, 1.0, false, scores.calm(i)) < best.1
+            || scores.mean(i, 1.0, scores.contacts(i).close, scores.calm(i)) < best.1
         {
             continue;
         }
-        let value = mean(&|f| f.score(i));
+        let value = scores.score(i);
         if value > best.1 || value == best.1 && i < best.0 {
             best = (i, value);
         }
     }
-    let first = &futures[0].rollouts[best.0];
+    let first = &rollouts[best.0];
     let brake_steps = (BRAKE_S / scene.dt_s).round() as usize;
-    let hit = futures.iter().filter(|f| f.contacts(best.0).first.is_some_and(|t| t <= brake_steps)).count();
-    let acceleration_mps2 = match 2 * hit > futures.len() {
+    let acceleration_mps2 = match scores.contacts(best.0).first.is_some_and(|t| t <= brake_steps) {
         true if first.speeds_mps[0] < SLOW_MPS => ACCELERATION_MPS2[0],
         true => BRAKE_MPS2,
         false => first.actions[0][0],
@@ -64,8 +59,8 @@ pub(super) fn best(scene: &Scene<'_>, futures: &[(Forecast, Vec<Rollout>)]) -> P
     Plan { offset_m: first.offset_m, acceleration_mps2 }
 }
 
-/// Proposals in one future.
-struct Future<'a> {
+/// Proposals, scored.
+struct Scores<'a> {
     scene: &'a Scene<'a>,
     forecast: &'a Forecast,
     rollouts: &'a [Rollout],
@@ -96,7 +91,7 @@ pub(super) struct Contacts {
     pub close: bool,
 }
 
-impl<'a> Future<'a> {
+impl<'a> Scores<'a> {
     fn new(scene: &'a Scene<'a>, forecast: &'a Forecast, rollouts: &'a [Rollout]) -> Self {
         let parts = vec![Parts::default(); rollouts.len()];
         let mut found = Self { scene, forecast, rollouts, parts, most_m: 0.0 };
@@ -173,7 +168,7 @@ pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout
     let (own, dt_s) = (scene.footprint(scene.ego), scene.dt_s);
     let ego_mps = rollout.speeds_mps.iter().copied().fold(0.0, Real::max);
     for other in &forecast.others {
-        let (reach_m, most_mps) = (own.radius_m + other.footprint.radius_m, ego_mps + other.most_mps);
+        let (reach_m, most_mps) = (own.radius_m + other.footprint.radius_m, ego_mps + other.speed_mps);
         // whether both touch at a step, or would some time after it at the ego's constant speed
         let touch = |step: usize, ahead_s: Real| {
             let mut body = own.at(&rollout.poses[step]);

@@ -1,8 +1,8 @@
 //! Rules of PDM-Closed by hand, on a straight two-way road along x: lanes of 3.5 m at y = -1.75 (ahead) and 1.75 (back).
 
-use super::proposals::{OFFSETS_M, SHARES};
+use super::proposals::{OFFSETS_M, Rollout, SHARES};
 use super::*;
-use crate::geom::{Point2, Vector2};
+use crate::geom::{Point2, Pose2, Vector2};
 use crate::scene::synthetic::GridCity;
 use crate::scene::{AgentKind, LaneKind};
 use std::sync::Arc;
@@ -62,16 +62,12 @@ impl World {
     }
 }
 
-fn forecast(scene: &Scene<'_>) -> Forecast {
-    Forecast::new(scene, |_| None)
-}
-
 /// The proposal at a share of the limit and a distance from the line.
 fn rolled(world: &World, share: Real, offset_m: Real) -> Rollout {
     let scene = world.scene();
     let at = |of: &[Real], value: Real| of.iter().position(|x| *x == value).unwrap();
     let proposal = at(&OFFSETS_M, offset_m) * SHARES.len() + at(&SHARES, share);
-    roll(&scene, &forecast(&scene)).swap_remove(proposal)
+    roll(&scene, &Forecast::new(&scene)).swap_remove(proposal)
 }
 
 /// A rollout with these accelerations and yaw rates from a speed, at the ego's place.
@@ -123,7 +119,7 @@ fn others_go_on_along_their_headings_at_the_size_of_their_velocity() {
         ((30.0, 10.0, 0.0, [4.0, 3.0], AgentKind::Static), [0.0, 0.0]),
     ] {
         let world = World::new(&[ego(10.0), agent]);
-        let moved = forecast(&world.scene()).others[0].centre(1.0) - Point2::new(X_M + 30.0, 10.0);
+        let moved = Forecast::new(&world.scene()).others[0].centre(1.0) - Point2::new(X_M + 30.0, 10.0);
         assert!((moved - Vector2::new(expected[0], expected[1])).norm() < 1e-4, "{moved:?}");
     }
 }
@@ -132,7 +128,7 @@ fn others_go_on_along_their_headings_at_the_size_of_their_velocity() {
 fn leaders_may_come_the_other_way() {
     let oncoming = (40.0, -1.75, std::f32::consts::PI, [-6.0, 0.0], AgentKind::Vehicle);
     let world = World::new(&[ego(8.0), oncoming]);
-    assert!((forecast(&world.scene()).beside(0)[0].speed_mps + 6.0).abs() < 1e-4);
+    assert!((Forecast::new(&world.scene()).beside(0)[0].speed_mps + 6.0).abs() < 1e-4);
     let standing = World::new(&[ego(8.0), car(40.0, -1.75, 0.0)]);
     let first = |world: &World| rolled(world, 1.0, 0.0).actions[0][0];
     assert!(first(&world) < first(&standing));
@@ -142,8 +138,8 @@ fn leaders_may_come_the_other_way() {
 fn who_touches_the_ego_already_is_no_matter() {
     let world = World::new(&[ego(3.0), car(3.9, -1.75, 0.0), car(4.1, 10.0, 0.0)]);
     let scene = world.scene();
-    assert_eq!(forecast(&scene).others.len(), 1);
-    assert!(plan(&scene, 1, |_, _| None).acceleration_mps2 > 0.0);
+    assert_eq!(Forecast::new(&scene).others.len(), 1);
+    assert!(plan(&scene).acceleration_mps2 > 0.0);
 }
 
 #[test]
@@ -154,7 +150,7 @@ fn static_obstacles_cost_half_and_agents_all() {
         let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 40]);
         // bumper to bumper 16 m, 10 m/s: the boxes touch at step 16
         let expected = score::Contacts { left, first: Some(16), close: true };
-        assert_eq!(score::contacts(&scene, &forecast(&scene), &rollout), expected);
+        assert_eq!(score::contacts(&scene, &Forecast::new(&scene), &rollout), expected);
     }
 }
 
@@ -163,7 +159,7 @@ fn the_ego_is_to_blame_for_a_side_between_lanes_and_never_while_it_stands() {
     let fault = |own: At, other: At| {
         let world = World::new(&[own, other]);
         let scene = world.scene();
-        score::contacts(&scene, &forecast(&scene), &made(&world, own.3[0], vec![[0.0, 0.0]; 40])).first
+        score::contacts(&scene, &Forecast::new(&scene), &made(&world, own.3[0], vec![[0.0, 0.0]; 40])).first
     };
     // hit from behind at 6 m/s more, and the other way round
     assert_eq!(fault(ego(6.0), car(-10.0, -1.75, 12.0)), None);
@@ -182,7 +178,7 @@ fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone()
         let world = World::on(&[ego(10.0), other], kind);
         let scene = world.scene();
         let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 5]);
-        score::contacts(&scene, &forecast(&scene), &rollout).close
+        score::contacts(&scene, &Forecast::new(&scene), &rollout).close
     };
     // 11 m from centre to centre, both straight on: contact in 0.9 s if the other drives 2 m/s
     assert!(close(car(11.0, -1.75, 2.0), LaneKind::Lane));
@@ -196,7 +192,7 @@ fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone()
     // a standing ego has none
     let world = World::new(&[ego(0.0), car(4.1, -1.75, -3.0)]);
     let scene = world.scene();
-    assert!(!score::contacts(&scene, &forecast(&scene), &made(&world, 0.0, vec![[0.0, 0.0]; 9])).close);
+    assert!(!score::contacts(&scene, &Forecast::new(&scene), &made(&world, 0.0, vec![[0.0, 0.0]; 9])).close);
 }
 
 #[test]

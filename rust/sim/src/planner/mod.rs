@@ -95,7 +95,7 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
 }
 
 fn pdm(asked: &Asked<'_>) -> [Real; 2] {
-    let plan = plan(&asked.scene, 1, |_, _| None);
+    let plan = plan(&asked.scene);
     [plan.acceleration_mps2, asked.scene.yaw_rate(plan.offset_m)]
 }
 

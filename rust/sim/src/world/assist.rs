@@ -27,7 +27,7 @@ pub(crate) fn assisted_action(
         }
         AssistedBase::Pdm => {
             let scene = Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps);
-            let plan = plan(&scene, 1, |_, _| None);
+            let plan = plan(&scene);
             (plan.acceleration_mps2, scene.yaw_rate(plan.offset_m + command[1]))
         }
     };
