@@ -133,13 +133,13 @@ def test_conditions_stand_by_number_and_intervals_are_never_nan():
 def test_a_row_of_an_episode_has_its_keys_and_figures_and_no_tape(tmp_path):
     rows = [
         {"planner": "idm", "scene": "a", "score": 0.5, "actions": "QUJD", "action": {"a": 1}},
-        {"planner": "idm", "scene": "b", "hit": {"new": True, "all": None}, "kinds": ["front"]},
+        {"planner": "idm", "scene": "b", "hit": True, "kinds": ["front"]},
     ]
     episodes_table(rows).write_csv(tmp_path / "episodes.csv")
     assert (tmp_path / "episodes.csv").read_text().splitlines() == [
-        "planner,scene,score,hit_new,hit_all",
-        "idm,a,0.5,,",
-        "idm,b,,1.0,",
+        "planner,scene,score,hit",
+        "idm,a,0.5,",
+        "idm,b,,1.0",
     ]
 
 

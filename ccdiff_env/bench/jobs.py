@@ -140,22 +140,22 @@ def _changed(job: Job, folder: Path) -> str | None:
         return None
     with reading("result", path):
         known = parsed_object(read_text(path))
-    there = {name: known.get(name) for name in ("function", "arguments", "made_from")}
-    return _difference("", there, job.description())
+    then, now = _flat(known), _flat(job.description())
+    for name in dict.fromkeys([*now, *then]):
+        if then.get(name) != now.get(name):
+            return f"{name} was {_short(then.get(name))}, now {_short(now.get(name))}"
+    return None
 
 
-def _difference(path: str, then: Any, now: Any) -> str | None:
-    """Say in words where two JSON values first differ."""
-    if isinstance(then, dict) and isinstance(now, dict):
-        for name in dict.fromkeys([*now, *then]):
-            found = _difference(f"{path} {name}", then.get(name), now.get(name))
-            if found:
-                return found
-        return None
-    if then == now:
-        return None
-    words = path.removeprefix(" arguments").removeprefix(" made_from").strip()
-    return f"{words} was {_short(then)}, now {_short(now)}"
+def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a result, by names in words; mappings within by theirs."""
+    found = {"function": entry.get("function")}
+    for part in ("arguments", "made_from"):
+        given = entry.get(part)  # perhaps of a damaged file
+        for name, value in given.items() if isinstance(given, dict) else ():
+            inner = value.items() if isinstance(value, dict) else [("", value)]
+            found |= {f"{name} {key}".rstrip(): one for key, one in inner}
+    return found
 
 
 def _short(value: Any) -> str:

@@ -5,6 +5,7 @@ As in nuPlan's simulation, the ego's acceleration is that along its heading.
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -58,18 +59,8 @@ def nuplan_metrics(rollout: Rollout, expert_steps: int) -> dict[str, Any]:
     return found
 
 
-class _Expert:
-    """The scenario, which metrics ask for the logged drive."""
-
-    def __init__(self, states: list[Any]) -> None:
-        self._states = states
-
-    def get_expert_ego_trajectory(self) -> list[Any]:
-        return self._states
-
-
-def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, _Expert]:
-    """Return an episode as nuPlan's history, and the logged drive beside it."""
+def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, Any]:
+    """Return an episode as nuPlan's history, and a scenario that knows the logged drive alone."""
     from nuplan.common.actor_state.state_representation import TimePoint
     from nuplan.planning.simulation.history.simulation_history import (
         SimulationHistory,
@@ -109,7 +100,9 @@ def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, _Expert]:
     expert = [ego for _, ego in states.drive(logged, rollout.dt_s, start)]
     goal = expert[-1].center
     scene_map = SceneMap(scene.map_layers(), scene.location or "scene")
-    return SimulationHistory(scene_map, goal, samples), _Expert(expert)
+    return SimulationHistory(scene_map, goal, samples), SimpleNamespace(
+        get_expert_ego_trajectory=lambda: expert
+    )
 
 
 class _Metrics(dict[str, Any]):

@@ -57,16 +57,12 @@ def commit() -> str | None:
     folder = _PACKAGE.parent
     if not (folder / ".git").exists():
         return None
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True)
-        return done.stdout.strip()
-
+    words = ("describe", "--always", "--exclude=*", "--abbrev=40", "--dirty= with changes")
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no")
-        return git("rev-parse", "HEAD") + (" with changes" if changed else "") or None
+        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True)
     except OSError:  # no git here
         return None
+    return done.stdout.strip() or None
 
 
 @lru_cache(maxsize=1)

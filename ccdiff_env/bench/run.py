@@ -202,21 +202,17 @@ class Run:
 
 
 def episodes_table(rows: Iterable[Mapping[str, Any]]) -> Table:
-    """Return a row per episode: its keys and figures, those within others by ``outer_inner``.
-
-    Lists, and the tapes that episodes are played again from, are left out.
-    """
-    flat = [dict(_flat(row)) for row in rows]
+    """Return a row per episode, its keys and figures, without lists and tapes."""
+    flat = [
+        {
+            name: float(value) if isinstance(value, bool) else value
+            for name, value in row.items()
+            if name not in _HIDDEN and not isinstance(value, (list, tuple))
+        }
+        for row in rows
+    ]
     heads = list(dict.fromkeys(name for row in flat for name in row))
     return Table(heads, [[row.get(name) for name in heads] for row in flat])
-
-
-def _flat(row: Mapping[str, Any], before: str = "") -> Iterable[tuple[str, Any]]:
-    for name, value in row.items():
-        if isinstance(value, Mapping) and name not in _HIDDEN:
-            yield from _flat(value, f"{before}{name}_")
-        elif not isinstance(value, (list, tuple)) and name not in _HIDDEN:
-            yield before + name, float(value) if isinstance(value, bool) else value
 
 
 def _weights_from(given: Sequence[str]) -> dict[str, str]:

@@ -39,18 +39,6 @@ class Collisions:
         """Tell whether any contact counts: the scene's entry in the scene collision rate (SCR)."""
         return bool(self.agents[variant].any())
 
-    def matrix(self, variant: Variant = "all") -> npt.NDArray[np.bool_]:
-        """Return [A, A], whether two agents ever touch in a contact that counts."""
-        counts = np.ones(len(self.contacts), dtype=bool)
-        if variant in ("controlled", "controlled_new"):
-            counts &= self.controlled
-        if variant in ("new", "controlled_new"):
-            counts &= self.new
-        matrix = np.zeros((len(self.first_kind),) * 2, dtype=bool)
-        _, first, second = self.contacts[counts].T
-        matrix[first, second] = matrix[second, first] = True
-        return matrix
-
 
 @dataclass(frozen=True)
 class OffRoad:
