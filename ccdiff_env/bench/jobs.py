@@ -151,8 +151,9 @@ def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
     """What decides a result, by names in words; mappings within by theirs."""
     found = {"function": entry.get("function")}
     for part in ("arguments", "made_from"):
-        given = entry.get(part)  # perhaps of a damaged file
-        for name, value in given.items() if isinstance(given, dict) else ():
+        given = entry.get(part)
+        given = given if isinstance(given, dict) else {}  # of a damaged file
+        for name, value in given.items():
             inner = value.items() if isinstance(value, dict) else [("", value)]
             found |= {f"{name} {key}".rstrip(): one for key, one in inner}
     return found
