@@ -287,4 +287,6 @@ class Motion:
             counted: bool [A], agents asked for; all if absent.
         """
         mask = self._mask("counted", counted, True)
-        return mask & np.asarray(self._native.over_speed(limit_mps, at_least_s), dtype=bool)
+        over = np.asarray(self._native.over_speed(limit_mps, at_least_s), dtype=bool)
+        found: npt.NDArray[np.bool_] = mask & over
+        return found
