@@ -122,6 +122,7 @@ impl AgentRows {
 
     /// Takes the numbers that stay what they are in a scene.
     pub(super) fn enter(&mut self, footprints: &[Footprint], kinds: &[AgentKind]) {
+        self.nearest.enter(footprints.len());
         self.all.clear();
         self.all.extend(0..footprints.len() as u32);
         self.numbers.clear();
@@ -142,7 +143,6 @@ impl AgentRows {
     /// Takes what the rows of all observers have in common from the states.
     pub(super) fn prepare(&mut self, states: &AgentStates, num_observers: usize) {
         self.many = num_observers >= MANY;
-        self.nearest.prepare(states, self.many);
         let places = states.x.iter().zip(&states.y);
         let directions = states.cos.iter().zip(&states.sin);
         let velocities = states.velocity_x_mps.iter().zip(&states.velocity_y_mps);
