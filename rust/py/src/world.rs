@@ -293,7 +293,7 @@ impl PyVecWorld {
             episode: s.episode,
             step_idx: s.step_idx,
             elapsed_steps: s.elapsed_steps,
-            ego_idx: me.world.ego(world_idx).map_err(from_sim)?,
+            ego_idx: s.ego,
         })
     }
 
@@ -322,7 +322,7 @@ impl PyVecWorld {
     /// Metrics [C, K] of a world's present episode so far.
     fn metrics<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let me = self.lock()?;
-        let slots = me.world.slots(world_idx).map_err(from_sim)?;
+        let slots = me.world.status(world_idx).map_err(from_sim)?.slots;
         let metrics = slots.iter().flat_map(|slot| slot.metrics()).collect();
         PyArray1::from_vec(py, metrics).reshape([slots.len(), NUM_METRICS])
     }
@@ -365,7 +365,7 @@ impl PyVecWorld {
         agents: Vec<usize>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let me = self.lock()?;
-        swift::rows(py, &me.world.view(world_idx).map_err(from_sim)?, &agents)
+        swift::rows(py, &me.world.status(world_idx).map_err(from_sim)?, &agents)
     }
 
     /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it
@@ -401,14 +401,14 @@ impl PyVecWorld {
 
     /// Agent of each slot.
     fn slot_agents(&self, world_idx: usize) -> PyResult<Vec<Option<usize>>> {
-        self.lock()?.world.slot_agents(world_idx).map_err(from_sim)
+        Ok(self.lock()?.world.status(world_idx).map_err(from_sim)?.slot_agents())
     }
 
     /// What was drawn for each slot: factors by name, steps of delay, and factors of weights as `style`.
     fn drawn<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let me = self.lock()?;
         let style = &me.world.config().style;
-        let slots = me.world.slots(world_idx).map_err(from_sim)?;
+        let slots = me.world.status(world_idx).map_err(from_sim)?.slots;
         let dict = |Slot { drawn, .. }: &Slot| {
             let factors =
                 COMPONENTS.into_iter().zip(drawn.style).filter(|(name, _)| style.contains_key(*name));
@@ -426,7 +426,7 @@ impl PyVecWorld {
     /// Whether each slot's agent goes on.
     fn slot_alive(&self, world_idx: usize) -> PyResult<Vec<bool>> {
         let me = self.lock()?;
-        Ok(me.world.slots(world_idx).map_err(from_sim)?.iter().map(|slot| slot.alive).collect())
+        Ok(me.world.status(world_idx).map_err(from_sim)?.slots.iter().map(|slot| slot.alive).collect())
     }
 
     /// Route [P, 2] of a slot's agent and its goal [2].
@@ -437,7 +437,7 @@ impl PyVecWorld {
         slot_idx: usize,
     ) -> PyResult<world_state::Route<'py>> {
         let me = self.lock()?;
-        world_state::route(py, me.world.slot_route(world_idx, slot_idx).map_err(from_sim)?)
+        world_state::route(py, me.world.status(world_idx).map_err(from_sim)?.slot_route(slot_idx))
     }
 
     /// Actions [E, W] of a planner in the first slots; zeros in worlds that are not `active` [E].
@@ -455,25 +455,25 @@ impl PyVecWorld {
     /// Pairs of agents that touch: (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
     fn contacts(&self, world_idx: usize) -> PyResult<Vec<world_state::ContactRow>> {
         let me = self.lock()?;
-        Ok(world_state::contacts(&me.world.contacts(world_idx).map_err(from_sim)?))
+        Ok(world_state::contacts(&me.world.status(world_idx).map_err(from_sim)?.contacts()))
     }
 
     /// Agents with a corner, and with the centre, off the road [A] each.
     fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<world_state::OffRoadArrays<'py>> {
         let me = self.lock()?;
-        Ok(world_state::off_road(py, &me.world.off_road(world_idx).map_err(from_sim)?))
+        Ok(world_state::off_road(py, &me.world.status(world_idx).map_err(from_sim)?.off_road()))
     }
 
     /// Metres by which the farthest corner of each slot's agent is off the road.
     fn off_road_m(&self, world_idx: usize) -> PyResult<Vec<f32>> {
-        self.lock()?.world.off_road_m(world_idx).map_err(from_sim)
+        Ok(self.lock()?.world.status(world_idx).map_err(from_sim)?.off_road_m())
     }
 
     /// How far a path of points [N, 2] and the log of the first slot go along the road blocks of the log; `None` where that
     /// is in no lane.
     fn progress_along_log(&self, world_idx: usize, path: Vec<[f32; 2]>) -> PyResult<Option<(f32, f32)>> {
         let path: Vec<Point2> = path.into_iter().map(|[x, y]| Point2::new(x, y)).collect();
-        self.lock()?.world.progress_along_log(world_idx, &path).map_err(from_sim)
+        Ok(self.lock()?.world.status(world_idx).map_err(from_sim)?.progress_along_log(&path))
     }
 
     /// What the closed-loop score looks at in the present state of the first slot, which was in `lane_before`: its lane
@@ -486,8 +486,9 @@ impl PyVecWorld {
         ignored: Vec<usize>,
         horizon_s: f32,
     ) -> PyResult<world_state::ScoreRow> {
-        let facts = self.lock()?.world.score_facts(world_idx, lane_before, &ignored, horizon_s);
-        Ok(world_state::score_row(&facts.map_err(from_sim)?))
+        let me = self.lock()?;
+        let status = me.world.status(world_idx).map_err(from_sim)?;
+        Ok(world_state::score_row(&status.score_facts(lane_before, &ignored, horizon_s)))
     }
 
     /// Vehicles of a world that may become adversaries, nearest to the ego first, at most R of them; their features [R, F].

@@ -118,7 +118,7 @@ impl Shown {
     ) -> ccdiff_sim::Result<Self> {
         let status = world.status(world_idx)?;
         let scene = world.scene(status.scene_idx)?;
-        let (ego, slots) = (world.ego(world_idx)?, world.slot_agents(world_idx)?);
+        let (ego, slots) = (status.ego, status.slot_agents());
         let states = status.states;
         let focus = slots.iter().enumerate().find_map(|(c, a)| Some((c, (*a)?)));
         let middle = match (frame.centre, focus) {
@@ -140,7 +140,7 @@ impl Shown {
                 }
             })
             .collect();
-        let contacts = world.contacts(world_idx)?;
+        let contacts = status.contacts();
         let pairs = contacts.iter().map(|(of_i, of_j)| (of_j.partner as usize, of_i.partner as usize));
         let of_slots = |(i, j): &(usize, usize)| slots.contains(&Some(*i)) || slots.contains(&Some(*j));
         let in_contact: Vec<(usize, usize)> = pairs.filter(of_slots).collect();
@@ -161,12 +161,10 @@ impl Shown {
         };
         let movers = (0..states.len()).filter(|a| scene.agents[*a].kind != AgentKind::Static);
         let trails = trail.map(|trail| movers.map(|a| (trail_of(trail, a), looks[a].0)).collect());
-        let route = match focus.filter(|_| frame.route) {
-            Some((c, a)) => world
-                .slot_route(world_idx, c)?
-                .map(|(points, goal)| route_ahead(&points, states.position(a), goal).to_vec()),
-            None => None,
-        };
+        let route = focus.filter(|_| frame.route).and_then(|(c, a)| {
+            let (points, goal) = status.slot_route(c)?;
+            Some(route_ahead(&points, states.position(a), goal).to_vec())
+        });
         let mut shown = Self {
             boxes: boxes.collect(),
             collisions: in_contact.iter().map(between).collect(),

@@ -91,8 +91,8 @@ fn slots_can_be_chosen_for_each_scene_by_its_name() {
         batch
     };
     let both = batch(vec![scene("a"), scene("b")]);
-    assert_eq!(both.world.slot_agents(0).unwrap(), [Some(2), Some(0)]);
-    assert_eq!(both.world.slot_agents(1).unwrap(), [Some(3), None]);
+    assert_eq!(both.world.status(0).unwrap().slot_agents(), [Some(2), Some(0)]);
+    assert_eq!(both.world.status(1).unwrap().slot_agents(), [Some(3), None]);
     let unknown = ccdiff_sim::world::VecWorld::new(vec![scene("c")], config.clone(), 1, 1, Vec::new());
     assert!(matches!(unknown, Err(SimError::Scene { .. })));
 }
@@ -116,7 +116,7 @@ fn idm_traffic_never_runs_into_its_leader() {
     let mut worst = 0;
     for _ in 0..100 {
         batch.step(&[0.0; 8]).unwrap();
-        let lead = batch.world.contacts(0).unwrap();
+        let lead = batch.world.status(0).unwrap().contacts();
         let rear_end = lead.iter().filter(|(a, b)| {
             let s = batch.world.status(0).unwrap().states;
             let (i, j) = (b.partner as usize, a.partner as usize);

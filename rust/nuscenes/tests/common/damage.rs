@@ -139,7 +139,7 @@ pub(crate) fn restore_damaged(input: &[u8]) {
                 break;
             }
         }
-        assert!(batch.world.slots(0).unwrap().iter().flat_map(|s| s.metrics()).all(|x| x.is_finite()));
+        assert!(batch.world.status(0).unwrap().slots.iter().flat_map(|s| s.metrics()).all(|x| x.is_finite()));
         batch.reset(&[None], &[None]).unwrap();
         step(&mut batch);
     }

@@ -68,7 +68,7 @@ impl Planner {
     fn act_in(&self, world: &VecWorld, world_idx: usize) -> Result<Action> {
         world.decoder().dynamics().check_moves_by_itself()?;
         let status = world.status(world_idx)?;
-        let seat = world.slot_agents(world_idx)?.first().copied().flatten();
+        let seat = status.slots.first().and_then(|slot| slot.agent_idx);
         let Some(ego) = seat.filter(|ego| status.states.active[*ego]) else { return Ok(Action::default()) };
         let prepared = world.prepared(status.scene_idx)?;
         let config = world.config();

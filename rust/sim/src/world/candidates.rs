@@ -103,8 +103,7 @@ impl VecWorld {
     /// # Errors
     /// As [`VecWorld::status`].
     pub fn candidates(&self, world_idx: usize, num_rows: usize) -> Result<Candidates> {
-        self.status(world_idx)?;
-        let (world, planners) = (self.world(world_idx)?, &self.policies.planners);
+        let (world, planners) = (self.begun(world_idx)?, &self.policies.planners);
         let plan = planners.first().and_then(|p| world.episode.plans[usize::from(*p)].as_ref());
         let plans = |a: usize| match world.episode.drivers[a] {
             Driver::Policy(p) => planners.contains(&p) && !world.episode.has_slot(a),

@@ -34,7 +34,8 @@ pub(crate) enum Phase {
 /// A controlled agent's own account.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Slot {
-    pub(crate) agent_idx: Option<usize>,
+    /// Its agent; `None` where it is empty.
+    pub agent_idx: Option<usize>,
     /// Whether its agent goes on in the present episode.
     pub alive: bool,
     /// Elapsed steps at which the agent's episode ended.

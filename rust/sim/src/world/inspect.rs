@@ -15,27 +15,27 @@ use crate::world::surroundings::straddles_lanes;
 use crate::world::tick::World;
 use crate::world::tow;
 use serde_json::Value;
+use std::ops::Deref;
 use std::sync::Arc;
 
-/// Facts about a world's present.
-#[derive(Debug, Clone, Copy)]
+/// The present of a running world: what a policy sees of it, and its slots.
+#[derive(Clone, Copy)]
 pub struct WorldStatus<'a> {
-    /// Index of the scene.
-    pub scene_idx: usize,
     /// Seed that the world's generator was last started from.
     pub seed: u64,
     /// Episodes begun since that seed.
     pub episode: u64,
-    /// Step of the log that the states stand at.
-    pub step_idx: usize,
-    /// Steps since the episode began.
-    pub elapsed_steps: usize,
-    /// States of all agents.
-    pub states: &'a AgentStates,
-    /// Who drives each agent.
-    pub drivers: &'a [Driver],
-    /// Position of each agent along its route, metres.
-    pub route_s_m: &'a [Real],
+    /// Its slots.
+    pub slots: &'a [Slot],
+    view: WorldView<'a>,
+}
+
+impl<'a> Deref for WorldStatus<'a> {
+    type Target = WorldView<'a>;
+
+    fn deref(&self) -> &WorldView<'a> {
+        &self.view
+    }
 }
 
 /// What is wrong with an index that is not below a number.
@@ -193,14 +193,6 @@ impl VecWorld {
         changed
     }
 
-    /// What a policy would see of a world now.
-    ///
-    /// # Errors
-    /// As [`Self::status`].
-    pub fn view(&self, world_idx: usize) -> Result<WorldView<'_>> {
-        Ok(self.begun(world_idx)?.view(&self.config))
-    }
-
     pub(crate) fn world(&self, world_idx: usize) -> Result<&World> {
         self.worlds.get(world_idx).ok_or_else(|| no_index("world", world_idx, self.worlds.len()))
     }
@@ -219,98 +211,9 @@ impl VecWorld {
     /// # Errors
     /// [`SimError::Unknown`], and [`SimError::ResetNeeded`] before the first reset.
     pub fn status(&self, world_idx: usize) -> Result<WorldStatus<'_>> {
-        let e = &self.begun(world_idx)?.episode;
-        Ok(WorldStatus {
-            scene_idx: e.scene_idx,
-            seed: e.seed,
-            episode: e.number,
-            step_idx: e.step_idx,
-            elapsed_steps: e.elapsed_steps,
-            states: &e.states,
-            drivers: &e.drivers,
-            route_s_m: &e.route_s_m,
-        })
-    }
-
-    /// The ego of a world's present episode; `None` where its scene has none.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn ego(&self, world_idx: usize) -> Result<Option<usize>> {
-        Ok(self.begun(world_idx)?.ego(&self.config))
-    }
-
-    /// Agent of each slot of a world.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn slot_agents(&self, world_idx: usize) -> Result<Vec<Option<usize>>> {
-        Ok(self.slots(world_idx)?.iter().map(|slot| slot.agent_idx).collect())
-    }
-
-    /// The slots of a world.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn slots(&self, world_idx: usize) -> Result<&[Slot]> {
-        Ok(&self.begun(world_idx)?.episode.slots)
-    }
-
-    /// Route of a slot's agent, points about a metre apart, and the goal: the logged place at the end of the episode.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn slot_route(&self, world_idx: usize, slot_idx: usize) -> Result<Option<(Vec<Point2>, Point2)>> {
         let world = self.begun(world_idx)?;
-        Ok(world.episode.slots.get(slot_idx).and_then(|slot| {
-            let path = &world.scene.routes[slot.agent_idx?].path;
-            Some((path.points().to_vec(), slot.progress.goal))
-        }))
-    }
-
-    /// All pairs of agents (i < j) that touch now, each with the contact as seen by `i` and by `j`.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn contacts(&self, world_idx: usize) -> Result<Vec<(Contact, Contact)>> {
-        let world = self.begun(world_idx)?;
-        let (states, scene) = (&world.episode.states, &world.scene);
-        let mut collisions = Collisions::new();
-        collisions.find(states, &scene.footprints, &scene.kinds);
-        let seen = |i: u32, j: u32| {
-            let (i, j) = (i as usize, j as usize);
-            Contact::between(states, &scene.footprints, i, j, || straddles_lanes(states, scene, i))
-        };
-        Ok(collisions.pairs().iter().map(|(i, j)| (seen(*i, *j), seen(*j, *i))).collect())
-    }
-
-    /// Whether each agent is off the road now; never where the map has no road.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn off_road(&self, world_idx: usize) -> Result<Vec<OffRoad>> {
-        let world = self.begun(world_idx)?;
-        let (states, scene) = (&world.episode.states, &world.scene);
-        let fact = |a: usize| match &scene.at(states.elevation_m(a)).road {
-            Some(road) if states.active[a] => off_road(states, a, &scene.footprints[a], road),
-            _ => OffRoad::default(),
-        };
-        Ok((0..states.len()).map(fact).collect())
-    }
-
-    /// How far the farthest corner of each slot's agent is off the road, metres; 0 on it and where the map has no road.
-    ///
-    /// # Errors
-    /// As [`VecWorld::status`].
-    pub fn off_road_m(&self, world_idx: usize) -> Result<Vec<Real>> {
-        let world = self.begun(world_idx)?;
-        let (states, scene) = (&world.episode.states, &world.scene);
-        let off_m = |a: usize| {
-            let corners = states.oriented_box(a, &scene.footprints[a]).corners();
-            let of_level = |c: &Point2| scene.road_distance_m(*c, states.elevation_m(a));
-            corners.iter().filter_map(of_level).map(|d| -d).fold(0.0, Real::max)
-        };
-        Ok(world.episode.slots.iter().map(|s| s.agent_idx.map_or(0.0, off_m)).collect())
+        let (e, view) = (&world.episode, world.view(&self.config));
+        Ok(WorldStatus { seed: e.seed, episode: e.number, slots: &e.slots, view })
     }
 
     /// Actions that bring each slot's agent from where it is towards its next logged state, in the form that
@@ -355,5 +258,51 @@ impl VecWorld {
         let now = self.worlds[world_idx].episode.elapsed_steps;
         self.worlds[world_idx].observe(&self.config, extent, now, obs, bev, false);
         Ok(())
+    }
+}
+
+impl WorldStatus<'_> {
+    /// Agent of each slot.
+    pub fn slot_agents(&self) -> Vec<Option<usize>> {
+        self.slots.iter().map(|slot| slot.agent_idx).collect()
+    }
+
+    /// Route of a slot's agent, points about a metre apart, and the goal: the logged place at the end of the episode.
+    pub fn slot_route(&self, slot_idx: usize) -> Option<(Vec<Point2>, Point2)> {
+        let slot = self.slots.get(slot_idx)?;
+        Some((self.scene.routes[slot.agent_idx?].path.points().to_vec(), slot.progress.goal))
+    }
+
+    /// All pairs of agents (i < j) that touch now, each with the contact as seen by `i` and by `j`.
+    pub fn contacts(&self) -> Vec<(Contact, Contact)> {
+        let (states, scene) = (self.states, self.scene);
+        let mut collisions = Collisions::new();
+        collisions.find(states, &scene.footprints, &scene.kinds);
+        let seen = |i: u32, j: u32| {
+            let (i, j) = (i as usize, j as usize);
+            Contact::between(states, &scene.footprints, i, j, || straddles_lanes(states, scene, i))
+        };
+        collisions.pairs().iter().map(|(i, j)| (seen(*i, *j), seen(*j, *i))).collect()
+    }
+
+    /// Whether each agent is off the road now; never where the map has no road.
+    pub fn off_road(&self) -> Vec<OffRoad> {
+        let (states, scene) = (self.states, self.scene);
+        let fact = |a: usize| match &scene.at(states.elevation_m(a)).road {
+            Some(road) if states.active[a] => off_road(states, a, &scene.footprints[a], road),
+            _ => OffRoad::default(),
+        };
+        (0..states.len()).map(fact).collect()
+    }
+
+    /// How far the farthest corner of each slot's agent is off the road, metres; 0 on it and where the map has no road.
+    pub fn off_road_m(&self) -> Vec<Real> {
+        let (states, scene) = (self.states, self.scene);
+        let off_m = |a: usize| {
+            let corners = states.oriented_box(a, &scene.footprints[a]).corners();
+            let of_level = |c: &Point2| scene.road_distance_m(*c, states.elevation_m(a));
+            corners.iter().filter_map(of_level).map(|d| -d).fold(0.0, Real::max)
+        };
+        self.slots.iter().map(|s| s.agent_idx.map_or(0.0, off_m)).collect()
     }
 }
