@@ -1,7 +1,6 @@
 //! Contacts between agents.
 //!
-//! A contact is an overlap of two boxes of one level, touching included. Candidates come from circle tests of all pairs while
-//! there are few agents and from sorting along x when there are many; both give the same pairs.
+//! A contact is an overlap of two boxes of one level, touching included. Candidates are pairs whose circles touch.
 
 use super::fault::{is_at_fault, is_slower};
 use super::limits::STOPPED_MPS;
@@ -11,8 +10,6 @@ use crate::scene::AgentKind;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::{AgentStates, Footprint};
 
-/// From this many active agents on, candidates come from sort and sweep.
-const SWEEP_FROM_AGENTS: usize = 80;
 /// From this many agents on, whose contacts are asked for, all pairs are looked for.
 const JOINT_FROM_AGENTS: usize = 4;
 /// Agents tested at once.
@@ -81,8 +78,6 @@ pub struct Collisions {
     radius: Vec<Real>,
     /// 1 for circles that touch one of them.
     near: Vec<u8>,
-    /// Order-preserving bits of the left end (high half) and agent index (low half).
-    order: Vec<u64>,
 }
 
 impl Collisions {
@@ -97,14 +92,6 @@ impl Collisions {
     pub fn find(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         self.pairs.clear();
         self.gather(states, footprints, kinds);
-        if self.agent.len() < SWEEP_FROM_AGENTS {
-            self.find_by_circles(states, footprints, kinds);
-        } else {
-            self.find_by_sweep(states, footprints, kinds);
-        }
-    }
-
-    fn find_by_circles(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
         let num_active = self.agent.len();
         for row in 0..num_active {
             let (first, blocks) = (row + 1, (num_active - row - 1).div_ceil(LANES));
@@ -123,33 +110,6 @@ impl Collisions {
                 }
             }
         }
-    }
-
-    fn find_by_sweep(&mut self, states: &AgentStates, footprints: &[Footprint], kinds: &[AgentKind]) {
-        self.order.clear();
-        self.order.extend((0..self.agent.len()).map(|i| {
-            let bits = (self.x[i] - self.radius[i]).to_bits();
-            let ordered = if bits >> 31 == 1 { !bits } else { bits | 1 << 31 };
-            u64::from(ordered) << 32 | i as u64
-        }));
-        self.order.sort_unstable();
-        for (rank, key) in self.order.iter().enumerate() {
-            let a = (*key & 0xffff_ffff) as usize;
-            let (x, y, radius) = (self.x[a], self.y[a], self.radius[a]);
-            for key in &self.order[rank + 1..] {
-                let b = (*key & 0xffff_ffff) as usize;
-                let (dx, dy, reach) = (self.x[b] - x, self.y[b] - y, self.radius[b] + radius);
-                // the margin covers the rounding of the keys
-                if dx > reach + 1e-3 {
-                    break;
-                }
-                if dx * dx + dy * dy <= reach * reach {
-                    let (a, b) = (self.agent[a.min(b)], self.agent[a.max(b)]);
-                    push_if_in_contact(&mut self.pairs, states, footprints, kinds, a, b);
-                }
-            }
-        }
-        self.pairs.sort_unstable();
     }
 
     /// The touching pairs of [`Self::find`] that hold one of some active agents; others may be among them.
@@ -248,19 +208,14 @@ fn contact_kind(
     other: &OrientedBox,
     [front, left, rear, right]: [Real; 4],
 ) -> ContactKind {
-    let side = left.max(right);
-    if front.max(rear).max(side) <= 0.0 {
+    let mut inside = [front, rear, left.max(right)];
+    if inside.iter().all(|length_m| *length_m <= 0.0) {
         let offset = other.centre - own.centre;
         let along = (own.cos * offset.x + own.sin * offset.y) / own.half_length_m;
         let across = (own.cos * offset.y - own.sin * offset.x) / own.half_width_m;
-        return if across.abs() > along.abs() {
-            ContactKind::Side
-        } else if along >= 0.0 {
-            ContactKind::Front
-        } else {
-            ContactKind::Rear
-        };
+        inside = [along, -along, across.abs()];
     }
+    let [front, rear, side] = inside;
     if front >= rear && front >= side {
         ContactKind::Front
     } else if rear >= side {

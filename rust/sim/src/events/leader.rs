@@ -105,8 +105,7 @@ fn bounds(window: &[Point2]) -> [Real; 4] {
     })
 }
 
-/// Nearest place of the route ahead of `s_m` to a point: position along the route and pose; `None` when the point lies
-/// abreast or behind.
+/// Position along the route and pose of the place ahead of `s_m` nearest to a point; `None` abreast or behind.
 fn nearest_ahead(route: &Polyline, s_m: Real, window: &[Point2], x: Real, y: Real) -> Option<(Real, Pose2)> {
     let (mut least, mut best) = (Real::MAX, 0);
     for (k, samples) in window.chunks(COARSE).enumerate() {

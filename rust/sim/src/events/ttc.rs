@@ -88,8 +88,7 @@ impl LeastTimes {
         self.least_s[agent_idx]
     }
 
-    /// Looks at the agent of a rank with all that follow it; after those that are asked about come others of the list, or all
-    /// agents by index.
+    /// Looks at the agent of a rank with all that follow it in the list, or with all agents by index.
     fn measure(
         &mut self,
         states: &AgentStates,
