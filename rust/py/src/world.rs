@@ -41,8 +41,6 @@ struct Held {
     actions: Vec<f32>,
     /// The arrays that a reset or step writes.
     arrays: Vec<ArraySpec>,
-    /// The array of observations of the last call.
-    rows: Option<Py<PyAny>>,
 }
 
 /// Where a world is.
@@ -82,18 +80,6 @@ impl PyVecWorld {
     }
 }
 
-impl Held {
-    /// Tells the worlds whether observations go where they went in the last call. The array is held, so that no other
-    /// one takes its place.
-    fn keep_rows(&mut self, out: &Bound<'_, PyTuple>) -> PyResult<()> {
-        let rows = out.get_item(0)?;
-        let same = self.rows.as_ref().is_some_and(|last| last.is(&rows));
-        self.world.keep_rows(same);
-        self.rows = Some(rows.unbind());
-        Ok(())
-    }
-}
-
 #[pymethods]
 impl PyVecWorld {
     /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are policies by
@@ -120,7 +106,7 @@ impl PyVecWorld {
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         let arrays = world.extent().arrays(num_worlds);
-        let held = Held { world, trails, actions: Vec::new(), arrays, rows: None };
+        let held = Held { world, trails, actions: Vec::new(), arrays };
         Ok(Self { home: ProcessGuard::here(), held: Mutex::new(held) })
     }
 
@@ -153,7 +139,6 @@ impl PyVecWorld {
         let mut me = self.here()?;
         let me = &mut *me;
         let mut outputs = Outputs::check(out, &me.arrays)?;
-        me.keep_rows(out)?;
         let buffers = outputs.buffers()?;
         let world = &mut me.world;
         let wanted: Vec<_> =
@@ -189,7 +174,6 @@ impl PyVecWorld {
         };
         let active = active.as_deref();
         let mut outputs = Outputs::check(out, &me.arrays)?;
-        me.keep_rows(out)?;
         let (world, actions, buffers) = (&mut me.world, &me.actions, outputs.buffers()?);
         enter(py, || world.step(actions, active, buffers).map_err(from_sim))?;
         if let Some(trails) = &mut me.trails {
@@ -365,7 +349,8 @@ impl PyVecWorld {
         agents: Vec<usize>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let me = self.lock()?;
-        swift::rows(py, &me.world.status(world_idx).map_err(from_sim)?, &agents)
+        let status = me.world.status(world_idx).map_err(from_sim)?;
+        swift::rows(py, &status, &agents)
     }
 
     /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it

@@ -1,7 +1,7 @@
 //! States and facts of a running world as arrays.
 
 use ccdiff_sim::dynamics::Action;
-use ccdiff_sim::events::{Contact, ContactKind, OffRoad};
+use ccdiff_sim::events::{Contact, OffRoad};
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::world::{ScoreFacts, WorldStatus};
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
@@ -51,12 +51,7 @@ pub(crate) fn route(py: Python<'_>, route: Option<(Vec<Point2>, Point2)>) -> PyR
 
 /// Contacts, each pair from both sides.
 pub(crate) fn contacts(pairs: &[(Contact, Contact)]) -> Vec<ContactRow> {
-    let name = |kind| match kind {
-        ContactKind::Front => "front",
-        ContactKind::Rear => "rear",
-        ContactKind::Side => "side",
-    };
-    let row = |agent: u32, c: &Contact| (agent, c.partner, name(c.kind), c.closing_speed_mps, c.at_fault);
+    let row = |agent: u32, c: &Contact| (agent, c.partner, c.kind.name(), c.closing_speed_mps, c.at_fault);
     pairs.iter().flat_map(|(of_i, of_j)| [row(of_j.partner, of_i), row(of_i.partner, of_j)]).collect()
 }
 

@@ -4,80 +4,32 @@ use std::borrow::Cow;
 
 /// Everything the simulator refuses, with the facts a caller needs to mend it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages say what the fields are")]
 pub enum SimError {
     /// A scene breaks a rule of [`crate::scene::Scene`].
     #[error("scene {scene:?}: {field} is {got}, expected {expected}")]
-    Scene {
-        /// Name of the scene.
-        scene: String,
-        /// The field, with the index where there is one.
-        field: String,
-        /// The value found.
-        got: String,
-        /// The rule it breaks.
-        expected: Cow<'static, str>,
-    },
+    Scene { scene: String, field: String, got: String, expected: Cow<'static, str> },
     /// A configuration value is out of its range or contradicts another one.
     #[error("config: {field} is {got}, expected {expected}")]
-    Config {
-        /// Path of the field.
-        field: Cow<'static, str>,
-        /// The value found.
-        got: String,
-        /// The rule it breaks.
-        expected: String,
-    },
+    Config { field: Cow<'static, str>, got: String, expected: String },
     /// A buffer or an array handed in has the wrong length.
     #[error("{what} has {got} elements, expected {expected}")]
-    Length {
-        /// Which array.
-        what: &'static str,
-        /// Elements found.
-        got: usize,
-        /// Elements needed.
-        expected: usize,
-    },
+    Length { what: &'static str, got: usize, expected: usize },
     /// An action is not a finite number, or not one of the grid's indices.
     #[error("action of world {world}, agent slot {slot}: {got}, expected {expected}")]
-    Action {
-        /// World index.
-        world: usize,
-        /// Slot among the world's controlled agents.
-        slot: usize,
-        /// The value found.
-        got: String,
-        /// The rule it breaks.
-        expected: &'static str,
-    },
+    Action { world: usize, slot: usize, got: String, expected: &'static str },
     /// `step` was called for a world that was never reset, or that ended in DISABLED autoreset mode.
     #[error("world {world} must be reset before it is stepped: {why}")]
-    ResetNeeded {
-        /// World index.
-        world: usize,
-        /// What happened to it.
-        why: &'static str,
-    },
+    ResetNeeded { world: usize, why: &'static str },
     /// An index or name that does not exist.
     #[error("unknown {what} {got}, expected {expected}")]
-    Unknown {
-        /// Kind of thing.
-        what: &'static str,
-        /// What was asked for.
-        got: String,
-        /// What there is.
-        expected: String,
-    },
+    Unknown { what: &'static str, got: String, expected: String },
     /// A snapshot or a certificate that does not belong to this configuration, or is damaged.
     #[error("snapshot: {0}")]
     Snapshot(String),
     /// A background policy failed.
     #[error("background policy {policy:?}: {message}")]
-    Policy {
-        /// Name of the policy.
-        policy: String,
-        /// What it says.
-        message: String,
-    },
+    Policy { policy: String, message: String },
 }
 
 impl SimError {

@@ -92,8 +92,7 @@ impl AgentStates {
         states
     }
 
-    /// Makes this the states of `num_agents` agents, none of them active; allocates only where there were never as
-    /// many.
+    /// Makes this the states of `num_agents` agents, none of them active, in the same memory.
     pub(crate) fn clear_for(&mut self, num_agents: usize) {
         for (array, value) in [
             (&mut self.x, 0.0),

@@ -119,8 +119,8 @@ fn stationary_agents_of_every_model_stay_where_they_are() {
 fn default_grids_have_63_distinct_actions_within_the_bounds_and_straight_on_in_the_middle() {
     for model in models() {
         let grid = ActionGrid::default_for(&model);
-        assert_eq!(grid.len(), 63);
-        for index in 0..grid.len() {
+        assert_eq!(grid.num_actions(), 63);
+        for index in 0..grid.num_actions() {
             let action = grid.action(&model, index).unwrap();
             assert_eq!(model.clip(action), action);
         }

@@ -47,13 +47,8 @@ impl ActionGrid {
     }
 
     /// Number of actions F x S.
-    pub fn len(&self) -> usize {
+    pub fn num_actions(&self) -> usize {
         self.first.len() * self.second.len()
-    }
-
-    /// Whether the grid has no action.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Action of an index; `None` out of range.

@@ -82,8 +82,7 @@ impl AssistedLimits {
         ranges.into_iter().find(|(_, [low, high])| *low > 0.0 || *high < 0.0)
     }
 
-    /// Acceleration of a step: the base's and the wanted change, as far as the jerk allows. The base's own braking is not
-    /// held back, nor is PDM's release of the brake.
+    /// Acceleration of a step: base plus change, within the jerk; the base brakes at once, and PDM also stops braking.
     pub(crate) fn acceleration(
         &self,
         base_mps2: Real,

@@ -1,6 +1,6 @@
 //! Kinematic bicycle: acceleration and steering angle.
 
-use super::{Action, KinState, LateralSpeed};
+use super::{Action, KinState};
 use crate::geom::{Real, math};
 use crate::options;
 use crate::options::{MOTION, POSITIVE_MOTION, within};
@@ -58,7 +58,7 @@ impl BicycleLimits {
         action: Action,
         dt_s: Real,
         footprint: &Footprint,
-    ) -> LateralSpeed {
+    ) -> Real {
         let acceleration = action[0].clamp(self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let steering = action[1].clamp(-self.max_steering_rad, self.max_steering_rad);
         let wheelbase_m = self.wheelbase_m(footprint);
@@ -75,7 +75,7 @@ impl BicycleLimits {
         state.y += along * mid_sin + left * mid_cos;
         state.heading_rad += yaw_rate * dt_s;
         state.speed_mps = next_speed;
-        LateralSpeed { lateral_mps: self.yaw_rate(next_speed, curvature) * rear_m }
+        self.yaw_rate(next_speed, curvature) * rear_m
     }
 
     pub(super) fn inverse(

@@ -1,6 +1,6 @@
 //! Delta pose: the agent is put where the action says.
 
-use super::{Action, KinState, LateralSpeed};
+use super::{Action, KinState};
 use crate::geom::{Real, math};
 use crate::options;
 use crate::options::{MOTION, within};
@@ -35,7 +35,7 @@ impl DeltaPoseLimits {
         sin: Real,
         action: Action,
         dt_s: Real,
-    ) -> LateralSpeed {
+    ) -> Real {
         let dx = action[0].clamp(self.dx_m[0], self.dx_m[1]);
         let dy = action[1].clamp(self.dy_m[0], self.dy_m[1]);
         let turn_rad = action[2].clamp(self.dheading_rad[0], self.dheading_rad[1]);
@@ -45,6 +45,6 @@ impl DeltaPoseLimits {
         // the mean velocity of the step, seen along the new heading
         let (turn_sin, turn_cos) = math::sin_cos(turn_rad);
         state.speed_mps = (turn_cos * dx + turn_sin * dy) / dt_s;
-        LateralSpeed { lateral_mps: (turn_cos * dy - turn_sin * dx) / dt_s }
+        (turn_cos * dy - turn_sin * dx) / dt_s
     }
 }

@@ -71,12 +71,6 @@ impl Default for Dynamics {
     }
 }
 
-/// Heading and speeds after a step; what [`AgentStates`] needs beyond the [`KinState`].
-pub(crate) struct LateralSpeed {
-    /// Speed of the centre to the left of the new heading, metres per second.
-    lateral_mps: Real,
-}
-
 impl Dynamics {
     /// Refuses assisted dynamics, whose steps depend on other agents.
     ///
@@ -91,15 +85,7 @@ impl Dynamics {
         }
     }
 
-    /// Number of columns of an action: 2, or 3 for delta pose.
-    pub fn num_columns(&self) -> usize {
-        match self {
-            Self::Unicycle(_) | Self::Bicycle(_) | Self::Assisted(_) => 2,
-            Self::DeltaPose(_) => 3,
-        }
-    }
-
-    /// Names of the columns, with units.
+    /// Names of the columns of an action, with units: 2, or 3 for delta pose.
     pub fn columns(&self) -> &'static [&'static str] {
         match self {
             Self::Unicycle(_) => &["acceleration_mps2", "yaw_rate_radps"],
@@ -147,17 +133,17 @@ impl Dynamics {
     ) {
         let before = states.kin_state(agent_idx);
         let mut after = before;
-        let motion =
+        let lateral_mps =
             self.advance(&mut after, states.cos[agent_idx], states.sin[agent_idx], action, dt_s, footprint);
         let pose = Pose2::new(after.x, after.y, after.heading_rad);
-        states.set_pose(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, motion.lateral_mps)));
+        states.set_pose(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, lateral_mps)));
         // `place` rounds the speed through the rotation
         states.speed_mps[agent_idx] = after.speed_mps;
         states.acceleration_mps2[agent_idx] = (after.speed_mps - before.speed_mps) / dt_s;
         states.yaw_rate_radps[agent_idx] = (after.heading_rad - before.heading_rad) / dt_s;
     }
 
-    /// As [`Self::step`], with the cosine and sine of the heading.
+    /// As [`Self::step`], with cosine and sine of the heading; returns the speed to the left of the new one, m/s.
     #[inline]
     pub(crate) fn advance(
         &self,
@@ -167,7 +153,7 @@ impl Dynamics {
         action: Action,
         dt_s: Real,
         footprint: &Footprint,
-    ) -> LateralSpeed {
+    ) -> Real {
         match self {
             Self::Unicycle(limits) => limits.advance(state, cos, sin, action, dt_s),
             Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, footprint),

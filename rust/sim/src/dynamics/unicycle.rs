@@ -1,6 +1,6 @@
 //! Unicycle: acceleration and yaw rate.
 
-use super::{Action, KinState, LateralSpeed};
+use super::{Action, KinState};
 use crate::geom::{Real, math};
 use crate::options;
 use crate::options::{MOTION, POSITIVE_MOTION, within};
@@ -53,7 +53,7 @@ impl UnicycleLimits {
         sin: Real,
         action: Action,
         dt_s: Real,
-    ) -> LateralSpeed {
+    ) -> Real {
         let acceleration = math::within(action[0], self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let next_speed =
             math::within(state.speed_mps + acceleration * dt_s, self.speed_mps[0], self.speed_mps[1]);
@@ -63,6 +63,6 @@ impl UnicycleLimits {
         state.y += distance * sin;
         state.heading_rad += math::within(action[1], -bound, bound) * dt_s;
         state.speed_mps = next_speed;
-        LateralSpeed { lateral_mps: 0.0 }
+        0.0
     }
 }

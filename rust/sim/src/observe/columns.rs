@@ -38,10 +38,6 @@ const POSITIVE: [Real; 2] = [0.0, 1.0];
 /// Time to contact counts up to here, seconds.
 const TTC_SCALE_S: Real = 10.0;
 
-fn flag(is: bool) -> Real {
-    if is { 1.0 } else { 0.0 }
-}
-
 pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("speed", "m/s", 20.0, SIGNED, "along the heading", |e| e.state(|s| &s.speed_mps)),
     entry("acceleration", "m/s2", 10.0, SIGNED, "change of speed over the last step", |e| {
@@ -67,7 +63,7 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("route_sin", "", 1.0, SIGNED, "sine of the heading against the route", |e| e.route_turn().0),
     entry("route_cos", "", 1.0, SIGNED, "cosine of the heading against the route", |e| e.route_turn().1),
     on_request(entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
-        flag(e.view.facts.place.lane_distance_m.is_some())
+        Real::from(e.view.facts.place.lane_distance_m.is_some())
     })),
     on_request(entry(
         "lane_distance",
@@ -78,10 +74,10 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         |e| e.view.facts.place.lane_distance_m.unwrap_or(0.0),
     )),
     entry("off_road", "", 1.0, POSITIVE, "1 if a corner of the box is off the road", |e| {
-        flag(e.view.facts.off_road)
+        Real::from(e.view.facts.off_road)
     }),
     on_request(entry("collided", "", 1.0, POSITIVE, "1 while touching another agent", |e| {
-        flag(e.view.facts.collided)
+        Real::from(e.view.facts.collided)
     })),
     entry("route_remaining", "m", 100.0, POSITIVE, "along the route to the goal", |e| {
         e.view.facts.route_remaining_m
@@ -117,7 +113,7 @@ pub(super) const ROUTE: [Entry<()>; 4] = [
 
 macro_rules! of_kind {
     ($name:literal, $kind:ident) => {
-        entry($name, "", 1.0, POSITIVE, "kind", Fixed(|_, kind| flag(kind == AgentKind::$kind)))
+        entry($name, "", 1.0, POSITIVE, "kind", Fixed(|_, kind| Real::from(kind == AgentKind::$kind)))
     };
 }
 

@@ -220,8 +220,7 @@ pub(super) fn fill_rows(
     }
 }
 
-/// Puts `G` times eight numbers for each index `width` numbers apart, each eight from a first one on. Where the output ends
-/// within those of an index, those up to there.
+/// Puts `G` times eight numbers for each index, `width` apart, as far as the output reaches.
 #[inline(always)]
 fn put_each<const G: usize>(
     indices: &[u32],
@@ -283,8 +282,7 @@ fn pick_avx2(places: &[i32; LANES], item: &F32x8) -> [Real; LANES] {
 }
 
 simd_dispatch! {
-    /// Puts numbers of some items, by their places, where a mask has all bits, into one of the groups of all items' numbers
-    /// [N, groups].
+    /// Puts numbers of some items by their places, where a mask has all bits, into a group of the numbers [N, groups].
     pub(super) fn spread(
         places: &[i32; LANES], mask: &[u32; LANES], items: &[F32x8], which: &[u32], group: usize, groups: usize,
         numbers: &mut [F32x8],

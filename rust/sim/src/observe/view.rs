@@ -7,7 +7,7 @@ use crate::state::{AgentStates, Footprint};
 use serde::{Deserialize, Serialize};
 
 /// Where an agent is beside its route and lanes.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct RoutePlace {
     /// It faces against the lane whose surface holds it.
     pub wrong_way: bool,

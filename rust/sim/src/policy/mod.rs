@@ -127,8 +127,7 @@ pub trait TrafficPolicy: Send + Sync {
         0
     }
 
-    /// Fewest states of the log, the present one included, that it needs at the start of an episode. Where there are fewer
-    /// than it looks back at, the earliest ones are not valid.
+    /// Fewest logged states, the present one included, that it needs at a start; earlier ones are not valid then.
     fn least_history_states(&self) -> usize {
         1
     }

@@ -6,12 +6,8 @@ use crate::geom::{Point2, Polygon, Real};
 pub(super) const CELL_M: f64 = 0.5;
 /// Points of a ring are left out where the line stays within this distance without them, metres.
 const TOLERANCE_M: f64 = 0.04;
-/// Sides of a cell by the numbers of their corners; corners are lower left, lower right, upper right, upper left.
+/// Sides of a cell (bottom, right, top, left) by their corners: lower left, lower right, upper right, upper left.
 const SIDES: [[usize; 2]; 4] = [[0, 1], [1, 2], [3, 2], [0, 3]];
-const BOTTOM: usize = 0;
-const RIGHT: usize = 1;
-const TOP: usize = 2;
-const LEFT: usize = 3;
 
 /// Polygons round the nodes with positive values; nodes on the border must not be positive.
 pub(super) fn polygons(values: &[Real], columns: usize, min: [f64; 2]) -> Vec<Polygon> {
@@ -64,8 +60,7 @@ impl Grid<'_> {
         rings
     }
 
-    /// Steps from one side of a cell to another, as pairs of sides: a side is twice its lower or left node, and one more
-    /// where it runs up.
+    /// Pairs of sides of a cell: a side is twice its lower or left node, plus one where it runs up.
     fn steps(&self) -> Vec<(usize, usize)> {
         let mut steps = Vec::new();
         let rows = self.values.len() / self.columns;
@@ -74,29 +69,17 @@ impl Grid<'_> {
                 let node = row * self.columns + column;
                 let corners = [node, node + 1, node + 1 + self.columns, node + self.columns];
                 let values = corners.map(|i| self.values[i]);
-                let case = (0..4).filter(|i| values[*i] > 0.0).fold(0, |bits, i| bits | 1 << i);
+                let is_in = |i: usize| values[i % 4] > 0.0;
+                // a line leaves where the way round the cell leaves the positive part, and ends where it comes back: farther
+                // on where the middle is positive, else before
                 let middle = values.iter().map(|v| v.clamp(-1.0, 1.0)).sum::<Real>() > 0.0;
-                let lines: &[(usize, usize)] = match case {
-                    1 => &[(BOTTOM, LEFT)],
-                    2 => &[(RIGHT, BOTTOM)],
-                    3 => &[(RIGHT, LEFT)],
-                    4 => &[(TOP, RIGHT)],
-                    5 if middle => &[(BOTTOM, RIGHT), (TOP, LEFT)],
-                    5 => &[(BOTTOM, LEFT), (TOP, RIGHT)],
-                    6 => &[(TOP, BOTTOM)],
-                    7 => &[(TOP, LEFT)],
-                    8 => &[(LEFT, TOP)],
-                    9 => &[(BOTTOM, TOP)],
-                    10 if middle => &[(RIGHT, TOP), (LEFT, BOTTOM)],
-                    10 => &[(RIGHT, BOTTOM), (LEFT, TOP)],
-                    11 => &[(RIGHT, TOP)],
-                    12 => &[(LEFT, RIGHT)],
-                    13 => &[(BOTTOM, RIGHT)],
-                    14 => &[(LEFT, BOTTOM)],
-                    _ => &[],
-                };
-                let side = |i: usize| corners[SIDES[i][0]] * 2 + usize::from(i == LEFT || i == RIGHT);
-                steps.extend(lines.iter().map(|(from, to)| (side(*from), side(*to))));
+                let turn = if middle { 1 } else { 3 };
+                let lines = (0..4).filter(|i| is_in(*i) && !is_in(i + 1)).filter_map(|from| {
+                    let mut others = (1..4).map(|k| (from + k * turn) % 4);
+                    Some((from, others.find(|to| !is_in(*to) && is_in(to + 1))?))
+                });
+                let side = |i: usize| corners[SIDES[i][0]] * 2 + i % 2;
+                steps.extend(lines.map(|(from, to)| (side(from), side(to))));
             }
         }
         steps

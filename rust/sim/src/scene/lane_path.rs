@@ -8,8 +8,7 @@ const LONGEST_STEP_M: Real = 1000.0;
 /// Most lanes that a way follows: lines of no length may follow each other in a circle.
 const MOST_LANES: usize = 1000;
 
-/// Calls with the points of a lane from an arc length on, then those of the lanes that follow, always the first of them,
-/// until `length_m` have been gone, and with their elevations where these are known; returns what is left of the length.
+/// Calls with points and elevations of a lane and its first followers for a length; returns what is left of the length.
 pub(crate) fn follow(
     map: &Map,
     lane_idx: u32,

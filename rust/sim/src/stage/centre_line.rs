@@ -123,8 +123,7 @@ impl CentreLine {
     }
 }
 
-/// The lanes that the samples of a route lie on: nearest to it, and each the same as the last one or one that follows it
-/// (the best path through all samples).
+/// The lanes that the samples of a route lie on: the cheapest path through all samples.
 fn lanes_along(map: &Map, of_agent: &Route) -> Vec<Candidate> {
     let route = &of_agent.path;
     let samples = (route.length_m() / LOOK_M).ceil() as usize + 1;

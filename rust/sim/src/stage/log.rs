@@ -80,8 +80,7 @@ impl Log {
         has(step_idx) && step_idx > first && !has(step_idx - 1) && (first..step_idx).any(has)
     }
 
-    /// Acceleration (m/s²) and yaw rate (rad/s) of an agent at a logged step: over the step before, where that is logged,
-    /// else over the next one; else zero.
+    /// Acceleration (m/s²) and yaw rate (rad/s) at a logged step, over the step before or else the next one; else zero.
     pub(crate) fn rates(&self, agent_idx: usize, step_idx: usize, dt_s: Real) -> (Real, Real) {
         let at = |t: usize| {
             let at = t * self.num_agents + agent_idx;
@@ -134,8 +133,7 @@ impl Log {
         self.has(agent_idx, step_idx).then(|| [self.columns[0][at], self.columns[1][at]].into())
     }
 
-    /// Moves the agents of `follow` [A] to a step, as one step of `dt_s` moves them; those that are not logged there
-    /// leave. `goes` [A] is memory to work in.
+    /// Moves the agents of `follow` [A] to a step; those not logged there leave. `goes` [A] is memory to work in.
     pub(crate) fn follow(
         &self,
         step_idx: usize,

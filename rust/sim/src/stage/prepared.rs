@@ -101,8 +101,7 @@ impl PreparedScene {
         self.grounds.at(&self.scene.map, elevation_m)
     }
 
-    /// How high an agent is that was at a height a step ago: as its route at an arc length, where it is near that, else as
-    /// the nearest lane of its level, else as before.
+    /// Height from the route where it is near, else from the nearest lane of its level, else as a step before.
     pub(crate) fn height(&self, agent_idx: usize, pose: &Pose2, s_m: Real, before: Height) -> Height {
         let route = &self.routes[agent_idx];
         let is_near = |height: &Height| {

@@ -9,8 +9,7 @@ use crate::policy::{WorldView, idm_acceleration};
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;
 
-/// Acceleration and yaw rate of an agent for a change of the base's acceleration and a distance from its way. Vehicles
-/// that never move in the log stay parked.
+/// Acceleration and yaw rate for a change of acceleration and an offset; vehicles that never move in the log stay parked.
 pub(crate) fn assisted_action(
     limits: &AssistedLimits,
     view: &WorldView<'_>,

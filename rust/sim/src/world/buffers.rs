@@ -27,28 +27,6 @@ impl Extent {
             has_final: config.autoreset == Autoreset::SameStep,
         }
     }
-
-    fn along(self, axis: Axis) -> usize {
-        match axis {
-            Axis::Slots => self.slots,
-            Axis::Row => self.row,
-            Axis::Columns => NUM_COLUMNS,
-            Axis::Channels => self.raster[0],
-            Axis::PixelRows => self.raster[1],
-            Axis::PixelColumns => self.raster[2],
-        }
-    }
-}
-
-/// What an axis of an array counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Axis {
-    Slots,
-    Row,
-    Columns,
-    Channels,
-    PixelRows,
-    PixelColumns,
 }
 
 /// An array of a step as callers make it.
@@ -63,24 +41,16 @@ pub struct ArraySpec {
 }
 
 /// Name in numpy of a type of elements.
-trait Element {
-    const DTYPE: &'static str;
-}
-
-impl Element for f32 {
-    const DTYPE: &'static str = "float32";
-}
-
-impl Element for bool {
-    const DTYPE: &'static str = "bool";
-}
-
-impl Element for u8 {
-    const DTYPE: &'static str = "uint8";
+fn dtype(name: &'static str) -> &'static str {
+    match name {
+        "f32" => "float32",
+        "u8" => "uint8",
+        _ => name,
+    }
 }
 
 macro_rules! step_arrays {
-    ($dollar:tt $($(#[doc = $doc:literal])+ $name:ident: $type:ty, [$($axis:ident),*] $(, if $when:ident)?;)+) => {
+    ($dollar:tt $extent:ident; $($(#[doc = $doc:literal])+ $name:ident: $type:ty, [$($axis:expr),*] $(, if $when:ident)?;)+) => {
         /// Output of a reset or a step. D is the size of the observation row, M the number of columns; arrays that the
         /// configuration does not ask for are empty.
         #[derive(Debug)]
@@ -94,9 +64,9 @@ macro_rules! step_arrays {
         }
 
         impl Sizes {
-            fn of(extent: Extent) -> Self {
+            fn of($extent: Extent) -> Self {
                 Self {
-                    $($name: if true $(&& extent.$when)? { 1 $(* extent.along(Axis::$axis))* } else { 0 },)+
+                    $($name: if true $(&& $extent.$when)? { 1 $(* $axis)* } else { 0 },)+
                 }
             }
         }
@@ -104,11 +74,11 @@ macro_rules! step_arrays {
         impl Extent {
             /// The arrays of E worlds, in the order of [`StepBuffers`].
             pub fn arrays(self, num_worlds: usize) -> Vec<ArraySpec> {
-                let sizes = Sizes::of(self);
+                let (sizes, $extent) = (Sizes::of(self), self);
                 vec![$(ArraySpec {
                     name: stringify!($name),
-                    dtype: <$type as Element>::DTYPE,
-                    shape: if sizes.$name == 0 { vec![] } else { vec![num_worlds $(, self.along(Axis::$axis))*] },
+                    dtype: dtype(stringify!($type)),
+                    shape: if sizes.$name == 0 { vec![] } else { vec![num_worlds $(, $axis)*] },
                 }),+]
             }
         }
@@ -157,29 +127,29 @@ macro_rules! step_arrays {
     };
 }
 
-step_arrays! { $
+step_arrays! { $ extent;
     /// Observations [E, C, D]; zero for slots without a living agent.
-    obs: f32, [Slots, Row];
+    obs: f32, [extent.slots, extent.row];
     /// Rewards [E, C].
-    reward: f32, [Slots];
+    reward: f32, [extent.slots];
     /// Whether an agent's episode ended in this step by what happened in it [E, C].
-    terminated: bool, [Slots];
+    terminated: bool, [extent.slots];
     /// Whether it was cut off in this step [E, C].
-    truncated: bool, [Slots];
+    truncated: bool, [extent.slots];
     /// Whether the slot's agent goes on after this step [E, C].
-    alive: bool, [Slots];
+    alive: bool, [extent.slots];
     /// Info columns of the step [E, C, M], see [`super::COLUMNS`].
-    columns: f32, [Slots, Columns];
+    columns: f32, [extent.slots, NUM_COLUMNS];
     /// Whether the world's episode ended in this step [E].
     done: bool, [];
     /// Whether the observation is the first of a new episode [E].
     was_reset: bool, [];
     /// In SAME_STEP mode the last observation of an ended episode [E, C, D].
-    final_obs: f32, [Slots, Row], if has_final;
+    final_obs: f32, [extent.slots, extent.row], if has_final;
     /// Rasters [E, C, P, S, S]; zero where `obs` is.
-    bev: u8, [Slots, Channels, PixelRows, PixelColumns];
+    bev: u8, [extent.slots, extent.raster[0], extent.raster[1], extent.raster[2]];
     /// Rasters beside `final_obs` [E, C, P, S, S].
-    final_bev: u8, [Slots, Channels, PixelRows, PixelColumns], if has_final;
+    final_bev: u8, [extent.slots, extent.raster[0], extent.raster[1], extent.raster[2]], if has_final;
 }
 
 impl StepBuffers<'_> {

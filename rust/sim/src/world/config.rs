@@ -289,7 +289,7 @@ impl WorldConfig {
             let expected = "at least as many slots as any scene has ids";
             check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
         }
-        let external = self.traffic.names().any(|name| name == EXTERNAL);
+        let external = self.traffic.shares().iter().any(|(name, _)| *name == EXTERNAL);
         check(!external, "traffic", EXTERNAL, "a background policy")?;
         if let Traffic::Mix(shares) = &self.traffic {
             let sum: Real = shares.values().sum();
@@ -308,14 +308,14 @@ impl WorldConfig {
         differences::check_styles(&self.style, &self.reward)?;
         if let Some(grid) = &self.action.grid {
             let got = format!("{} x {}", grid.first.len(), grid.second.len());
-            check((2..=10_000).contains(&grid.len()), "action.grid", got, "2 to 10000 actions")?;
+            check((2..=10_000).contains(&grid.num_actions()), "action.grid", got, "2 to 10000 actions")?;
         }
         Ok(())
     }
 
     /// Whether somebody drives under a name from the start of an episode.
     pub fn names(&self, policy: &str) -> bool {
-        let mut names = self.traffic.names().chain(self.drivers.values().map(String::as_str));
-        self.driver == policy || names.any(|name| name == policy)
+        let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == policy);
+        in_traffic || self.driver == policy || self.drivers.values().any(|name| name == policy)
     }
 }

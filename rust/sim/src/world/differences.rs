@@ -44,7 +44,7 @@ impl Randomization {
 }
 
 /// What was drawn for a slot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Drawn {
     /// Factors of the acceleration and of the yaw rate or wheel angle.
     pub gains: [Real; 2],

@@ -24,15 +24,16 @@ use std::collections::BTreeMap;
 const MOST_STEPS: usize = 1 << 30;
 
 /// Where a world is in its life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub(crate) enum Phase {
+    #[default]
     NeverReset,
     Running,
     Ended,
 }
 
 /// A controlled agent's own account.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Slot {
     /// Its agent; `None` where it is empty.
     pub agent_idx: Option<usize>,
@@ -60,7 +61,7 @@ pub struct Slot {
     pub drawn: Drawn,
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Episode {
     pub(crate) phase: Phase,
     pub(crate) rng: Rng,
@@ -77,8 +78,7 @@ pub(crate) struct Episode {
     pub(crate) states: AgentStates,
     pub(crate) route_s_m: Vec<Real>,
     pub(crate) drivers: Vec<Driver>,
-    /// Whether an agent has been in the world. Who follows its log is there whenever the log has it; nobody else enters
-    /// twice.
+    /// Whether an agent has been in the world: those that do not follow their log enter once.
     pub(crate) entered: Vec<bool>,
     /// Pairs that touch since the start and are no collisions until they have parted.
     pub(crate) initial_contacts: Vec<(u32, u32)>,
@@ -97,25 +97,10 @@ pub(crate) struct Episode {
 impl Episode {
     pub(crate) fn new(world_idx: usize, num_scenes: usize) -> Self {
         Self {
-            phase: Phase::NeverReset,
             rng: Rng::new(world_idx as u64),
             seed: world_idx as u64,
-            number: 0,
-            scene_idx: 0,
             next_scene_idx: world_idx % num_scenes,
-            step_idx: 0,
-            elapsed_steps: 0,
-            states: AgentStates::default(),
-            route_s_m: Vec::new(),
-            drivers: Vec::new(),
-            entered: Vec::new(),
-            initial_contacts: Vec::new(),
-            given_contacts: Vec::new(),
-            halted: Vec::new(),
-            slots: Vec::new(),
-            history: None,
-            plans: Vec::new(),
-            plan_override: PlanOverride::default(),
+            ..Self::default()
         }
     }
 
@@ -191,8 +176,7 @@ impl Episode {
         self.route_s_m[agent_idx] = scene.logged_s_m(agent_idx, self.step_idx);
     }
 
-    /// Velocity of an agent that enters: the logged one; of a late arrival that does not follow its log, the mean over
-    /// its first logged second, because velocities at the end of a track come from two annotations alone.
+    /// Logged velocity; for driven late arrivals the mean of their first second: tracks end in two annotations.
     fn velocity_at_entry(&self, log: &Scene, agent_idx: usize) -> Vector2 {
         let at = log.at(agent_idx, self.step_idx);
         let replays = self.elapsed_steps == 0 || self.drivers[agent_idx] == Driver::REPLAY;
@@ -248,26 +232,11 @@ impl Episode {
             self.slots.push(Slot {
                 agent_idx,
                 alive: agent_idx.is_some(),
-                ended_at: None,
-                stopped: false,
-                progress: agent_idx.map_or_else(Progress::none, progress),
-                last_action: [0.0; 3],
+                progress: agent_idx.map_or_else(Progress::default, progress),
                 acceleration_mps2: agent_idx.map_or(0.0, |a| self.states.acceleration_mps2[a]),
-                in_contact: false,
-                ever_collided: false,
-                ever_off_road: false,
-                has_been_on_road: false,
-                off_road: false,
-                off_road_centroid: false,
-                place: RoutePlace {
-                    wrong_way: false,
-                    route_distance_m: 0.0,
-                    heading_error_rad: 0.0,
-                    lane_distance_m: None,
-                    speed_limit_mps: config.speed_limit_mps,
-                },
-                statistics: EpisodeStatistics::default(),
+                place: RoutePlace { speed_limit_mps: config.speed_limit_mps, ..RoutePlace::default() },
                 drawn: Drawn::new(&config.randomization, &config.style, style, rng.split(c as u64)),
+                ..Slot::default()
             });
         }
     }
@@ -298,8 +267,7 @@ impl Episode {
         }
     }
 
-    /// Which agents the log moves, whatever happens: those of replay that are there, have no slot and were not stopped.
-    /// Obstacles do not move.
+    /// Agents that follow their log: in replay, present, without a slot, not stopped, and no obstacles.
     pub(crate) fn find_followers(&self, kinds: &[AgentKind], out: &mut Vec<bool>) {
         let moves =
             |(driver, kind): (&Driver, &AgentKind)| *driver == Driver::REPLAY && *kind != AgentKind::Static;
@@ -326,12 +294,11 @@ impl Episode {
         self.phase != Phase::NeverReset
     }
 
-    /// Whether this may be a world of a batch: all arrays have the lengths that a scene, a number of slots and a table
-    /// of policies ask for, indices are in range, and numbers are such that a world can go on with them.
+    /// Whether lengths, indices and numbers are such that a world of this batch can go on from here.
     pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize, policies: &Policies) -> bool {
         if !self.begun() {
             let (rng, seed, next_scene_idx) = (self.rng, self.seed, self.next_scene_idx);
-            return *self == Self { rng, seed, next_scene_idx, ..Self::new(0, 1) };
+            return *self == Self { rng, seed, next_scene_idx, ..Self::default() };
         }
         let n = scene.scene.num_agents();
         let s = &self.states;

@@ -27,9 +27,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
     }
 }
 
-/// Stops the background agents of contacts that begin in a step and that a driven vehicle takes part in. They are put
-/// back to the moment of the contact; their velocity is that of the step, zero from the next one on. `before` holds
-/// the poses before the step, and who was there.
+/// Puts agents in new contacts with driven vehicles back to the moment of contact; they stand from the next step on.
 pub(super) fn halt(
     e: &mut Episode,
     scene: &PreparedScene,

@@ -183,8 +183,7 @@ impl VecWorld {
         &self.scenes.list[scene_idx].0.name
     }
 
-    /// What a snapshot is checked against: the configuration, less its defaults and what the state of a world does not
-    /// depend on, and the names of the drivers in their order. So snapshots outlive new options and new drivers.
+    /// What snapshots are checked against: non-default configuration that states depend on, and names of drivers.
     pub(crate) fn config_fingerprint(&self) -> Value {
         let config = WorldConfig { decision_steps: 1, ..self.config.clone() };
         let mut changed = options::to_value(&config);
@@ -256,7 +255,7 @@ impl VecWorld {
         check_length("obs", obs.len(), extent.slots * extent.row)?;
         check_length("bev", bev.len(), extent.slots * self.layout.raster_size())?;
         let now = self.worlds[world_idx].episode.elapsed_steps;
-        self.worlds[world_idx].observe(&self.config, extent, now, obs, bev, false);
+        self.worlds[world_idx].observe(&self.config, extent, now, obs, bev);
         Ok(())
     }
 }

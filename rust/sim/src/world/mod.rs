@@ -285,15 +285,6 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Says before a step or a reset that its buffers are `same` as those of the last call, in which nobody has written
-    /// since: rows of empty slots stay the zeros that they are. Without this they are written in every call.
-    pub fn keep_rows(&mut self, same: bool) {
-        for world in self.worlds.iter_mut().filter(|_| !same) {
-            world.blank.clear();
-            world.blank.resize(self.config.num_slots, false);
-        }
-    }
-
     /// Some of the steps of a decision, in all active worlds whose episode has not ended in it.
     fn step_held(
         &mut self,
@@ -341,8 +332,7 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Lets the policies that plan do so before a step of a decision: for the active worlds where they drive, that run
-    /// and have not restarted in it.
+    /// Asks policies for plans in the active, running worlds that they drive and that did not restart in this decision.
     fn plan(&mut self, step: usize, active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {
         let goes_on = |w: &&World| {
             goes(active, w.idx) && w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx])

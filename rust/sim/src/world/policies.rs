@@ -7,7 +7,7 @@ use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::hitches;
 use crate::world::config::{Controlled, WorldConfig};
 use crate::world::rng::Rng;
-use crate::world::traffic::{EXTERNAL, Traffic};
+use crate::world::traffic::EXTERNAL;
 use std::sync::Arc;
 
 /// Stream of a world's generator from which mixed traffic is drawn.
@@ -73,11 +73,8 @@ impl Policies {
             policies.pedestrians = policies.driver("pedestrians", kind.name)?;
         }
         let mut sum = 0.0;
-        for name in config.traffic.names() {
-            sum += match &config.traffic {
-                Traffic::All(_) => 1.0,
-                Traffic::Mix(shares) => shares[name],
-            };
+        for (name, share) in config.traffic.shares() {
+            sum += share;
             policies.traffic.push((sum, policies.driver("traffic", name)?));
         }
         for (id, name) in &config.drivers {

@@ -19,7 +19,7 @@ const STANDING_MPS: Real = 0.5;
 const SLOW_MPS: Real = 1.5;
 
 /// How far an agent has come on its way to the goal.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(crate) struct Progress {
     /// Positions along the route: where the episode began, the goal, and the farthest one that counts.
     start_s_m: Real,
@@ -53,14 +53,7 @@ impl Progress {
         }
     }
 
-    /// The way of nobody.
-    pub(crate) fn none() -> Self {
-        let goal = Point2::origin();
-        Self { start_s_m: 0.0, goal_s_m: 0.0, best_s_m: 0.0, goal, stops: false, reached: false }
-    }
-
-    /// Takes account of a step that ended at a place along the route and so far from it, and returns the new progress,
-    /// metres. The last metres of the way count when the goal is reached.
+    /// Takes account of a step and returns the new progress, metres; the last metres count when the goal is reached.
     pub(crate) fn advance(
         &mut self,
         states: &AgentStates,

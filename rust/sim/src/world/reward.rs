@@ -23,8 +23,7 @@ pub(crate) fn discomfort(acceleration: Real, lateral: Real, jerk: Real) -> Real 
         .min(MAX_DISCOMFORT)
 }
 
-/// Fills a slot's columns and returns the reward. `slot.progress` holds this step already;
-/// `slot` learns accidents.
+/// Fills a slot's columns and returns the reward; `slot.progress` holds this step already.
 pub(crate) fn score(
     states: &AgentStates,
     agent_idx: usize,

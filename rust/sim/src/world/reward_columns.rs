@@ -4,7 +4,7 @@
 //! made from it.
 
 use crate::choices;
-use crate::events::{Contact, ContactKind};
+use crate::events::Contact;
 use crate::geom::Real;
 use crate::observe::RoutePlace;
 use crate::options;
@@ -93,20 +93,6 @@ impl Step {
     pub(crate) fn aside(&self) -> Real {
         self.aside_m() / MAX_LANE_KEEPING_M
     }
-
-    /// Number of the side that is hit.
-    fn contact_number(&self) -> Real {
-        match self.facts.contact.map(|c| c.kind) {
-            None => 0.0,
-            Some(ContactKind::Front) => 1.0,
-            Some(ContactKind::Rear) => 2.0,
-            Some(ContactKind::Side) => 3.0,
-        }
-    }
-}
-
-fn flag(is: bool) -> Real {
-    if is { 1.0 } else { 0.0 }
 }
 
 macro_rules! columns {
@@ -189,10 +175,10 @@ columns! {
             |weight, s| weight * s.facts.progress_m * s.worth;
         /// At the step of a collision.
         RewardCollision, collision = -2.5, "weighted reward of the step of a collision",
-            |weight, s| weight * flag(s.contact_counts);
+            |weight, s| weight * Real::from(s.contact_counts);
         /// At each step with a corner off the road.
         RewardOffRoad, off_road = -3.0, "weighted reward of a step with a corner off the road",
-            |weight, s| weight * flag(s.off_road);
+            |weight, s| weight * Real::from(s.off_road);
         /// Per unit of discomfort, (a / 4 m/s²)² + (jerk / 10 m/s³)² + (lateral a / 4 m/s²)², at most 3, per step.
         RewardComfort, comfort = -0.004, "weighted reward of acceleration, jerk and lateral acceleration",
             |weight, s| weight * s.soft * s.discomfort;
@@ -204,7 +190,7 @@ columns! {
             |weight, s| weight * s.soft * s.aside_m();
         /// When the goal is reached.
         RewardGoal, goal = 1.0, "weighted reward of reaching the goal",
-            |weight, s| weight * flag(s.facts.reached);
+            |weight, s| weight * Real::from(s.facts.reached);
         /// Per m/s³ of jerk either way, at most 10, per step.
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
@@ -212,23 +198,23 @@ columns! {
     // name, unit, what it is, and the value from the step
     info {
         Collision, "collision", "", "1 at the step at which the agent begins to touch another one",
-            |s| flag(s.facts.contact.is_some());
+            |s| Real::from(s.facts.contact.is_some());
         CollisionKind, "collision_kind", "", "side of this agent that is hit: 0 none, 1 front, 2 rear, 3 side",
-            Step::contact_number;
+            |s| s.facts.contact.map_or(0.0, |c| Real::from(c.kind as u8 + 1));
         CollisionPartner, "collision_partner", "", "1 + index of the other agent in the scene's list; 0 for none",
             |s| s.facts.contact.map_or(0.0, |c| (c.partner + 1) as Real);
         AtFault, "at_fault", "", "1 if the collision counts against this agent",
-            |s| flag(s.facts.contact.is_some_and(|c| c.at_fault));
+            |s| Real::from(s.facts.contact.is_some_and(|c| c.at_fault));
         OffRoad, "off_road", "", "1 while a corner of the box is off the road",
-            |s| flag(s.off_road);
+            |s| Real::from(s.off_road);
         OffRoadCentroid, "off_road_centroid", "", "1 while the centre is off the road",
-            |s| flag(s.off_road_centroid);
+            |s| Real::from(s.off_road_centroid);
         WrongWay, "wrong_way", "", "1 while the agent faces against the lane whose surface holds it",
-            |s| flag(s.place.wrong_way);
+            |s| Real::from(s.place.wrong_way);
         GoalReached, "goal_reached", "", "1 at the step at which the goal is reached",
-            |s| flag(s.facts.reached);
+            |s| Real::from(s.facts.reached);
         HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance means something",
-            |s| flag(s.place.lane_distance_m.is_some());
+            |s| Real::from(s.place.lane_distance_m.is_some());
         LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
             |s| s.place.lane_distance_m.unwrap_or(0.0);
         RouteDistance, "route_distance", "m", "signed distance from the route, left positive",
@@ -250,9 +236,9 @@ columns! {
         LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
             |s| s.facts.log_distance_m;
         Success, "is_success", "", "1 at the end of an episode with enough of the route (`success_completion`), no collision and no step off the road",
-            |s| flag(s.success);
+            |s| Real::from(s.success);
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
-            |s| flag(s.facts.timed_out);
+            |s| Real::from(s.facts.timed_out);
         Speeding, "speeding", "m/s", "speed above the limit, 0 below it",
             Step::speeding_mps;
     }
@@ -278,8 +264,7 @@ impl Earlier {
         Self { reward, columns }
     }
 
-    /// Joins them to the columns of the next step and returns the sum of the rewards: components add up, a collision
-    /// and the reached goal stay, the other columns are those of the step.
+    /// Adds components and reward to those of the next step; a collision and the reached goal stay.
     pub(crate) fn join(&self, reward: f32, row: &mut [f32]) -> f32 {
         for (value, earlier) in row.iter_mut().zip(&self.columns).take(NUM_COMPONENTS) {
             *value += earlier;

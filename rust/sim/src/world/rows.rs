@@ -8,14 +8,8 @@ use crate::world::differences;
 use crate::world::rng::Rng;
 use crate::world::tick::World;
 
-/// Floats at the head of a row that tell whether somebody else has written into it.
-const HEAD: usize = 16;
-
 impl World {
-    /// Writes the observations of all slots: of agents that go on, and of those whose episode ended in this very
-    /// step. Those of agents whose episode ended after `since` elapsed steps are there already. Rows and rasters of
-    /// the others are zero. `again` tells that the buffers are those of the last call, if these are kept at all
-    /// ([`VecWorld::keep_rows`](crate::world::VecWorld::keep_rows)): rows that are zero already are left alone.
+    /// Writes the rows of agents that go on or ended in this step; earlier ones of the decision stay, the others are zero.
     pub(crate) fn observe(
         &mut self,
         config: &WorldConfig,
@@ -23,11 +17,8 @@ impl World {
         since: usize,
         obs: &mut [Real],
         bev: &mut [u8],
-        again: bool,
     ) {
         let e = &self.episode;
-        let mut apart = Vec::new();
-        let blank = if again { &mut self.blank } else { &mut apart };
         self.observer.prepare(&e.states, e.slots.iter().filter(|s| s.alive).count());
         let bytes = extent.raster.iter().product::<usize>();
         for (c, slot) in e.slots.iter().enumerate() {
@@ -38,21 +29,10 @@ impl World {
             }
             let shown = slot.alive || slot.ended_at == Some(e.elapsed_steps);
             let Some(a) = slot.agent_idx.filter(|_| shown) else {
-                let is_blank = blank.get_mut(c);
-                // a caller who has changed a buffer in place has changed the head of a row, too
-                let head = &out[..HEAD.min(out.len())];
-                if !is_blank.as_deref().is_some_and(|b| *b) || head.iter().any(|v| v.to_bits() != 0) {
-                    out.fill(0.0);
-                    raster.fill(0);
-                }
-                if let Some(is_blank) = is_blank {
-                    *is_blank = true;
-                }
+                out.fill(0.0);
+                raster.fill(0);
                 continue;
             };
-            if let Some(is_blank) = blank.get_mut(c) {
-                *is_blank = false;
-            }
             let route = &self.scene.routes[a].path;
             let facts = EgoFacts {
                 last_action: [slot.last_action[0], slot.last_action[1]],

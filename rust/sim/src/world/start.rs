@@ -39,8 +39,7 @@ fn drives_on(scene: &Scene, agent_idx: usize, step_idx: usize, horizon_steps: us
 }
 
 impl Start {
-    /// Draws the start of an episode; `None` where nobody can be controlled in the scene. Egos whose log leaves the road
-    /// of the `prepared` scene in the episode are drawn only where there are no others.
+    /// Draws a start; `None` without anybody to control. Egos whose log leaves the `prepared` road come last.
     pub(crate) fn draw(
         scene: &Scene,
         prepared: Option<&PreparedScene>,

@@ -26,8 +26,7 @@ pub(super) fn pose_between(from: &Pose2, to: &Pose2, share: Real) -> Pose2 {
     Pose2::new(p.x, p.y, from.heading_rad + turn * share)
 }
 
-/// Puts agents at a share of their way from the poses `before` a step to the states after it; those who were not there
-/// before it are left out.
+/// States at a share of the way from the poses `before` a step; agents that were not there are left out.
 pub(super) fn states_between(
     states: &AgentStates,
     before: &[Pose2],

@@ -20,29 +20,17 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// What follows an event.
-    const fn after(consequence: Consequence) -> Self {
-        let (ends, stands, leaves) = match consequence {
-            Consequence::Ignore => (false, false, false),
-            Consequence::Stop => (false, true, false),
-            Consequence::Terminate => (true, true, false),
-            Consequence::Remove => (true, true, true),
-        };
-        Self { ends, stands, leaves }
-    }
-
     /// What follows all events of a step. Who reaches its goal without an accident leaves, where episodes end there.
     fn of(collided: bool, off_road: bool, reached: bool, config: &WorldConfig) -> Self {
-        let at_goal = if config.terminate_at_goal { Consequence::Terminate } else { Consequence::Ignore };
-        let events = [(collided, config.on_collision), (off_road, config.on_off_road), (reached, at_goal)];
-        let leaves = reached && config.terminate_at_goal && !collided && !off_road;
-        let none = Self { ends: false, stands: false, leaves };
-        let happened = events.into_iter().filter(|(happened, _)| *happened);
-        happened.map(|(_, consequence)| Self::after(consequence)).fold(none, |all, one| Self {
-            ends: all.ends || one.ends,
-            stands: all.stands || one.stands,
-            leaves: all.leaves || one.leaves,
-        })
+        use Consequence::{Remove, Stop, Terminate};
+        let at_goal = reached && config.terminate_at_goal;
+        let events = [(collided, config.on_collision), (off_road, config.on_off_road), (at_goal, Terminate)];
+        let any = |of: &[Consequence]| events.iter().any(|(happened, after)| *happened && of.contains(after));
+        Self {
+            ends: any(&[Terminate, Remove]),
+            stands: any(&[Stop, Terminate, Remove]),
+            leaves: at_goal && !collided && !off_road || any(&[Remove]),
+        }
     }
 }
 

@@ -28,8 +28,6 @@ pub(crate) struct World {
     /// Metrics of the slots in the last episode that ended.
     pub(crate) ended: Vec<Metrics>,
     pub(super) adversaries: Vec<bool>,
-    /// Slots whose rows in the caller's buffers are zero; empty where these are not kept.
-    pub(super) blank: Vec<bool>,
     /// Presence of all agents before a step, where poses before it are kept.
     pub(super) active_before: Vec<bool>,
     pub(super) observer: Observer,
@@ -76,7 +74,6 @@ impl World {
             episode,
             ended: Vec::new(),
             adversaries: Vec::new(),
-            blank: Vec::new(),
             active_before: Vec::new(),
             observer,
             scratch: Box::default(),
@@ -173,8 +170,7 @@ impl World {
         Ok(())
     }
 
-    /// Advances a running world by the next step of a decision, up to and with its rewards; returns whether its
-    /// episode ended.
+    /// Advances a running world by one step, rewards included; returns whether its episode ended.
     pub(crate) fn advance(
         &mut self,
         actions: &[Real],
@@ -188,8 +184,7 @@ impl World {
         self.reward(shared.config, is_first, out)
     }
 
-    /// Steps `held` of a decision: advance to the last of them or the episode's end, or the reset that NEXT_STEP owes;
-    /// then observations. Nothing where the episode has ended in an earlier step of the decision.
+    /// Steps `held` of a decision, or the reset that NEXT_STEP owes, then observations; nothing after an end in it.
     pub(crate) fn step(
         &mut self,
         actions: &[Real],
@@ -218,7 +213,7 @@ impl World {
             if step + 1 < shared.config.decision_steps
                 && self.episode.slots.iter().any(|s| s.ended_at == Some(now))
             {
-                self.observe(shared.config, shared.extent, since, out.obs, out.bev, true);
+                self.observe(shared.config, shared.extent, since, out.obs, out.bev);
             }
         }
         if !reset_pending && (out.done[0] || !goes_on) && self.play_roles(shared.config, since, out) {
@@ -230,8 +225,7 @@ impl World {
         }
     }
 
-    /// Begins the next episode: in NEXT_STEP mode the one that is pending since the last step, in SAME_STEP mode after
-    /// the last observations of the present one, `since` the elapsed steps before the decision, are written aside.
+    /// Begins the next episode where it is due; SAME_STEP first writes the last observations of this one aside.
     fn autoreset(
         &mut self,
         reset_pending: bool,
@@ -243,7 +237,7 @@ impl World {
         let ends_now = out.done[0] && shared.config.autoreset == Autoreset::SameStep;
         if ends_now {
             self.keep_earlier(shared.extent, since, out);
-            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev, false);
+            self.observe(shared.config, shared.extent, since, out.final_obs, out.final_bev);
         }
         if reset_pending || ends_now {
             let (scene, scene_idx) = next_scene(&mut self.episode);
@@ -269,6 +263,6 @@ impl World {
     /// Writes who is alive, and the observations.
     pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
         self.write_alive(out);
-        self.observe(shared.config, shared.extent, since, out.obs, out.bev, true);
+        self.observe(shared.config, shared.extent, since, out.obs, out.bev);
     }
 }

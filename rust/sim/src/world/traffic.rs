@@ -23,13 +23,12 @@ impl Setting for Traffic {
 }
 
 impl Traffic {
-    /// Names of the policies.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
-        let (one, mix) = match self {
-            Self::All(name) => (Some(name.as_str()), None),
-            Self::Mix(shares) => (None, Some(shares.keys().map(String::as_str))),
-        };
-        one.into_iter().chain(mix.into_iter().flatten())
+    /// Policies by name, each with its share.
+    pub fn shares(&self) -> Vec<(&str, Real)> {
+        match self {
+            Self::All(name) => vec![(name, 1.0)],
+            Self::Mix(shares) => shares.iter().map(|(name, share)| (name.as_str(), *share)).collect(),
+        }
     }
 }
 
