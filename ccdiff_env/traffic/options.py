@@ -411,7 +411,7 @@ class CcdiffConfig(Options):
     rerank: bool = True  #: Whether they are found again at every plan, not only at the first one.
     background_driver: BackgroundDriver = "ccdiff"  #: Who drives the vehicles that are not guided.
     #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
-    #: configured (one denoising step: 0.28 of it, routes: 1.7, so that an ego collides as often)
+    #: configured (one denoising step: 0.24 of it, routes: 1.65, so that an ego collides as often)
     #: (in [0, 10]). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may
     #: be told another one at any time.
     criticality: float = 0.0

@@ -17,8 +17,8 @@ use std::collections::BTreeMap;
 
 /// At these shares of the guidance IDM collides as often with one denoising step, and with routes, as with five steps without
 /// them (docs/results.md#one-dial); with both at their product.
-const ONE_STEP_SHARE: Real = 0.28;
-const ROUTES_SHARE: Real = 1.7;
+const ONE_STEP_SHARE: Real = 0.24;
+const ROUTES_SHARE: Real = 1.65;
 
 choices! {
     /// Who drives the vehicles outside the guided set.
@@ -171,7 +171,7 @@ options! {
         /// Who drives the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
-        /// denoising step: 0.28 of it, routes: 1.7, so that an ego collides as often). Tokens: guided
+        /// denoising step: 0.24 of it, routes: 1.65, so that an ego collides as often). Tokens: guided
         /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
         criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings.
