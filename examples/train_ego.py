@@ -3,8 +3,8 @@
     python examples/train_ego.py --dataroot <nuscenes> --split train --test-split val
 
 Records banks of CCDiff traffic against PDM-Closed, then trains PPO that changes what PDM-Closed
-does. ``--dynamics unicycle`` imitates PDM-Closed first, and drives without it. The same command
-continues a run that was interrupted. The report never uses the scenes that chose.
+does. The same command continues a run that was interrupted. The report never uses the scenes that
+chose.
 """
 
 from __future__ import annotations
@@ -34,10 +34,7 @@ from ccdiff_env.system.table import Column, Table
 BANKS = (1.0, 2.0)  #: Criticalities of the banks.
 #: A sixth of the worlds each: the log, IDM, fast critical traffic that reacts, what was recorded.
 TRAINED_IN = ("replay", "idm", "swift", "swift", "bank", "bank")
-RECIPES = {
-    "assisted": ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1"),
-    "unicycle": ("--dynamics", "unicycle", "--teacher", "pdm", "--noise", "0.15", "0.08"),
-}
+RECIPE = ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1")
 OTHERS = ["pdm", "lane_idm", "idm"]
 CHOOSING, REPORTED = ["ccdiff-1", "ccdiff-2"], ["replay", "idm", "ccdiff", "ccdiff-1", "ccdiff-2"]
 FIGURES = (
@@ -55,7 +52,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--choose-split", help="scenes that choose the seed (default: train_val; embedded: city)"
     )
-    parser.add_argument("--dynamics", default="assisted", choices=RECIPES, help="of the ego")
     parser.add_argument("--decisions", default="7e5", help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
@@ -114,7 +110,7 @@ def main() -> None:
             continue
         words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", str(seed)]
         words += ["--threads", str(args.workers), "--out", str(folder)]
-        words += [*RECIPES[args.dynamics], "--criticality", "2", "--traffic", *TRAINED_IN]
+        words += [*RECIPE, "--criticality", "2", "--traffic", *TRAINED_IN]
         words += ["--bank", *banks]
         words += ["--resume"] * (folder / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
         if cli.main(["train-ego", *words]):
