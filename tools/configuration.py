@@ -144,8 +144,10 @@ def _described(field: Mapping[str, Any]) -> str:
 
 
 def _wrapped(text: str, first: str, then: str) -> str:
-    indents = {"initial_indent": first, "subsequent_indent": then}
-    return textwrap.fill(text, 100, break_on_hyphens=False, **indents)  # links stay whole
+    wrapper = textwrap.TextWrapper(
+        100, initial_indent=first, subsequent_indent=then, break_on_hyphens=False
+    )
+    return wrapper.fill(text)  # links stay whole
 
 
 def _with_comment(line: str, text: str) -> list[str]:
