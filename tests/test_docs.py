@@ -349,10 +349,10 @@ def test_images_move_and_load_fast(name):
 
 
 def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):
-    scenes = [find_scene(name) for name in ("cut-in-04", "tee-crossing-01")]
+    scenes = [find_scene(name) for name in ("cut-in-04", "double-left-00")]
     index = gallery.write_gallery(tmp_path / "gallery", scenes).read_text(encoding="utf-8")
     # the story first: reached in realistic traffic, hit in critical traffic
-    assert index.index("tee-crossing-01.html") < index.index("cut-in-04.html")
+    assert index.index("double-left-00.html") < index.index("cut-in-04.html")
     assert "realistic: ego reached its goal" in index
     pages = sorted((tmp_path / "gallery").glob("*-*.html"))
     assert len(pages) == 2

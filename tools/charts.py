@@ -194,7 +194,7 @@ DIAL = {
     "ego": ("trained ego", ("blue", "o")),
 }
 LEVELS = {"ccdiff": 0.0, "ccdiff-0.5": 0.5, "ccdiff-1": 1.0, "ccdiff-1.5": 1.5, "ccdiff-2": 2.0}
-STILL_SCENE, STILL_SIZE = "tee-crossing-01", (350, 300)
+STILL_SCENE, STILL_SIZE = "double-left-00", (350, 300)
 
 
 def realism() -> str:
