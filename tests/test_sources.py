@@ -238,7 +238,7 @@ def test_figures_of_the_road_are_not_available_without_one(monkeypatch, tmp_path
         assert {name for name, cell in cells.items() if cell == " n/a "} == {*missing}
     assert "nan" not in text
     rows = json.loads(next((out / "raw").glob("constant_velocity-*.json")).read_text())["result"]
-    assert all(row["off_road"] is None and row["num_agents"] > 1 for row in rows)
+    assert all(row["orr"] is None and row["num_agents"] > 1 for row in rows)
 
 
 def test_intervals_need_ten_scenes_and_known_figures():
