@@ -26,6 +26,7 @@ from ccdiff_env.bench.methods import label_of
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
+from ccdiff_env.metrics import generational_distance, scores
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
 from tools import charts, pages
@@ -92,27 +93,34 @@ _COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", i
 _TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
 _GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
 
+_REALISM = Made(
+    "bench realism --samples 16 --methods replay,constant_velocity,idm,swift,ccdiff_one_sample,"
+    "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
+    "tokens_careful,tokens_routes_one_sample,tokens_routes_careful",
+    ("method",),
+    {
+        "realism": Column("realism", digits=3),
+        "kinematic": Column("kinematic", digits=3),
+        "at 0.5 s": Column("kinematic_half_s", digits=3, interval=False),
+        "own kinematic": Column("own_kinematic", digits=3, interval=False),
+        "interactive": Column("interactive", digits=3),
+        "map": Column("map", digits=3),
+        "min ADE m": Column("min_ade_m", interval=False),
+        "SCR": Column("scr", digits=3, interval=False),
+        "off road %": Column("orr", factor=100.0, interval=False),
+    },
+)
+
 TABLES: dict[str, Made] = {
     **{
         f"planners_{level}": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", level))
         for level in PROTOCOL.levels
     },
-    "realism": Made(
-        "bench realism --samples 16 --methods replay,constant_velocity,idm,swift,ccdiff_one_sample,"
-        "ccdiff_careful,ccdiff_one_step_one_sample,ccdiff_routes_careful,ccdiff_routes_calibrated,"
-        "tokens_careful,tokens_routes_one_sample,tokens_routes_careful",
-        ("method",),
-        {
-            "realism": Column("realism", digits=3),
-            "kinematic": Column("kinematic", digits=3),
-            "at 0.5 s": Column("kinematic_half_s", digits=3, interval=False),
-            "own kinematic": Column("own_kinematic", digits=3, interval=False),
-            "interactive": Column("interactive", digits=3),
-            "map": Column("map", digits=3),
-            "min ADE m": Column("min_ade_m", interval=False),
-            "SCR": Column("scr", digits=3, interval=False),
-            "off road %": Column("orr", factor=100.0, interval=False),
-        },
+    "realism": _REALISM,
+    "realism_rivals": replace(
+        _REALISM,
+        command="bench realism --samples 16 --methods simnet_unguided,trafficsim_one_sample,"
+        "strive_one_sample,bits_one_sample,ctg_one_sample,ctgpp_one_sample,ccdiff_equal_one_sample",
     ),
     "egos": Made(
         _EGOS,
@@ -175,7 +183,7 @@ TABLES: dict[str, Made] = {
     ),
     "rivals": Made("bench traffic --k 5 --methods all", ("method",), _GUIDED),
     "grid": Made(
-        "bench traffic --k 1,2,3,4,5,10,Full --t 0.5,1,2,5 --t-at 5 --methods "
+        "bench traffic --k 1,2,3,4,5,10,Full --t 0.5,1,2,3,4,5 --t-at 5 --methods "
         "simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
         ("method", "K", "replan_s"),
         _GUIDED,
@@ -255,6 +263,8 @@ def _figure(rows: list[dict[str, str]], name: str) -> list[float | None]:
 
 def render(name: str, chosen: str | None = None, only: str | None = None) -> str:
     """Return the table of a name, in Markdown, from what its run kept; all of it by default."""
+    if name == "scores":
+        return _scores(kept("grid"))
     table = TABLES[name]
     if chosen is not None:
         heads = [head.strip() for head in chosen.split(",")]
@@ -299,6 +309,37 @@ def _grid(run: dict[str, Any], column: Column) -> str:
     ]
     heads = (replace(column, head=head, interval=False) for head in cells.values())
     return document(Table(["method", *heads], table), f"{run['scenes']}, {run['date']}.").rstrip()
+
+
+def _scores(run: dict[str, Any]) -> str:
+    """CS, RS, GD and IGD over the paper's K of the grid's methods, and as the paper prints them.
+
+    Bounds are over all conditions, as the paper's are.
+    """
+    paper = json.loads((pages.ROOT / "ccdiff_env/data/paper_tables.json").read_text())
+    numbers = ("2", "3", "4", "5", "10", "Full")
+    rows = [row for row in run["rows"] if row["K"] != "0"]  # which is the log
+    cs_rs = scores(**{n: [row[n][0] for row in rows] for n in ("scr", "orr", "fde", "cfd")})
+    of = {
+        (label_of(row["method"]), row["K"]): pair
+        for row, *pair in zip(rows, *cs_rs, strict=True)
+        if row["replan_s"] == rows[0]["replan_s"]
+    }
+    methods = [*dict.fromkeys(method for method, _ in of)]
+    ours = np.array([[of[method, k] for k in numbers] for method in methods])
+    printed = np.stack([paper["cs"], paper["rs"]], axis=-1)[:, : len(numbers)]
+    figures = [
+        np.column_stack([p.mean(axis=1), *generational_distance(cs=p[..., 0], rs=p[..., 1])])
+        for p in (ours, printed)
+    ]
+    theirs = dict(zip(paper["methods"], figures[1].tolist(), strict=True))
+    table: TableRows = [
+        [method, *mine, *theirs.get(method.partition(",")[0], [None] * 4)]
+        for method, mine in zip(methods, figures[0].tolist(), strict=True)
+    ]
+    heads = ("CS", "RS", "GD", "IGD")
+    columns = [Column(f"{of}{head}") for of in ("", "paper: ") for head in heads]
+    return document(Table(["method", *columns], table), f"{run['scenes']}, {run['date']}.").rstrip()
 
 
 def _planner(name: str) -> str:
