@@ -212,8 +212,9 @@ def realism() -> str:
 def speed() -> str:
     """Return the chart of speed."""
     rows = [
-        (row["what"], (row["steps_per_s"], math.nan, math.nan), (row["colour"], "o"))
+        (row["what"], (row["64"], math.nan, math.nan), (row["colour"], "o"))
         for row in kept("speed")["rows"]
+        if "colour" in row
     ]
     ticks = (1_000, 10_000, 100_000, 1_000_000)
     return rows_chart(
