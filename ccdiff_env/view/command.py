@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="RUN_OR_SCENE",
-        help="file of a rollout, folder of them, name of a scene, or a link of the playground; "
-        "several are a grid",
+        help="rollout file, folder of rollouts, name of a scene, or link of the playground; "
+        "several are shown in a grid",
     )
     parser.add_argument(
         "--compare",
@@ -66,15 +66,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='files or scenes to show beside it; "log" for the log of its scene (default: nothing)',
     )
     parser.add_argument(
-        "-o", "--out", type=Path, help="page to write, or folder of pages (default: by the scene)"
+        "-o", "--out", type=Path, help="page or folder to write (default: named by the scene)"
     )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     add_scene_arguments(parser)
-    play = parser.add_argument_group("playing a scene first")
+    play = parser.add_argument_group("simulating a scene first")
     play.add_argument(
         "--traffic",
         nargs="+",
-        help=f"plays the scene; the others, of: {', '.join(driver_names())}; several are "
+        help=f"simulate the scene with this traffic, of: {', '.join(driver_names())}; several are "
         "shown beside each other (default: the log is shown)",
     )
     play.add_argument(
@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--criticality",
         type=float,
         nargs="+",
-        help="0: realistic traffic of a network; 1: guided; several are shown beside each other",
+        help="0: realistic traffic of a network; 1: critical; several are shown beside each other",
     )
     play.add_argument(
         "--slider",
@@ -97,22 +97,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
     )
     play.add_argument(
-        "--save", type=Path, help="keep that episode in this file (.npz; default: not kept)"
+        "--save", type=Path, help="save the episode in this file (.npz; default: not saved)"
     )
     draw = parser.add_argument_group(
-        "an image or a video instead of a page, where --out ends in .png, .svg, .gif or .mp4"
+        "an image or a video instead of a page, if --out ends in .png, .svg, .gif or .mp4"
     )
-    draw.add_argument("--step", type=int, help="step of an image (default: the one that matters)")
+    draw.add_argument(
+        "--step", type=int, help="step of an image (default: the accident, or the middle)"
+    )
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
     draw.add_argument("--span", type=float, help="metres across an image")
     draw.add_argument(
         "--size",
         type=int,
-        help="pixels of each run's sides (default: 720; of a GIF 480, and 360 side by side)",
+        help="side of each image in pixels (default: 720; of a GIF 480, and 360 side by side)",
     )
-    draw.add_argument("--speed", type=float, help="pace of a video")
+    draw.add_argument("--speed", type=float, help="playback speed of a video")
     draw.add_argument("--graph", action="store_true", help="draw the causal graph")
-    draw.add_argument("--theme", choices=render.THEMES, help="ground of an image")
+    draw.add_argument("--theme", choices=render.THEMES, help="background of an image")
     parser.set_defaults(**PLAYED, **DRAWN)
 
 

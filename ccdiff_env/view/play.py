@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "names",
         nargs="*",
         metavar="SCENE",
-        help="scenes to drive in (default: nine embedded ones; all that --scenes names)",
+        help="scenes to drive in (default: nine embedded ones, or all of --scenes)",
     )
     add_scene_arguments(parser)
     parser.add_argument(
