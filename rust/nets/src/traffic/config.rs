@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// At these shares of the guidance IDM collides as often with one denoising step, and with routes, as with five steps without
-/// them (docs/results.md#one-dial); with both at their product.
+/// them (docs/results.md#equal-criticality); with both at their product.
 const ONE_STEP_SHARE: Real = 0.24;
 const ROUTES_SHARE: Real = 1.65;
 
