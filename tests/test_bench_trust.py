@@ -205,7 +205,7 @@ def test_only_privileged_planners_see_the_log():
         *("assign", "last", "set_progress", "criticality", "drivers", "curriculum"),
         *(f"scenes[0].{n}" for n in ("name", "token", "hash", "agent_ids", "tracks", "to_bytes")),
         *(f"native.status(0).{n}" for n in ("seed", "episode")),
-        *(f"native.{n}" for n in ("metrics", "snapshot", "digest", "policies", "explain")),
+        *(f"native.{n}" for n in ("metrics", "snapshot", "digest", "driver_table", "explain")),
         *(f"config.{n}" for n in ("traffic", "ccdiff", "named_drivers", "idm", "drivers")),
         "config.to_json",
     ],

@@ -1,4 +1,4 @@
-//! Plans for the agents of many worlds at once: the network behind the background policy.
+//! Plans for the agents of many worlds at once: the network behind planned traffic.
 
 pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 

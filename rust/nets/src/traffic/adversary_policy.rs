@@ -4,8 +4,8 @@ use crate::compute::weights::{Weights, broken, field, read};
 use crate::error::Result;
 use crate::kernels::{How, Packed, linear};
 use crate::traffic::CcdiffConfig;
+use ccdiff_sim::drivers::PlanRequest;
 use ccdiff_sim::geom::Real;
-use ccdiff_sim::policy::PlanRequest;
 use ccdiff_sim::world::{CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 use std::path::Path;
 

@@ -29,8 +29,8 @@ use crate::error::{ModelError, Result, require};
 use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
+use ccdiff_sim::drivers::{AgentMotion, DriverModel, Idm, PlanRequest, PlanState, Replay, WorldView};
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
-use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
 use ccdiff_sim::scene::Scene;
 use memory::Memory;
 use rayon::prelude::*;
@@ -177,14 +177,14 @@ fn side_by_side<T: Send, R: Send>(
 }
 
 /// The error of this crate as the simulator passes it on.
-fn policy_error(name: &str, error: ModelError) -> SimError {
+fn driver_error(name: &str, error: ModelError) -> SimError {
     match error {
         ModelError::Sim(error) => error,
-        other => SimError::Policy { policy: name.into(), message: other.to_string() },
+        other => SimError::Driver { driver: name.into(), message: other.to_string() },
     }
 }
 
-impl TrafficPolicy for PlannedTraffic {
+impl DriverModel for PlannedTraffic {
     fn name(&self) -> &str {
         self.kind()
     }
@@ -203,7 +203,7 @@ impl TrafficPolicy for PlannedTraffic {
             requests.iter().filter(|r| r.is_due(self.config.replan_steps)).collect();
         let mut made = vec![None; requests.len()];
         if !due.is_empty() {
-            let plans = self.plan_due(&due).map_err(|e| policy_error(self.kind(), e))?;
+            let plans = self.plan_due(&due).map_err(|e| driver_error(self.kind(), e))?;
             for (request, plan) in plans {
                 let at = requests.iter().position(|r| r.world.world_idx == request.world.world_idx);
                 if let Some(slot) = at.and_then(|at| made.get_mut(at)) {

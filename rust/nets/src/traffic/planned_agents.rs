@@ -5,8 +5,8 @@ use crate::error::Result;
 use crate::inputs::features::{Window, route_ahead};
 use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
+use ccdiff_sim::drivers::{Driver, PlanOverride, PlanRequest, WorldView};
 use ccdiff_sim::geom::{Pose2, Real};
-use ccdiff_sim::policy::{Driver, PlanOverride, PlanRequest, WorldView};
 use ccdiff_sim::scene::AgentKind;
 use std::f32::consts::FRAC_1_SQRT_2;
 
@@ -21,8 +21,8 @@ const SAME_LANE_M: Real = 2.0;
 pub(super) struct PlannedAgents {
     /// Agents of the scene, one per row of the window, in the scene's order.
     pub(super) agents: Vec<usize>,
-    /// Whether this policy drives the agent and it is free to move, by row.
-    pub(super) controlled_by_policy: Vec<bool>,
+    /// Whether the agent has this driver and is free to move, by row.
+    pub(super) driven: Vec<bool>,
     /// Their states over the history.
     pub(super) window: Window,
 }
@@ -95,14 +95,14 @@ impl PlannedAgents {
             moving.any(|b| (states.position(*b) - p).norm() < STATIONARY_REACH_M)
         };
         let agents: Vec<usize> = there.iter().copied().filter(|a| !parked[*a] || near_moving(*a)).collect();
-        let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();
+        let driven = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();
         let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
             let message = "the world keeps too short a history".into();
-            ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
+            ccdiff_sim::SimError::Driver { driver: "planned traffic".into(), message }
         })?;
         let window = Window::from_history(history, &world.scene.scene, &agents, num_steps);
         let window = Window { apart: states.apart(&agents), ..window };
-        Ok(Self { agents, controlled_by_policy, window })
+        Ok(Self { agents, driven, window })
     }
 
     /// How an agent of the scene stands to the nearest of `collision_targets`, itself not among them; `None` without any.
@@ -141,21 +141,18 @@ impl PlannedAgents {
         (0..m).map(score).collect()
     }
 
-    /// Tells the network the routes of the vehicles that this policy drives.
+    /// Tells the network the routes of the vehicles that this driver drives.
     pub(super) fn tell_routes(&mut self, world: &WorldView<'_>, points_m: &[Real]) {
         let told = |(agent, controlled): (&usize, &bool)| match controlled {
             true => route_ahead(&world.scene.routes[*agent], world.route_s_m[*agent], points_m),
             false => Vec::new(),
         };
-        self.window.routes = self.agents.iter().zip(&self.controlled_by_policy).map(told).collect();
+        self.window.routes = self.agents.iter().zip(&self.driven).map(told).collect();
     }
 
-    /// Whether this policy may drive an agent of the scene.
-    pub(super) fn is_controlled_by_policy(&self, agent_idx: usize) -> bool {
-        self.agents
-            .iter()
-            .zip(&self.controlled_by_policy)
-            .any(|(a, controlled_by_policy)| *a == agent_idx && *controlled_by_policy)
+    /// Whether this driver may drive an agent of the scene.
+    pub(super) fn is_driven(&self, agent_idx: usize) -> bool {
+        self.agents.iter().zip(&self.driven).any(|(a, driven)| *a == agent_idx && *driven)
     }
 
     /// Agents of the scene that may be guided, by falling importance, from the times to contact in the window.
@@ -179,11 +176,6 @@ impl PlannedAgents {
         let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();
         let ranker = config.ranker(&world.scene.scene.name, &ids, world.noise_seed);
         let ranked = ranker.rank(&input, m)?;
-        Ok(ranked
-            .agents
-            .into_iter()
-            .filter(|row| self.controlled_by_policy[*row])
-            .map(|row| self.agents[row])
-            .collect())
+        Ok(ranked.agents.into_iter().filter(|row| self.driven[*row]).map(|row| self.agents[row]).collect())
     }
 }

@@ -10,8 +10,8 @@ use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
+use ccdiff_sim::drivers::{PlanRecord, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::geom::{Real, Region, Vector2};
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, WorldView};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -213,7 +213,7 @@ impl PlannedTraffic {
         // with the scale of the guidance
         let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
             (true, true, _) => (d.guided.clone(), self.config.guidance_scale(tokens, d.criticality)),
-            (true, false, true) => (d.planned.controlled_by_policy.clone(), 1.0),
+            (true, false, true) => (d.planned.driven.clone(), 1.0),
             _ => (vec![false; d.guided.len()], d.criticality),
         };
         let moved: Vec<Vec<(Vec<bool>, Real)>> =
@@ -251,7 +251,7 @@ impl PlannedTraffic {
         let steps = plan.states.len() / (n * m * 6).max(1);
         let agents: Vec<usize> = plan.agents.iter().map(|row| due.planned.agents[*row]).collect();
         let follows = |a: &usize| {
-            due.planned.is_controlled_by_policy(*a)
+            due.planned.is_driven(*a)
                 && match background {
                     BackgroundDriver::Ccdiff => true,
                     BackgroundDriver::Idm => due.chosen.contains(a),

@@ -1,8 +1,8 @@
 //! Whether guided plans leave the ego a way out: by steady accelerations on and beside its route.
 
 use super::planned_agents::is_ego;
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{Polyline, Pose2, Real, Vector2};
-use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::state::Footprint;
 
 /// Accelerations that are tried, each held until the ego stands, m/s²: those of `ccdiff_env.record.counterfactual.ego_plans`.

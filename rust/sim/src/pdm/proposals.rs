@@ -2,9 +2,9 @@
 
 use super::Scene;
 use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
+use crate::drivers::{IdmConfig, idm_with, share_of};
 use crate::dynamics::{KinState, UnicycleLimits};
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
-use crate::policy::{IdmConfig, idm_with, share_of};
 use crate::simd_dispatch::simd_dispatch;
 use crate::stage::CentreLine;
 

@@ -1,15 +1,13 @@
 //! The policy of an ego as traffic: vehicles decide on what they would observe as the ego, and drive as it would.
 
 use super::network_of_ego::{NetworkOfEgo, Tensors};
+use crate::drivers::{AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView};
 use crate::dynamics::Dynamics;
 use crate::error::{Result, SimError};
 use crate::events::off_road;
 use crate::geom::Real;
 use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use crate::options;
-use crate::policy::{
-    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
-};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
@@ -180,7 +178,7 @@ fn stands(states: &AgentStates, a: usize) -> AgentMotion {
     AgentMotion::Place(states.pose(a), Default::default())
 }
 
-impl TrafficPolicy for Egos {
+impl DriverModel for Egos {
     fn name(&self) -> &str {
         EGOS.name
     }

@@ -6,12 +6,12 @@ mod network_of_ego;
 pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
 pub use network_of_ego::{NetworkOfEgo, Tensors};
 
+use crate::drivers::{IdmConfig, idm_towards};
 use crate::dynamics::{Action, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan, steering};
-use crate::policy::{IdmConfig, idm_towards};
 use crate::world::VecWorld;
 
 /// What an ego does from here: its acceleration (m/s²) and yaw rate (rad/s).

@@ -1,4 +1,4 @@
-//! The last H states of every agent of a world, for policies that look back.
+//! The last H states of every agent of a world, for drivers that look back.
 
 use crate::geom::math::is_sound;
 use crate::geom::{Point2, Real};

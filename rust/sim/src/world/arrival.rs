@@ -5,8 +5,8 @@
 //! which nobody could have foreseen: a driven ego, driven traffic, who was stopped by a contact. Who was lost from the log
 //! for no longer than loaders fill has not been away and waits for nobody. Agents that others drive enter once, by the same rule.
 
+use crate::drivers::Driver;
 use crate::geom::Real;
-use crate::policy::Driver;
 use crate::scene::{AgentKind, LEVEL_M, LONGEST_GAP_S};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;

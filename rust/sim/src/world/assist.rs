@@ -1,10 +1,10 @@
 //! From the action of assisted driving to that of the unicycle: IDM or PDM-Closed, and their ways come in here.
 
+use crate::drivers::{WorldView, idm_acceleration};
 use crate::dynamics::{Action, AssistedBase, AssistedLimits, BesideRoute};
 use crate::events::limits::ACCELERATION_MPS2;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan};
-use crate::policy::{WorldView, idm_acceleration};
 
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;

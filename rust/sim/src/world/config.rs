@@ -1,13 +1,13 @@
 //! Everything that can be chosen about a world, checked once.
 
 use crate::choices;
+use crate::drivers::IdmConfig;
 use crate::dynamics::{ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
 use crate::options::{POSITIVE_MOTION, Table, WEIGHT, within};
-use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::world::differences::{self, Randomization};
 use crate::world::reward_columns::RewardConfig;
@@ -290,7 +290,7 @@ impl WorldConfig {
             check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
         }
         let external = self.traffic.shares().iter().any(|(name, _)| *name == EXTERNAL);
-        check(!external, "traffic", EXTERNAL, "a background policy")?;
+        check(!external, "traffic", EXTERNAL, "a driver of traffic")?;
         if let Traffic::Mix(shares) = &self.traffic {
             let sum: Real = shares.values().sum();
             let good = shares.values().all(|s| *s >= 0.0) && (sum - 1.0).abs() < 1e-3;
@@ -314,8 +314,8 @@ impl WorldConfig {
     }
 
     /// Whether somebody drives under a name from the start of an episode.
-    pub fn names(&self, policy: &str) -> bool {
-        let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == policy);
-        in_traffic || self.driver == policy || self.drivers.values().any(|name| name == policy)
+    pub fn names(&self, driver: &str) -> bool {
+        let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == driver);
+        in_traffic || self.driver == driver || self.drivers.values().any(|name| name == driver)
     }
 }

@@ -1,8 +1,8 @@
 //! Phase "events" of a tick: contacts of the agents with slots, and where these are beside road, route and lane.
 
+use crate::drivers::Driver;
 use crate::events::Contact;
 use crate::geom::Real;
-use crate::policy::Driver;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
 use crate::world::surroundings::{leave_road, place_on_route, straddles_lanes};

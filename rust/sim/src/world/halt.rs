@@ -1,8 +1,8 @@
 //! Background agents that touch stop where they touch, and stay there.
 
+use crate::drivers::Driver;
 use crate::events::Collisions;
 use crate::geom::{Pose2, Real};
-use crate::policy::Driver;
 use crate::scene::AgentKind;
 use crate::stage::PreparedScene;
 use crate::world::episode::Episode;
@@ -11,7 +11,7 @@ use crate::world::sweep::{parts, pose_between, states_between};
 /// Halvings in the search for the moment of contact: 1/32 of a step, 5 cm at 16 m/s.
 const HALVINGS: usize = 5;
 
-/// Whether a vehicle without a slot is driven by another policy than its log.
+/// Whether a vehicle without a slot has another driver than its log.
 fn is_driven(e: &Episode, a: usize) -> bool {
     !matches!(e.drivers[a], Driver::External | Driver::REPLAY) && !e.has_slot(a)
 }

@@ -2,8 +2,8 @@
 //!
 //! Where that one follows its log, the towed one does, too. An agent with a slot is never towed.
 
+use crate::drivers::Driver;
 use crate::geom::{Pose2, Real, Vector2};
-use crate::policy::Driver;
 use crate::stage::{PreparedScene, towed_pose};
 use crate::world::episode::Episode;
 

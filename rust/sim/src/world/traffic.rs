@@ -12,9 +12,9 @@ pub const EXTERNAL: &str = "external";
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Traffic {
-    /// One policy, by name.
+    /// One driver, by name.
     All(String),
-    /// Shares of policies by name, which sum to 1: drawn for each vehicle and episode from the world's seed.
+    /// Shares of drivers by name, which sum to 1: drawn for each vehicle and episode from the world's seed.
     Mix(BTreeMap<String, Real>),
 }
 
@@ -23,7 +23,7 @@ impl Setting for Traffic {
 }
 
 impl Traffic {
-    /// Policies by name, each with its share.
+    /// Drivers by name, each with its share.
     pub fn shares(&self) -> Vec<(&str, Real)> {
         match self {
             Self::All(name) => vec![(name, 1.0)],

@@ -17,12 +17,12 @@ use crate::networks::tokens::grid::TOKEN_STEPS;
 use crate::sampling::noise::Noise;
 use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided, side_by_side};
 use ccdiff_sim::SimError;
+use ccdiff_sim::drivers::{
+    AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
+};
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options;
-use ccdiff_sim::policy::{
-    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
-};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 use network::{Hidden, Network};
@@ -133,8 +133,8 @@ impl Swift {
     /// Who decides now.
     fn decides<'a>(&self, request: &'a PlanRequest<'a>) -> ccdiff_sim::Result<Decides<'a>> {
         let (world, states) = (&request.world, request.world.states);
-        let history = world.history.filter(|h| h.len() >= STATES).ok_or_else(|| SimError::Policy {
-            policy: SWIFT.name.into(),
+        let history = world.history.filter(|h| h.len() >= STATES).ok_or_else(|| SimError::Driver {
+            driver: SWIFT.name.into(),
             message: "the world keeps too short a history".into(),
         })?;
         let there = |a: &usize| {
@@ -260,7 +260,7 @@ fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
     plan
 }
 
-impl TrafficPolicy for Swift {
+impl DriverModel for Swift {
     fn name(&self) -> &str {
         SWIFT.name
     }

@@ -1,7 +1,7 @@
 //! What a vehicle of swift traffic sees: itself, its route, the ego and the nearest agents, all in its own frame.
 
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{Point2, Pose2, Real, Vector2, math};
-use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 

@@ -1,8 +1,8 @@
 //! Where the agents of a world will be in the next 1.5 s: who draws as it has drawn, all others as they brake and turn now; and who
 //! then drives into whom.
 
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{OrientedBox, Point2, Real, math};
-use ccdiff_sim::policy::WorldView;
 
 /// Moments that are looked at, seconds apart; how many hold a drawn motion. Then speeds are kept, and half of the yaw rate.
 const APART_S: Real = 0.25;

@@ -10,7 +10,7 @@
 //! next seconds, the repulsion is so strong that who walks towards it stops before it, and w is max(0, −e·n), so that who
 //! walks beside it is not held up.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::scene::AgentKind;
 
@@ -88,7 +88,7 @@ fn logged(world: &WorldView<'_>, agent_idx: usize) -> (Real, Real, usize) {
     (world.scene.logged_s_m(agent_idx, at), world.scene.logged_s_m(agent_idx, last), last)
 }
 
-impl TrafficPolicy for SocialForce {
+impl DriverModel for SocialForce {
     fn name(&self) -> &str {
         KIND.name
     }

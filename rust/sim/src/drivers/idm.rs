@@ -5,7 +5,7 @@
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
 use crate::events::{ANTICIPATION_S, leader};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
@@ -101,7 +101,7 @@ pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Real {
     Idm { config: *world.idm }.wanted_acceleration(world, agent_idx)
 }
 
-impl TrafficPolicy for Idm {
+impl DriverModel for Idm {
     fn name(&self) -> &str {
         KIND.name
     }

@@ -1,10 +1,10 @@
-//! Drivers: policies that plan, mixed traffic, drivers of single vehicles, refusals.
+//! Drivers that plan, mixed traffic, drivers of single vehicles, refusals.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, TrafficPolicy};
+use ccdiff_sim::drivers::{DriverModel, PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::world::{Autoreset, Consequence, Traffic, VecWorld, WorldConfig};
 use ccdiff_sim::{Result, SimError};
 use common::{Batch, actions, city};
@@ -21,7 +21,7 @@ struct Steady {
 const STEPS: usize = 6;
 
 impl Steady {
-    fn boxed(speed_mps: f32) -> Box<dyn TrafficPolicy> {
+    fn boxed(speed_mps: f32) -> Box<dyn DriverModel> {
         Box::new(Self { speed_mps, replan_steps: 4, fault: "" })
     }
 
@@ -58,7 +58,7 @@ impl Steady {
     }
 }
 
-impl TrafficPolicy for Steady {
+impl DriverModel for Steady {
     fn name(&self) -> &str {
         "steady"
     }
@@ -69,7 +69,7 @@ impl TrafficPolicy for Steady {
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         if self.fault == "error" {
-            return Err(SimError::Policy { policy: "steady".into(), message: "no idea".into() });
+            return Err(SimError::Driver { driver: "steady".into(), message: "no idea".into() });
         }
         let plan = |r: &PlanRequest<'_>| {
             assert_eq!(r.world.history.map(|h| h.len() >= 3), Some(true));
@@ -109,8 +109,8 @@ fn mix(shares: &[(&str, f32)]) -> Traffic {
 }
 
 fn batch(config: WorldConfig, envs: usize, threads: usize) -> Batch {
-    let policies = vec![("slow".to_owned(), Steady::boxed(3.0)), ("fast".to_owned(), Steady::boxed(9.0))];
-    Batch::with_policies(vec![city(20), city(9)], config, envs, threads, policies)
+    let drivers = vec![("slow".to_owned(), Steady::boxed(3.0)), ("fast".to_owned(), Steady::boxed(9.0))];
+    Batch::with_drivers(vec![city(20), city(9)], config, envs, threads, drivers)
 }
 
 /// Names of the drivers of a world's agents.
@@ -120,7 +120,7 @@ fn names(world: &VecWorld, world_idx: usize) -> Vec<String> {
 }
 
 #[test]
-fn several_policies_plan_in_one_world_and_each_is_followed() {
+fn several_drivers_plan_in_one_world_and_each_is_followed() {
     let mut batch = batch(config(mix(&[("slow", 0.5), ("fast", 0.5)])), 2, 1);
     batch.reset_all(3);
     assert_eq!(batch.world.planner_names().collect::<Vec<_>>(), ["slow", "fast"]);
@@ -187,15 +187,15 @@ fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
 }
 
 #[test]
-fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
+fn a_driver_that_gives_nonsense_stops_the_step_before_anything_changes() {
     for fault in ["error", "agent", "number", "length", "count"] {
-        let policy: Box<dyn TrafficPolicy> = Box::new(Steady { speed_mps: 5.0, replan_steps: 1, fault });
-        let policies = vec![("odd".to_owned(), policy)];
-        let mut batch = Batch::with_policies(vec![city(9)], config("odd".into()), 2, 1, policies);
+        let driver: Box<dyn DriverModel> = Box::new(Steady { speed_mps: 5.0, replan_steps: 1, fault });
+        let drivers = vec![("odd".to_owned(), driver)];
+        let mut batch = Batch::with_drivers(vec![city(9)], config("odd".into()), 2, 1, drivers);
         batch.reset_all(0);
         let before = batch.world.digest(0).unwrap();
         match batch.step(&actions(0, 4)) {
-            Err(SimError::Policy { .. }) => {}
+            Err(SimError::Driver { .. }) => {}
             other => panic!("{fault} gave {other:?}"),
         }
         assert_eq!(batch.world.digest(0).unwrap(), before, "{fault}");
@@ -205,17 +205,17 @@ fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
 /// Leaves everything to the defaults of the trait.
 struct Nothing;
 
-impl TrafficPolicy for Nothing {
+impl DriverModel for Nothing {
     fn name(&self) -> &str {
         "nothing"
     }
 }
 
 #[test]
-fn a_policy_of_one_method_replays_the_log() {
+fn a_driver_of_one_method_replays_the_log() {
     let run = |traffic: &str| {
-        let policies: Vec<(String, Box<dyn TrafficPolicy>)> = vec![("nothing".to_owned(), Box::new(Nothing))];
-        let mut batch = Batch::with_policies(vec![city(20)], config(traffic.into()), 1, 1, policies);
+        let drivers: Vec<(String, Box<dyn DriverModel>)> = vec![("nothing".to_owned(), Box::new(Nothing))];
+        let mut batch = Batch::with_drivers(vec![city(20)], config(traffic.into()), 1, 1, drivers);
         batch.reset_all(2);
         (0..20).for_each(|t| batch.step(&actions(t, 2)).unwrap());
         batch.world.status(0).unwrap().states.clone()
