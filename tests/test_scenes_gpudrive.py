@@ -94,7 +94,7 @@ def test_folders_and_patterns_are_read(tmp_path):
         ccdiff_env.load_gpudrive(tmp_path, cache=False)
     (tmp_path / "sub").mkdir()
     save(tmp_path / "sub" / "s01.json")
-    with pytest.raises(errors.ConfigError, match="two scenes of one name"):
+    with pytest.raises(errors.ConfigError, match="two scenes have the same name"):
         ccdiff_env.load_gpudrive(tmp_path)
     with pytest.raises(errors.DatasetNotFoundError, match="no scenes of GPUDrive"):
         ccdiff_env.load_gpudrive(tmp_path / "none")

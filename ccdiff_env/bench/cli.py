@@ -427,8 +427,8 @@ def _verify(args: argparse.Namespace) -> int:
     print(f"{same} of {found.played} episodes come out the same, bit for bit")
     if found.played < found.there:
         print(
-            f"{found.played} of {found.there} were played (--seed {found.seed}): "
-            "cite a number after all"
+            f"{found.played} of {found.there} were replayed (--seed {found.seed}): "
+            "replay all of them before you cite the result"
         )
     return 1 if found.differing else 0
 

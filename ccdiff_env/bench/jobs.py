@@ -95,13 +95,13 @@ def run_jobs(
     if workers < 1:
         raise ConfigError(f"workers is {workers}, expected at least 1")
     if len({job.name for job in jobs}) != len(jobs):
-        raise ConfigError("jobs: two of the same name")
+        raise ConfigError("jobs: two have the same name")
     folder.mkdir(parents=True, exist_ok=True)
     stale = {job.name: changed for job in jobs if (changed := _changed(job, folder))}
     if stale:
         first, changed = next(iter(stale.items()))
         are = "result is" if len(stale) == 1 else "results are"
-        print(f"{len(stale)} {are} made again, as of {first}: {changed}", file=sys.stderr)
+        print(f"{len(stale)} {are} made again, {first} because of: {changed}", file=sys.stderr)
     done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
     open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}
@@ -127,7 +127,7 @@ def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
 def _result(job: Job, folder: Path) -> Any:
     changed = _changed(job, folder)
     if changed:
-        raise DatasetError(f"the result is of something else ({changed}): {folder / job.name}.json")
+        raise DatasetError(f"made from something else ({changed}): {folder / job.name}.json")
     path = folder / f"{job.name}.json"
     with reading("result", path):
         return parsed_object(read_text(path))["result"]

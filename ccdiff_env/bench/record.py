@@ -195,7 +195,7 @@ def _of_file(path: Path) -> Iterator[tuple[str, str]]:
         members = [info for info in file.infolist() if not info.is_dir()]
         names = [info.filename for info in members]
         if len(set(names)) < len(names):
-            raise DatasetError("two members of one name")
+            raise DatasetError("two members have the same name")
         if sum(info.file_size for info in members) > MOST_BYTES:
             raise DatasetError(f"more than {MOST_BYTES} bytes, unpacked")
         for info in members:

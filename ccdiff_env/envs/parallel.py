@@ -185,7 +185,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         if not self.agents:
             if self._slots and not actions:  # wrappers of PettingZoo and SuperSuit do that
                 return {}, {}, {}, {}, {}
-            raise ResetNeededError("step: nobody is left, reset comes first")
+            raise ResetNeededError("step: no agent is left: call reset() first")
         checked, out = self._actions(actions), self.worlds.arrays()
         self.worlds.native.step(checked, out)
         slots = {name: self._slots[name] for name in self.agents}

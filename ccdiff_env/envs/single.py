@@ -227,7 +227,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         """
         plan = self.worlds.explain(0)
         if plan is None:
-            raise ResetNeededError("explain: traffic plans in the first step: call step() before")
+            raise ResetNeededError("explain: there is no plan before the first step: call step()")
         return plan
 
     def fork(self, *, seed: int | None = None) -> EgoEnv:

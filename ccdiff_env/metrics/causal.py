@@ -211,7 +211,7 @@ def graph(
     metres = np.ascontiguousarray(distance_m, dtype=np.float32)
     if seconds.ndim != 2 or seconds.shape != metres.shape:
         raise ShapeError(
-            f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] both"
+            f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] for both"
         )
     joined = _native.causal_graph(seconds, metres, max_ttc_s, max_distance_m)
     if symmetric:

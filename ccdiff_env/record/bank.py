@@ -163,7 +163,7 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
             for plain in _unpacked(data):
                 spare -= len(plain)
                 if spare < 0:
-                    raise DatasetError("unpacks to far more bytes than it has")
+                    raise DatasetError("unpacks to far more bytes than expected")
                 scenes.append(Scene.from_bytes(plain))
     return SceneSet(scenes)
 

@@ -234,7 +234,7 @@ def _search_futures(
 ) -> Avoidability:
     """Choose a steady plan in some futures and test it in others."""
     if ego == "replay":
-        raise ConfigError("ego is 'replay', expected one that drives on from off the log")
+        raise ConfigError("ego is 'replay', expected one that can drive from off the log")
     if worlds.config.traffic in ("replay", "constant_velocity"):
         raise ConfigError(
             f"avoidability: traffic is {worlds.config.traffic!r}, expected one that reacts, as "

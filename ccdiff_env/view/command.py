@@ -223,7 +223,7 @@ def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:
     if args.compare not in ([], [LOG]):
-        raise ConfigError('of the options only --compare "log" goes with a folder')
+        raise ConfigError('a folder takes no options but --compare "log"')
     unfit = PLAYED | DRAWN | {"traffic": None}
     _refuse(args, unfit, "does not go with a folder, which gives pages")
     pages = write_pages(folder, args.out or folder / "replays", compare_log=bool(args.compare))

@@ -233,7 +233,7 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     """Where an agent is at each step [T, 2]; where it is absent, at the nearest step."""
     steps = np.flatnonzero(rollout.valid[agent])
     if not len(steps):
-        raise ConfigError(f"agent {rollout.agent_ids[agent]!r} is at no step of the rollout")
+        raise ConfigError(f"agent {rollout.agent_ids[agent]!r} is never present in the rollout")
     gaps = np.abs(np.arange(rollout.num_steps)[:, None] - steps[None, :])
     centres: npt.NDArray[np.float32] = rollout.position[agent, steps[gaps.argmin(axis=1)]]
     return centres
