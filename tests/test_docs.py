@@ -207,6 +207,8 @@ def test_help_lists_the_names_that_an_option_takes(verb):
 def test_tables_are_those_of_results_and_schemas(page):
     text = page.read_text(encoding="utf-8")
     assert rendered(text) == text, "python -m tools.pages"
+    typed = re.sub(r"(?s)<!-- (results|table): .*?<!-- end -->", "", text)
+    assert not re.findall(r"^\|.*\d \[[-+]?\d.*", typed, re.MULTILINE), "figures of no result"
 
 
 @pytest.mark.parametrize("name", ["realism", "speed", "learning", "dial"])
