@@ -31,10 +31,10 @@ options! {
         replan_steps: usize = 5, range within(1.0, 10_000.0);
         /// Past states of each agent, the present one included.
         history_states: usize = 31, range within(1.0, 1000.0);
-        /// Fewest of them that the log must have at the start of an episode, the present one included; an environment that
-        /// starts earlier is refused. The states before are told as not valid.
+        /// Fewest states that the log must have at the start of an episode, the present one included; an environment
+        /// that starts earlier is refused. Missing states are not valid.
         least_history_states: usize = 1, range within(1.0, 1000.0);
-        /// Places on each vehicle's route, 2 m apart from where it is.
+        /// Points on each vehicle's route, 2 m apart from its position on.
         route_points: usize = 41, range within(0.0, 1000.0);
     }
 }

@@ -34,7 +34,7 @@ choices! {
 }
 
 choices! {
-    /// How the vehicles to be guided are found.
+    /// How the vehicles to be guided are chosen.
     #[derive(Clone)]
     pub enum Ranking {
         /// Occurrence in heavy cliques of the time-to-contact graph over the history (as the released lists).
@@ -68,7 +68,7 @@ choices! {
 }
 
 choices! {
-    /// Contacts with whom count in the collision objectives.
+    /// Agents with which contacts count in the collision objectives.
     #[derive(Clone, Copy, Eq)]
     pub enum CollisionTargets {
         /// The ego, and every vehicle that is driven from outside.
@@ -79,7 +79,7 @@ choices! {
 }
 
 choices! {
-    /// How a vehicle stands to the nearest of those with whom contacts count.
+    /// Position of a vehicle relative to the nearest target.
     #[derive(Clone, Copy, Eq)]
     pub enum Conflict {
         /// Headings within 45 degrees, beside each other by at most 2 m: one behind the other.
@@ -126,9 +126,9 @@ impl Setting for GuidanceChoice {
 options! {
     /// CCDiff as a driver: of the traffic (`traffic="ccdiff"`), or of the controlled agents.
     ///
-    /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): what means nothing
-    /// to a network must have its default. Plans are made for all worlds of a batch at once, every `replan_steps`, and
-    /// followed in between.
+    /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): options that
+    /// a network does not use must have their defaults. Plans are made for all worlds of a batch at once, every
+    /// `replan_steps`, and followed in between.
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct CcdiffConfig {
@@ -153,39 +153,39 @@ options! {
         /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
         /// then spread as those of the log (docs/results.md#likelihood-of-the-log).
         keep_noise: bool = false;
-        /// Whether the network is told the routes of the vehicles that it drives: the path of the log, then the lanes ahead.
-        /// For weights that were trained with routes.
+        /// Whether the network gets the routes of its vehicles: the path of the log, then the lanes ahead. It needs
+        /// weights trained with routes.
         follow_route: bool = false;
         /// The decision causal graph G that the network sees.
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
         num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
-        /// How they are found; ids by the name of the scene are a list of one's own.
+        /// How they are chosen; ids by the name of the scene choose them directly.
         ranking: Ranking = Ranking::Cliques;
         /// Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the ranking: `"learned"`, the shipped
         /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
         /// with plans of 20 steps.
         adversary_policy: Option<String> = None;
-        /// Whether they are found again at every plan, not only at the first one.
+        /// Whether they are chosen again at every plan, not only at the first one.
         rerank: bool = true;
         /// Who drives the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
-        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
-        /// denoising step: 0.24 of it, routes: 1.65, so that an ego collides as often). Tokens: guided
-        /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
+        /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising step: 0.24 of it,
+        /// routes: 1.65, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square
+        /// of draws. Worlds can change it at any time.
         criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
-        /// Whether plans without guidance are moved off contacts and onto the road, at the cost of the gradients. Tokens:
-        /// whether they are the first of 8 draws without either in 1.5 s.
+        /// Whether unguided plans are moved away from contacts and onto the road, at the cost of the gradients. Tokens:
+        /// whether they are the first of 8 draws without contact or road departure in 1.5 s.
         careful: bool = false;
-        /// Contacts with whom count in the collision objectives.
+        /// Agents with which contacts count in the collision objectives.
         collision_targets: CollisionTargets = CollisionTargets::Ego;
-        /// Ids of the agents with whom contacts count, in place of `collision_targets`; empty: those.
+        /// Ids of the agents with which contacts count; empty: those of `collision_targets`.
         targets: Vec<String> = Vec::new();
-        /// Kinds of conflict: only vehicles that stand so to the nearest target are guided; empty: all.
+        /// Kinds of conflict: only vehicles in such a position to the nearest target are guided; empty: all.
         conflicts: Vec<Conflict> = Vec::new();
-        /// Whether guided plans that leave the ego no way out give way to plans without guidance. Ways are steady
+        /// Whether guided plans that the ego cannot evade are replaced by unguided ones. It evades by steady
         /// accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
         avoidable_only: bool = false;
         /// Time of the episode from which plans are guided.

@@ -37,7 +37,7 @@ options! {
         max_braking_mps2: Real = 8.0, unit "m/s²", range POSITIVE_MOTION;
         /// Acceleration exponent δ.
         exponent: Real = 4.0, range within(0.0, 100.0).open_below();
-        /// Others are also looked for where they will be, at constant velocity, after this time.
+        /// Other agents also count at their positions after this time at constant velocity.
         anticipation_s: Real = ANTICIPATION_S, unit "s", range within(0.0, 60.0);
     }
 }

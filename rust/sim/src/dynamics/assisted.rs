@@ -13,7 +13,7 @@ const MAX_CORRECTION_MPS2: Real = 2.5;
 const LEAST_SPEED_MPS: Real = 2.0;
 
 choices! {
-    /// Whose driving actions change.
+    /// Rule whose driving the actions change.
     #[derive(Clone, Copy, Eq)]
     pub enum AssistedBase {
         /// IDM on the route.
@@ -26,16 +26,16 @@ choices! {
 options! {
     /// Limits of assisted driving: actions change what IDM or PDM-Closed would do.
     ///
-    /// The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance from its base's way;
-    /// the action zero is the base.
+    /// The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance from its base's path;
+    /// the zero action is the base.
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct AssistedLimits {
-        /// What is changed.
+        /// The rule that is changed.
         base: AssistedBase = AssistedBase::Idm;
         /// Change of the acceleration at -1 and +1, about zero.
         delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²", range MOTION;
-        /// Distance from the way at -1 and +1, left positive, about zero.
+        /// Distance from the path at -1 and +1, left positive, about zero.
         offset_m: [Real; 2] = [-1.5, 1.5], unit "m", range MOTION;
         /// Lowest and highest acceleration, about zero.
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²", range MOTION;

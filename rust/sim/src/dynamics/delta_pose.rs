@@ -12,11 +12,11 @@ options! {
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct DeltaPoseLimits {
-        /// Least and most way forward per step.
+        /// Lowest and highest displacement forwards per step.
         dx_m: [Real; 2] = [-1.0, 4.0], unit "m", range MOTION;
-        /// Least and most way to the left per step.
+        /// Lowest and highest displacement to the left per step.
         dy_m: [Real; 2] = [-1.0, 1.0], unit "m", range MOTION;
-        /// Least and most turn to the left per step.
+        /// Lowest and highest turn to the left per step.
         dheading_rad: [Real; 2] = [-0.5, 0.5], unit "rad", range within(-3.1, 3.1);
     }
 }
