@@ -33,10 +33,10 @@ from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
 #: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
-#: criticality 2. In the first it is hit at criticality 1, as is who holds the accelerator alone.
+#: criticality 2. In the first a guided vehicle stops an ego that only accelerates at criticality 1.
 SCENES = (
-    "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
-    "merge-in-01", "pedestrians-01", "hard-brake-04", "merge-in-03",
+    "merge-in-01", "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
+    "pedestrians-01", "hard-brake-04", "merge-in-03",
 )  # fmt: skip
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
 MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))

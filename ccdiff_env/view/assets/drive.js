@@ -263,8 +263,8 @@ class Drive extends View {
       const found = results[name];
       if (!found) lines.push(`${title}: still driving`);
       else {
-        const info = this.named(found.info), what = info.collision ? "hit" : info.off_road ? "off the road" : info.goal_reached ? "goal" : "not at its goal";
-        lines.push(`${title}: ${what} at ${((found.track.length / STATE - 1) * run.dt).toFixed(1)} s`);
+        const info = this.named(found.info), what = info.collision ? "hit at" : info.off_road ? "off the road at" : info.goal_reached ? "goal at" : "not at its goal in";
+        lines.push(`${title}: ${what} ${((found.track.length / STATE - 1) * run.dt).toFixed(1)} s`);
       }
     }
     $("verdict").textContent = this.outcome.text;
