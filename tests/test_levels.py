@@ -13,7 +13,7 @@ from ccdiff_env.errors import ShapeError
 from ccdiff_env.metrics import Motion
 from ccdiff_env.planners import planning
 from ccdiff_env.scenes import map_queries
-from ccdiff_env.view.contacts import contacts
+from ccdiff_env.view.pack import contacts
 from tests import overpass
 
 #: An ego on the bridge, and one that passes below it when the ego is there.

@@ -17,28 +17,18 @@ from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import with_tracks
 from ccdiff_env.view import find_rollout, log_rollout, page_html, write_page
-from ccdiff_env.view.contacts import contacts
 from ccdiff_env.view.outcome import happenings
+from ccdiff_env.view.pack import contacts
 from ccdiff_env.view.video import Video
 
 
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
     """Header and values of a data element, read by the rules that pack.py writes down."""
-    raw = zlib.decompress(base64.b64decode(text))
-    length = int.from_bytes(raw[:4], "little")
-    header = json.loads(raw[4 : 4 + length])
-    at, arrays = -(-(4 + length) // 4) * 4, {}
-    for entry in header["arrays"]:
-        dtype = np.dtype(f"<{entry['type']}")
-        count = int(np.prod(entry["shape"]))
-        values = np.frombuffer(raw, dtype, count, at).reshape(entry["shape"])
-        at += -(-values.nbytes // 4) * 4
-        if entry.get("delta"):
-            values = np.cumsum(values, axis=-1, dtype=dtype)
-        if "step" in entry:
-            values = entry["base"] + entry["step"] * values.astype(float)
-        arrays[entry["name"]] = values
-    assert at == len(raw)
+    header = json.loads(zlib.decompress(base64.b64decode(text)))
+    arrays = {
+        name: entry["step"] * np.cumsum(np.reshape(entry["deltas"], (-1, entry["row"])), axis=-1)
+        for name, entry in header["arrays"].items()
+    }
     return header, arrays
 
 
@@ -75,7 +65,7 @@ def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
     for row, (agent, chosen) in enumerate([(1, 1), (2, 3)]):
         points = run.plans[2].samples[chosen, row, [3, 7, 11, 15, 19], 0]
         expected = [run.position[agent, 20, 0], *points]
-        np.testing.assert_allclose(arrays["plan2x"][0, row], expected, atol=0.03)
+        np.testing.assert_allclose(arrays["plan2x"][row], expected, atol=0.03)
 
 
 def test_pairs_are_those_that_the_core_says_will_meet():

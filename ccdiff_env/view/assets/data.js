@@ -1,9 +1,8 @@
-// Reading the packed runs: base64 → inflate → header (JSON) and arrays. See pack.py for the layout.
+// Reading the packed runs: base64 → inflate → JSON. See pack.py for the layout.
 
 // What pictures and this page draw alike: colours by theme and name, words, times and lengths (rust/render).
 const SETTINGS = JSON.parse(document.getElementById("settings").textContent);
 const { colours: COLOURS, look: LOOK } = SETTINGS;
-const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
 
 /** Bytes of the text of a data element. */
 async function inflate(element) {
@@ -15,30 +14,12 @@ async function inflate(element) {
 
 /** The run of a data element: header and arrays. */
 async function readRun(element) {
-  const buffer = await inflate(element);
-  const headerLength = new DataView(buffer).getUint32(0, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, headerLength)));
-  let at = aligned(4 + headerLength);
-  const arrays = {};
-  for (const entry of header.arrays) {
-    const Type = TYPES[entry.type];
-    const length = entry.shape.reduce((a, b) => a * b, 1);
-    const values = new Type(buffer, at, length);
-    at = aligned(at + values.byteLength);
-    if (entry.delta) undoDeltas(values, entry.shape[entry.shape.length - 1]);
-    arrays[entry.name] = entry.step ? Float32Array.from(values, (v) => entry.base + entry.step * v) : values;
+  const header = JSON.parse(new TextDecoder().decode(await inflate(element))), arrays = {};
+  for (const [name, { step, row, deltas }] of Object.entries(header.arrays)) {
+    let sum = 0;
+    arrays[name] = Float32Array.from(deltas, (delta, i) => step * (sum = (i % row ? sum : 0) + delta));
   }
   return new Run(header, arrays);
-}
-
-function aligned(offset) {
-  return (offset + 3) & ~3;
-}
-
-/** Rows of a differenced array become values again; integers wrap as they did when packed. */
-function undoDeltas(values, rowLength) {
-  for (let row = 0; row < values.length; row += rowLength)
-    for (let i = row + 1; i < row + rowLength; i++) values[i] += values[i - 1];
 }
 
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
