@@ -208,7 +208,7 @@ def test_a_verdict_has_the_words_of_replays(playground, traffic, drive):
     rollout = play_drive(page.evaluate("drive.link"))
     assert page.inner_text("#verdict") == outcome(rollout).text
     text = page.evaluate("drive.outcome.text")
-    assert page.inner_text("#outcome") == text == page.inner_text("#said")
+    assert page.inner_text("#outcome") == text
 
 
 @pytest.mark.parametrize(

@@ -201,24 +201,6 @@ class Actors {
     context.setLineDash([]);
   }
 
-  /** Outlines only: where the other run has the same moment. */
-  ghosts(context, at, theme, pixel) {
-    context.strokeStyle = COLOURS[theme].ghost;
-    context.lineWidth = Math.max(0.1, 1.2 * pixel);
-    context.setLineDash([0.6, 0.4]);
-    this.run.agents.forEach((body, agent) => {
-      const pose = body.kind === "static" ? null : this.run.pose(agent, at);
-      if (!pose) return;
-      context.save();
-      context.translate(pose.x, pose.y);
-      context.rotate(pose.heading);
-      shape(context, body, pixel);
-      context.stroke();
-      context.restore();
-    });
-    context.setLineDash([]);
-  }
-
   /** Names beside the agents, in the pixels of the pane; of walkers where there is room. */
   labels(context, at, camera, width, height, theme, focus) {
     const colours = COLOURS[theme];

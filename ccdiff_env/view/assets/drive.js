@@ -113,7 +113,6 @@ class Drive extends View {
     this.panes = [new Pane($("stage"), run, 0)];
     this.panes[0].ground = new Way(run, log);
     this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive, ← → to steer: orange vehicles want to hit you"));
-    this.recording = new Actors(log);
     const { canvas } = this.panes[0];
     listenToGestures(canvas, {
       zoom: (factor, x, y) => {
@@ -253,7 +252,6 @@ class Drive extends View {
     this.slow = matchMedia("(prefers-reduced-motion)").matches ? null : Math.max(this.time - REPLAY_SECONDS, run.start);
     this.showCard();
     $("outcome").replaceChildren(...verdict(this.outcome));
-    $("said").textContent = text;
   }
 
   /** What became of it, and the rivals. */
@@ -337,22 +335,6 @@ class Drive extends View {
     }
   }
 
-  /** An arrow at the edge where the ring is out of sight. */
-  pointToGoal({ canvas, width, height }) {
-    const last = this.log.numSteps - 1, ratio = window.devicePixelRatio || 1;
-    const [x, y] = this.camera.toScreen(this.log.a.x[last], this.log.a.y[last], width, height);
-    if (x > 0 && y > 0 && x < width && y < height) return;
-    const reach = 26, far = Math.max(Math.abs(x - width / 2) / (width / 2 - reach), Math.abs(y - height / 2) / (height / 2 - reach));
-    const context = canvas.getContext("2d");
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.translate(width / 2 + (x - width / 2) / far, height / 2 + (y - height / 2) / far);
-    context.rotate(Math.atan2(y - height / 2, x - width / 2));
-    context.fillStyle = COLOURS[this.theme].ego;
-    context.beginPath();
-    for (const [u, v] of [[16, 0], [-8, -11], [-8, 11]]) context.lineTo(u, v);
-    context.fill();
-  }
-
   draw() {
     if (!this.info) return; // no scene is open
     const run = this.runs[0], pane = this.panes[0], pose = run.pose(0, run.stepAt(this.time));
@@ -366,14 +348,12 @@ class Drive extends View {
     }
     pane.ground.colour = COLOURS[this.theme].ego;
     if (pane.ground.rival) pane.ground.rival.step = (this.time - run.start) / run.dt;
-    pane.draw(this, { actors: this.recording, run: this.log });
-    this.pointToGoal(pane);
+    pane.draw(this);
     showLegend(this);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
     $("figures").textContent = `${(this.steps * run.dt).toFixed(1)} s · ${speed.toFixed(1)} m/s · `
       + `${Math.floor(100 * this.info.route_completion)} % of the way`;
     $("heading").setAttribute("aria-pressed", this.headingUp);
-    $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
 }
 
@@ -421,7 +401,6 @@ function wire(drive) {
     } }],
     ["P, space", "pause", { p: () => drive.pause(), " ": () => drive.pause() }],
     ["H", "heading up", { h: () => { drive.headingUp = !drive.headingUp; } }],
-    ["G", "outlines of the recording", { g: () => { drive.layers.ghost = !drive.layers.ghost; } }],
     ["T", "dark or light", { t: () => setTheme(drive) }],
     ...SHARED_KEYS,
   ]);

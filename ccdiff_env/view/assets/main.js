@@ -14,7 +14,7 @@ function chromeOf({ theme }) {
 const PANEL_MS = 80; // panels change no faster than this while playing
 const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
-  lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
+  lanes: ["Lanes", "K"],
 };
 const second = (player) => Math.round(1 / player.step);
 const layer = (name) => (p) => p.toggle(name);
@@ -31,7 +31,6 @@ const KEYS = [
   ["H", "heading up", { h: (p) => p.headUp(!p.headingUp) }],
   ["T P G", "trails, plans, causal graph", { t: layer("trails"), p: layer("plans"), g: layer("graph") }],
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
-  ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
   ["D", "dark or light", { d: (p) => setTheme(p) }],
   ["S", "panels", { s: () => document.body.classList.toggle("bare") }],
@@ -53,16 +52,6 @@ async function main() {
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
   document.body.classList.toggle("many", runs.length > 2);
-  let before = null; // the time at which was told last what happens
-  const tell = (time) => {
-    const since = before;
-    before = time;
-    if (since === null || time <= since || time - since > 1) return;
-    const now = runs.flatMap((run) => run.events.filter((event) =>
-      flagged(event) && run.timeOf(event) > since && run.timeOf(event) <= time + 1e-6));
-    if (now.length) $("said").textContent = now.map((event) => event.text).join("; ");
-  };
-
   let shown = 0;
   const update = () => {
     const chrome = chromeOf(player), now = performance.now();
@@ -70,7 +59,6 @@ async function main() {
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
-    tell(player.time);
     timeline.speak(player.time);
     showFocus(player);
     showControls(player);
@@ -105,7 +93,7 @@ async function main() {
 }
 
 /**
- * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
+ * What the address asks for: page.html#t=4.2&follow=ID&show=graph (t in seconds from the
  * start), also hide=trails, run=2 (that run alone), play=1, up=heading or up=north.
  */
 function readAddress(player) {
@@ -155,7 +143,6 @@ function wireControls(player) {
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
-    if (layer === "ghost" && player.runs.length < 2) continue;
     if (layer === "plans" && player.runs.every((run) => !run.plans.length)) continue;
     const [title, key] = LAYER_TITLES[layer];
     const chip = element("button", "chip", title);
