@@ -182,7 +182,7 @@ def test_the_suffix_says_what_is_written(tmp_path, capsys):
         ("two.html", ["--compare", "log"], b"<!DO"),
         ("grid.html", [str(tmp_path / "again.npz"), str(tmp_path / "run.npz")], b"<!DO"),
         ("moment.svg", [], b"<svg"),
-        ("step.png", ["--step", "30", "--graph"], b"\x89PNG"),
+        ("step.png", ["--step", "30"], b"\x89PNG"),
         ("video.gif", ["--size", "160", "--speed", "4"], b"GIF8"),
     ):
         out = tmp_path / name

@@ -40,7 +40,6 @@ DRAWN: dict[str, Any] = {
     "span": 90.0,
     "size": None,
     "speed": 1.0,
-    "graph": False,
     "theme": "light",
 }
 LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
@@ -113,7 +112,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="side of each image in pixels (default: 720; of a GIF 480, and 360 side by side)",
     )
     draw.add_argument("--speed", type=float, help="playback speed of a video")
-    draw.add_argument("--graph", action="store_true", help="draw the causal graph")
     draw.add_argument("--theme", choices=render.THEMES, help="background of an image")
     parser.set_defaults(**PLAYED, **DRAWN)
 
@@ -239,7 +237,6 @@ def _image(
         "size": (pixels, pixels),
         "span_m": args.span,
         "follow": args.follow,
-        "graph": args.graph,
         "theme": args.theme,
     }
     videos = [Video(run, title=t, **options) for run, t in zip(runs, titles, strict=True)]

@@ -20,7 +20,6 @@ from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import (
-    about,
     agent_titles,
     driver_of,
     driver_title,
@@ -98,7 +97,6 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     return {
         "title": title,
         "subtitle": subtitle(rollout).partition(" · ")[2],
-        "about": about(rollout),
         "dt": rollout.dt_s,
         "startStep": rollout.start_step,
         "numSteps": rollout.num_steps,

@@ -29,9 +29,8 @@ class Video:
     """Draws steps of one rollout.
 
     ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id;
-    the first agent by default), or the point ``centre_m`` of the scene. ``graph`` draws the causal
-    edges of the plan in force that reach the followed agent within two hops; ``captions`` are
-    title, time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
+    the first agent by default), or the point ``centre_m`` of the scene. ``captions`` are title,
+    time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
     :class:`ConfigError` names an agent that is not there.
     """
 
@@ -43,7 +42,6 @@ class Video:
         span_m: float = 90.0,
         follow: str | None = None,
         centre_m: tuple[float, float] | None = None,
-        graph: bool = False,
         captions: bool = True,
         theme: str = "light",
         title: str | None = None,
@@ -54,7 +52,7 @@ class Video:
         self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
         self._size, self._span_m = size, span_m
         self._middle = rollout.agent_ids.index(follow)
-        self._graph, self._captions, self.theme = graph, captions, theme
+        self._captions, self._theme = captions, theme
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
         vehicles = np.array(rollout.scene.agent_types) == "vehicle"
@@ -65,9 +63,8 @@ class Video:
             self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._names = [short for short, _ in agent_titles(rollout.scene)]
-        rows = _legend(rollout, self._drivers) + [("causal arrow", "may influence")] * graph
         colours = render.all_colours(theme)
-        self._legend = [(colours[name], title) for name, title in rows]
+        self._legend = [(colours[name], title) for name, title in _legend(rollout, self._drivers)]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property
@@ -88,17 +85,8 @@ class Video:
         image: render.Image = self._drawn(at)
         return image
 
-    def ended(self) -> render.Image:
-        """Draw the last step as that of a run which is over: fainter, but for what is written."""
-        written, plain = (self._drawn(self.num_steps - 1, bare=bare) for bare in (False, True))
-        share, ground = LOOK["ENDED_ALPHA"], np.array(render.legend(self.theme)["ground"])
-        faint = np.rint(plain * share + (1.0 - share) * ground).astype(np.uint8)
-        image: render.Image = np.where((written != plain).any(-1, keepdims=True), written, faint)
-        return image
-
-    def _drawn(self, at: float, *, svg: bool = False, bare: bool = False) -> Any:
-        captions = self._captions and not bare
-        run = self._rollout
+    def _drawn(self, at: float, *, svg: bool = False) -> Any:
+        captions, run = self._captions, self._rollout
         if not 0 <= at <= run.num_steps - 1:
             raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
         step = int(at + 1e-6)
@@ -135,13 +123,13 @@ class Video:
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else [],
             plans=list(self._planned(plan, selected=True)) if plan else [],
-            arrows=self._arrows(plan, there) if plan and self._graph else [],
+            arrows=[],
             collisions_m=self._marks(recent, step),
             names=[self._names[i] for i in there] if captions else [],
             caption=caption if captions else "",
             scale_bar=captions,
             legend=self._legend if captions else [],
-            theme=self.theme,
+            theme=self._theme,
             svg=svg,
         )
 
@@ -195,21 +183,6 @@ class Video:
                 if chosen == selected and np.isfinite(sample).all():
                     yield np.ascontiguousarray(sample, np.float32), NUMBERS[driver]
 
-    def _arrows(
-        self, plan: TrafficPlan, there: npt.NDArray[np.int64]
-    ) -> list[tuple[int, int, float]]:
-        """Edges that lead to the agent in the middle within two hops, as places in the list that
-        is drawn; those of the second hop are weaker.
-        """
-        into, origin = plan.agents[np.argwhere(plan.graph).T]
-        edges = [(int(j), int(i)) for i, j in zip(into, origin, strict=True) if i != j]
-        direct = {j for j, i in edges if i == self._middle}
-        leading = [(j, i, 1.0) for j, i in edges if i == self._middle]
-        leading += [(j, i, 0.4) for j, i in edges if i in direct and j != self._middle]
-        place = {int(agent): row for row, agent in enumerate(there)}
-        drawn = [edge for edge in leading if edge[0] in place and edge[1] in place]
-        return [(place[j], place[i], weight) for j, i, weight in drawn]
-
 
 def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:
     """Who is drawn at each step [A, T]: an ego that has reached its goal stays where it did."""
@@ -240,9 +213,8 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
 
 
 def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
-    """Draw a step of each video side by side; videos that are over show their last, fainter."""
-    ended = [at > video.num_steps - 1 + 1e-6 for video in videos]
-    images = [v.ended() if over else v.frame(at) for v, over in zip(videos, ended, strict=True)]
+    """Draw a step of each video side by side; videos that are over show their last."""
+    images = [video.frame(min(at, video.num_steps - 1)) for video in videos]
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)

@@ -76,10 +76,6 @@ async function main() {
     wirePane(pane, player);
     pane.enlarge.addEventListener("click", () => player.show(index));
   });
-  for (const run of runs) {
-    $("about").append(element("div", "captions about"));
-    showCaptions($("about").lastChild, run.title, run.about);
-  }
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   player.frameNeighbours();
   const asked = readAddress(player);
