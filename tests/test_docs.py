@@ -211,7 +211,7 @@ def test_tables_are_those_of_results_and_schemas(page):
     assert not re.findall(r"^\|.*\d \[[-+]?\d.*", typed, re.MULTILINE), "figures of no result"
 
 
-@pytest.mark.parametrize("name", ["realism", "speed", "learning", "dial"])
+@pytest.mark.parametrize("name", ["realism", "learning", "dial"])
 def test_charts_are_those_of_the_results_that_were_kept(name):
     from tools.charts import CHARTS, MADE
 
