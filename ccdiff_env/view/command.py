@@ -249,7 +249,7 @@ def _image(
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
-        render.save(side_by_side(videos, step), out)
+        render.pillow().fromarray(side_by_side(videos, step)).save(out)
     elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")
     else:

@@ -222,7 +222,7 @@ def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
 
 def save_video(
     videos: Sequence[Video],
-    path: str | Path,
+    path: Path,
     *,
     speed: float = 1.0,
     progress: Callable[[Iterable[float]], Iterable[float]] = iter,
@@ -235,9 +235,10 @@ def save_video(
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
-    fps = FPS.get(Path(path).suffix.lower(), 10.0)
+    save = {".gif": render.save_gif, ".mp4": render.save_mp4}[path.suffix.lower()]
+    fps = FPS[path.suffix.lower()]
     last, dt_s = max(video.num_steps for video in videos) - 1, videos[0].dt_s
     count = int(np.ceil(last * dt_s * fps / speed - 1e-9))
     moments = [k * speed / (fps * dt_s) for k in range(count)] + [float(last)]
     images = [side_by_side(videos, at) for at in progress(moments)]
-    render.save(images + images[-1:] * round(HOLD_S * fps), path, fps=fps)
+    save(np.stack(images + images[-1:] * round(HOLD_S * fps)), path, fps)
