@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -44,8 +44,7 @@ DRAWN: dict[str, Any] = {
 }
 LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
 IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
-#: Runs, their titles, and what is so of all of them where they were played together.
-Runs = tuple[list[Rollout], list[str], str]
+Runs = tuple[list[Rollout], list[str]]  #: Runs, and their titles.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,9 +136,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--open shows pages, not images")
     if args.slider and (suffix in IMAGES or args.compare):
         raise ConfigError("--slider is for a page of runs that are played, without --compare")
-    runs, titles, shared = _played(args) if args.traffic is not None else _found(args, args.what)
+    runs, titles = _played(args) if args.traffic is not None else _found(args, args.what)
     for word in args.compare:
-        found, named, _ = _found(args, word, like=runs[0])
+        found, named = _found(args, word, like=runs[0])
         runs, titles = runs + found, titles + named
     out = args.out or Path(file_name(runs[0].scene.name, ".html"))
     if suffix in IMAGES:
@@ -151,7 +150,6 @@ def run(args: argparse.Namespace) -> int:
         out,
         compare=runs[1:],
         titles=titles if len(runs) > 1 else None,
-        shared=shared,
         slider=args.slider,
     )
     say_page(out, open_it=args.open)
@@ -169,7 +167,7 @@ def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> 
     title = "your drive" if is_drive(word) else word
     if Path(word).is_file():
         title = Path(word).stem
-    return [find_rollout(word, place_from(args), like=like)], [title], ""
+    return [find_rollout(word, place_from(args), like=like)], [title]
 
 
 def _played(args: argparse.Namespace) -> Runs:
@@ -193,7 +191,7 @@ def _played(args: argparse.Namespace) -> Runs:
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
     scene = find_scene(args.what, place_from(args))
-    runs, parts = [], []
+    runs, titles = [], []
     samples = {} if args.samples is None else {"num_samples": args.samples}
     for traffic, driver, level in choices:
         planned = {traffic, driver} & set(NETWORKS)
@@ -201,22 +199,14 @@ def _played(args: argparse.Namespace) -> Runs:
         runs.append(
             play_scene(scene, traffic=traffic, driver=driver, seed=args.seed, ccdiff=ccdiff)
         )
-        guided = f"criticality {level:g}" if any(levels) else ""
-        ego = f"ego {planner_title(driver)}" if len(drivers) > 1 else ""
-        parts.append((DRIVER_TITLES.get(traffic, traffic), guided, ego))
+        named = len(args.traffic) > 1 or len(choices) == 1
+        parts = [DRIVER_TITLES.get(traffic, traffic)] if named else []
+        parts += [f"criticality {level:g}"] if any(levels) else []
+        parts += [f"ego {planner_title(driver)}"] if len(drivers) > 1 else []
+        titles.append(", ".join(parts))
     if args.save is not None:
         runs[0].save(args.save)
-    return (runs, *factored(parts))
-
-
-def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
-    """Return the titles of runs from their parts, and what they share: one run keeps it all."""
-    same = [len(parts) > 1 and len(set(column)) == 1 for column in zip(*parts, strict=True)]
-    titles = [
-        ", ".join(part for part, shared in zip(own, same, strict=True) if part and not shared)
-        for own in parts
-    ]
-    return titles, ", ".join(p for p, shared in zip(parts[0], same, strict=True) if p and shared)
+    return runs, titles
 
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:

@@ -37,7 +37,6 @@ def page_html(
     *,
     compare: Rollout | Sequence[Rollout] | None = None,
     titles: Sequence[str] | None = None,
-    shared: str = "",
     home: tuple[str, str] | None = None,
     slider: bool = False,
 ) -> str:
@@ -47,7 +46,6 @@ def page_html(
         rollout: What to show.
         compare: Runs beside it, in step with it: of the same scene, or of another one.
         titles: Name of each run; by default the scene's where there is one run, else A, B, C, ...
-        shared: What is so of all runs, to stand beside the scene's name.
         home: Address and title of a page above this one, to be linked.
         slider: Show one run at a time, which a slider chooses.
 
@@ -69,7 +67,7 @@ def page_html(
         line = subtitle(rollout)
     else:
         each = "" if slider else " | ".join(names)
-        line = " · ".join(filter(None, [rollout.scene.location, shared, each]))
+        line = " · ".join(filter(None, [rollout.scene.location, each]))
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),
