@@ -35,7 +35,7 @@ def part(name: str) -> str:
 def page_html(
     rollout: Rollout,
     *,
-    compare: Rollout | Sequence[Rollout] | None = None,
+    compare: Sequence[Rollout] = (),
     titles: Sequence[str] | None = None,
     home: tuple[str, str] | None = None,
     slider: bool = False,
@@ -52,9 +52,8 @@ def page_html(
     Raises:
         ConfigError: If there are not as many titles as runs.
     """
-    others = [compare] if isinstance(compare, Rollout) else list(compare or ())
-    runs = [rollout, *others]
-    letters = [chr(ord("A") + i) for i in range(len(runs))] if others else [rollout.scene.name]
+    runs = [rollout, *compare]
+    letters = [chr(ord("A") + i) for i in range(len(runs))] if compare else [rollout.scene.name]
     names = letters if titles is None else list(titles)
     if len(names) != len(runs):
         raise ConfigError(f"titles: {len(names)} for {len(runs)} runs")

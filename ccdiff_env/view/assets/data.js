@@ -26,7 +26,6 @@ async function readRun(element) {
 class Run {
   constructor(header, arrays) {
     Object.assign(this, header.run);
-    this.numAgents = this.agents.length;
     this.a = arrays;
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
     this.plans = header.plans.map((plan, i) => ({ ...plan, x: arrays[`plan${i}x`], y: arrays[`plan${i}y`] }));
