@@ -22,7 +22,7 @@ from ccdiff_env.view.render import LOOK, NUMBERS
 
 GAP = 6  #: Pixels between videos side by side.
 HOLD_S = 1.6  #: The last image stays so long: the verdict can be read.
-FPS = {".gif": 10.0, ".mp4": 30.0}  #: Images per second by suffix.
+FPS = 10.0  #: Images per second.
 
 
 class Video:
@@ -74,24 +74,23 @@ class Video:
             return round(self._fate.decided_s / self._rollout.dt_s)
         return (self.num_steps - 1) // 2
 
-    def svg(self, at: float) -> str:
+    def svg(self, step: int) -> str:
         """Draw a step as SVG; see :meth:`frame`."""
-        return str(self._drawn(at, svg=True))
+        return str(self._drawn(step, svg=True))
 
-    def frame(self, at: float) -> render.Image:
-        """Draw a step, or a moment between two, as an image [H, W, 3]; a :class:`ConfigError` says
-        which steps there are.
-        """
-        image: render.Image = self._drawn(at)
+    def frame(self, step: int) -> render.Image:
+        """Draw a step as an image [H, W, 3]; a :class:`ConfigError` says which steps there are."""
+        image: render.Image = self._drawn(step)
         return image
 
-    def _drawn(self, at: float, *, svg: bool = False) -> Any:
+    def _drawn(self, step: int, *, svg: bool = False) -> Any:
         captions, run = self._captions, self._rollout
-        if not 0 <= at <= run.num_steps - 1:
-            raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
-        step = int(at + 1e-6)
+        if not 0 <= step <= run.num_steps - 1:
+            raise ConfigError(f"step is {step}, expected 0 to {run.num_steps - 1}")
         there = np.flatnonzero(self._there[:, step])
-        position, heading, centre = self._poses(at)
+        # an ego at its goal stays where it was last
+        last = [np.flatnonzero(run.valid[i, : step + 1])[-1] for i in there]
+        centre = self._centres[step]
         plan = next((p for p in reversed(run.plans) if p.made_at <= step), None)
         recent = [
             event
@@ -100,14 +99,14 @@ class Video:
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
-        caption = f"{self._title}  {at * run.dt_s:.1f} s"
-        if at * run.dt_s > self._fate.decided_s - 1e-6:
+        caption = f"{self._title}  {step * run.dt_s:.1f} s"
+        if step * run.dt_s > self._fate.decided_s - 1e-6:
             caption += f"  {self._fate.text}"
         numbers = [[AGENT_KINDS.index(kinds[i]), NUMBERS[self._drivers[i]]] for i in there]
         looks = np.array(numbers, np.uint8).reshape(-1, 2)
         return _native.render_arrays(
-            np.ascontiguousarray(position[there], np.float32),
-            np.ascontiguousarray(heading[there], np.float32),
+            run.position[there, last],
+            run.heading[there, last],
             np.ascontiguousarray(run.scene.sizes[there, :2], np.float32),
             looks[:, 0].copy(),
             looks[:, 1].copy(),
@@ -132,24 +131,6 @@ class Video:
             theme=self._theme,
             svg=svg,
         )
-
-    def _poses(self, at: float) -> tuple[npt.NDArray[np.float32], ...]:
-        """Positions [A, 2], headings [A] and the middle [2] at a moment; between two steps where
-        an agent is there at both, else as at the first.
-        """
-        run, step = self._rollout, int(at + 1e-6)
-        share = np.float32(max(at - step, 0.0))
-        following = min(step + 1, run.num_steps - 1)
-        both = run.valid[:, step] & run.valid[:, following]
-        move = (run.position[:, following] - run.position[:, step]) * both[:, None]
-        turn = np.angle(np.exp(1j * (run.heading[:, following] - run.heading[:, step]))) * both
-        centre = self._centres[step] + share * (self._centres[following] - self._centres[step])
-        position = run.position[:, step] + share * move
-        heading = run.heading[:, step] + share * turn.astype(np.float32)
-        if len(gone := np.flatnonzero(self._there[:, step] & ~run.valid[:, step])):
-            last = [int(np.flatnonzero(run.valid[i, :step])[-1]) for i in gone]
-            position[gone], heading[gone] = run.position[gone, last], run.heading[gone, last]
-        return position, heading, centre
 
     def _trails(
         self, step: int, there: npt.NDArray[np.int64]
@@ -212,9 +193,9 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     return centres
 
 
-def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
+def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
     """Draw a step of each video side by side; videos that are over show their last."""
-    images = [video.frame(min(at, video.num_steps - 1)) for video in videos]
+    images = [video.frame(min(step, video.num_steps - 1)) for video in videos]
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)
@@ -225,20 +206,17 @@ def save_video(
     path: Path,
     *,
     speed: float = 1.0,
-    progress: Callable[[Iterable[float]], Iterable[float]] = iter,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> None:
     """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
     world.
 
-    Motion between steps is drawn, too: :data:`FPS` images a second. ``progress`` goes over the
-    moments.
+    It has :data:`FPS` images a second; ``progress`` goes over their steps.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
     save = {".gif": render.save_gif, ".mp4": render.save_mp4}[path.suffix.lower()]
-    fps = FPS[path.suffix.lower()]
-    last, dt_s = max(video.num_steps for video in videos) - 1, videos[0].dt_s
-    count = int(np.ceil(last * dt_s * fps / speed - 1e-9))
-    moments = [k * speed / (fps * dt_s) for k in range(count)] + [float(last)]
-    images = [side_by_side(videos, at) for at in progress(moments)]
-    save(np.stack(images + images[-1:] * round(HOLD_S * fps)), path, fps)
+    last, every = max(video.num_steps for video in videos) - 1, speed / (FPS * videos[0].dt_s)
+    steps = [int(k * every + 1e-6) for k in range(math.ceil(last / every - 1e-9))] + [last]
+    images = [side_by_side(videos, step) for step in progress(steps)]
+    save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), path, FPS)
