@@ -191,11 +191,10 @@ def test_a_link_replays_in_python_with_the_bits_of_the_page(playground, hash, le
         assert np.array_equal(page_side[there], python_side[there])
 
 
-def test_an_end_card_names_the_rivals(playground):
+def test_an_end_card_names_the_trained_ego(playground):
     page = playground(hash="#scene=cut-in-04&traffic=replay&drive=c150")
-    page.until("drive.outcome && drive.results.idm && drive.results.trained", 60)
+    page.until("drive.outcome && drive.result", 60)
     text = page.inner_text("#card")
-    assert "IDM: " in text
     assert "trained ego: " in text
     assert "still driving" not in text
 

@@ -124,14 +124,13 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:
-    """Configurations by traffic, and those of the rivals, with no network but that of traffic."""
+    """Configurations by traffic, and those of the trained ego; no network but that of traffic."""
     found = {}
     for traffic in TRAFFIC:
         config = world_config(traffic, 1.0)
         fitting = ego.config.with_options(decision_steps=1)
         trained = replace(config, observation=fitting.observation, action=fitting.action)
-        rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
-        for suffix, each in {"": config, **rivals}.items():
+        for suffix, each in {"": config, "_trained": trained}.items():
             options = json.loads(each.to_json())
             networks = {n: p for n, p in options["named_drivers"].items() if n == traffic}
             found[traffic + suffix] = {**options, "named_drivers": networks}

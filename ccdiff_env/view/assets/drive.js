@@ -8,7 +8,6 @@ const DRIVE_KEYS = {
   ArrowLeft: "left", a: "left", ArrowRight: "right", d: "right",
 };
 const KEYS = ["gas", "brake", "left", "right"];
-const RIVALS = { idm: "IDM", trained: "trained ego" };
 const SIDES = ["", "collision_front", "collision_rear", "collision_side"];
 
 /** The worker's tasks, see engine.js, as promises. */
@@ -148,7 +147,7 @@ class Drive extends View {
     $("card").hidden = true;
     if (this.raced !== this.key) {
       this.raced = this.key;
-      this.results = {};
+      this.result = null;
       this.race(this.key);
     }
     const run = this.runs[0];
@@ -179,19 +178,15 @@ class Drive extends View {
     return `${location.href.split("#")[0]}#${this.key}&drive=${written(this.keys)}`;
   }
 
-  /** Let the rivals drive the same world, in their own worker. */
+  /** Let the trained ego drive the same world, in its own worker. */
   async race(key) {
-    const traffic = $("traffic").value;
-    for (const name of ["trained", "idm"]) {
-      const held = name === "trained" ? SETTINGS.held : 0;
-      const given = { config: this.config(`${traffic}_${name}`), held };
-      const found = await this.rivals.ask("rival", given);
-      if (this.key !== key) return;
-      this.results[name] = found;
-      if (name === "trained") this.panes[0].ground.rival = { track: found.track, step: 0 };
-      if (this.outcome) this.showCard();
-      this.touch();
-    }
+    const config = this.config(`${$("traffic").value}_trained`);
+    const found = await this.rivals.ask("rival", { config, held: SETTINGS.held });
+    if (this.key !== key) return;
+    this.result = found;
+    this.panes[0].ground.rival = { track: found.track, step: 0 };
+    if (this.outcome) this.showCard();
+    this.touch();
   }
 
   /** Write the present states into the run. */
@@ -254,20 +249,18 @@ class Drive extends View {
     $("outcome").replaceChildren(...verdict(this.outcome));
   }
 
-  /** What became of it, and the rivals. */
+  /** What became of it, and of the trained ego. */
   showCard() {
-    const { results } = this, run = this.runs[0], lines = [];
-    for (const [name, title] of Object.entries(RIVALS)) {
-      const found = results[name];
-      if (!found) lines.push(`${title}: still driving`);
-      else {
-        const info = this.named(found.info), what = info.collision ? "hit at" : info.off_road ? "off the road at" : info.goal_reached ? "goal at" : "not at its goal in";
-        lines.push(`${title}: ${what} ${((found.track.length / STATE - 1) * run.dt).toFixed(1)} s`);
-      }
+    const { result } = this;
+    let line = "still driving";
+    if (result) {
+      const info = this.named(result.info), seconds = (result.track.length / STATE - 1) * this.runs[0].dt;
+      line = info.collision ? "hit at" : info.off_road ? "off the road at" : info.goal_reached ? "goal at" : "not at its goal in";
+      line += ` ${seconds.toFixed(1)} s`;
     }
     $("verdict").textContent = this.outcome.text;
     $("verdict").className = this.outcome.tone;
-    $("lines").replaceChildren(...lines.map((line) => element("li", "", line)));
+    $("rival").textContent = `trained ego: ${line}`;
     $("card").hidden = false;
   }
 

@@ -25,7 +25,6 @@ const KEYS = [
     ArrowLeft: (p, e) => p.stepBy(e.shiftKey ? -second(p) : -1), ArrowRight: (p, e) => p.stepBy(e.shiftKey ? second(p) : 1) }],
   ["shift ← →", "one second back, on", {}],
   ["home, end", "first, last step", { Home: (p) => p.seek(p.start), End: (p) => p.seek(p.end) }],
-  [", .", "event before, next event", { ",": (p) => p.nextEvent(-1), ".": (p) => p.nextEvent(1) }],
   ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
   ["F", "show all, follow nobody", { f: (p) => p.fit() }],
   ["H", "heading up", { h: (p) => p.headUp(!p.headingUp) }],
@@ -129,8 +128,7 @@ function writeAddress(player, known) {
 }
 
 function wireControls(player) {
-  $("event").hidden = player.runs.every((run) => !run.events.length);
-  $("events-part").hidden = $("event").hidden;
+  $("events-part").hidden = player.runs.every((run) => !run.events.length);
   for (const rate of RATES) $("rate").append(new Option(`${rate}×`, rate));
   $("rate").addEventListener("change", () => { player.rate = +$("rate").value; });
   $("follow").append(new Option("nobody", ""));

@@ -259,17 +259,4 @@ class Player extends View {
     this.followAgent(run.agents[event.agent].id);
     this.playing = true;
   }
-
-  /** Go to the next event with a flag (or the one before), two seconds early. */
-  nextEvent(by) {
-    const times = this.runs.flatMap((run) => run.events
-      .filter(flagged)
-      .map((event) => Math.max(run.timeOf(event) - LEAD_SECONDS, this.start)));
-    const sorted = [...new Set(times)].sort((a, b) => a - b);
-    const next = by > 0 ? sorted.find((t) => t > this.time + 1e-6)
-      : sorted.reverse().find((t) => t < this.time - 1e-6);
-    if (next === undefined) return;
-    this.playing = false;
-    this.seek(next);
-  }
 }
