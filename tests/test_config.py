@@ -23,22 +23,6 @@ from ccdiff_env.traffic import TrafficPlan
 from tools.configuration import OPTIONS, classes, tables
 
 
-def as_float32(value):
-    """Numbers as Rust keeps them."""
-    if isinstance(value, float):
-        return float(np.float32(value))
-    if isinstance(value, dict):
-        return {key: as_float32(v) for key, v in value.items()}
-    return [as_float32(v) for v in value] if isinstance(value, list) else value
-
-
-def test_defaults_are_those_of_rust():
-    rust = json.loads(_native.schema("default_config"))
-    assert as_float32(json.loads(WorldConfig(traffic="idm").to_json())) == as_float32(
-        {**rust, "traffic": "idm"}
-    )
-
-
 def test_json_holds_the_options_of_drivers_that_drive_alone():
     def held(**options):
         made = json.loads(WorldConfig().with_options(**options).to_json())

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import ccdiff_env
-from ccdiff_env.bench.planners import Traffic, planner_jobs, play
-from ccdiff_env.bench.traffic import traffic_jobs
+from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.named_objects import named_instance, named_object
 from ccdiff_env_cli import main
@@ -115,14 +114,6 @@ def test_planners_and_traffic_with_options_drive_otherwise():
 
     assert not np.array_equal(speeds(""), speeds("?acceleration=-4"))
     assert np.array_equal(speeds("?acceleration=-4"), speeds("?acceleration=-4.0"))
-
-
-def test_jobs_of_options_are_files():
-    text = f"{HERE}:Coasting?label=runs/a.pt"
-    job = traffic_jobs("embedded/val", [text], num_controlled=(1,))[-1]
-    assert "/" not in job.name
-    (job, *_) = planner_jobs("embedded/val", ["idm"], [text])
-    assert "/" not in job.name
 
 
 def test_the_command_line_takes_options(tmp_path, monkeypatch, capsys):

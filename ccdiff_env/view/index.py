@@ -15,7 +15,7 @@ from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import is_log, subtitle
 from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
-from ccdiff_env.view.render import THEMES, data_address
+from ccdiff_env.view.render import data_address
 from ccdiff_env.view.sources import log_rollout
 from ccdiff_env.view.video import Video
 
@@ -97,18 +97,15 @@ def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequenc
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
     last = rollout.num_steps - 1
     step = last // 2 if moment is None else min(round((moment + LEAD_S) / rollout.dt_s), last)
-    videos = (
-        Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme) for theme in THEMES
-    )
+    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
     # with fewer colours those of small things, as the ego's, are lost
-    light, dark = (data_address(video.frame(step), 256) for video in videos)
+    image = data_address(video.frame(step), 256)
     name = html.escape(title, quote=True)
     href = html.escape(address(page, time_s=moment, play=True), quote=True)
     return (
         f'<a class="card" href="{href}">'
-        f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
-        f'<img src="{light}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
-        f'</picture><h2 title="{name}">{name}</h2>'
+        f'<img src="{image}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
+        f'<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
         f"{''.join(f'<p>{html.escape(line)}</p>' for line in lines)}</a>"
     )
