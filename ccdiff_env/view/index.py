@@ -13,7 +13,7 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import is_log, subtitle
-from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
+from ccdiff_env.view.outcome import Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import data_address
 from ccdiff_env.view.sources import log_rollout
@@ -95,11 +95,9 @@ def write_index(
 def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequence[str]) -> str:
     """A replay in the index: a link with an image of the moment that matters."""
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-    last = rollout.num_steps - 1
-    step = last // 2 if moment is None else min(round((moment + LEAD_S) / rollout.dt_s), last)
     video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
     # with fewer colours those of small things, as the ego's, are lost
-    image = data_address(video.frame(step), 256)
+    image = data_address(video.frame(video.moment), 256)
     name = html.escape(title, quote=True)
     href = html.escape(address(page, time_s=moment, play=True), quote=True)
     return (
