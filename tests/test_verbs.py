@@ -2,7 +2,6 @@
 
 import argparse
 import csv
-import json
 import math
 import subprocess
 import sys
@@ -278,23 +277,17 @@ def test_what_cannot_train_is_an_error_in_one_line(words, said, tmp_path, capsys
     assert "Traceback" not in message
 
 
-def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path):
-    from tools.train_all import main as train_all
+def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path, monkeypatch):
+    from tools import train_all
 
     short = ["--batch-scenes", "1", "--hold-out-every", "4", "--limit", "8", "--steps", "1"]
-    trainings = [
-        {"name": "refused", "arguments": ["--model", "nobody", *short]},
-        {"name": "short", "arguments": ["--model", "simnet", *short]},
-    ]
-    listed = tmp_path / "trainings.json"
-    listed.write_text(json.dumps(trainings))
-    command = ["--list", str(listed), "--out", str(tmp_path / "runs"), "--scenes", "embedded/train"]
-    assert train_all(command) == 1
-    assert "nobody" in (tmp_path / "runs/refused/log.txt").read_text()
-    weights = tmp_path / "runs/short/weights.safetensors"
+    refused, simnet = ["--model", "nobody", *short], ["--model", "simnet", *short]
+    monkeypatch.setattr(train_all, "TRAININGS", {"refused": refused, "short": simnet})
+    command = ["--out", str(tmp_path), "--scenes", "embedded/train"]
+    assert train_all.main(command) == 1
+    assert "nobody" in (tmp_path / "refused/log.txt").read_text()
+    weights = tmp_path / "short/weights.safetensors"
     assert TrajectoryModel(weights).header["step"] == 1
     written = weights.stat().st_mtime_ns
-    assert train_all([*command, "--only", "short"]) == 0
+    assert train_all.main([*command, "--only", "short"]) == 0
     assert weights.stat().st_mtime_ns == written
-    with pytest.raises(SystemExit):
-        train_all([*command, "--only", "long"])
