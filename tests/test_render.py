@@ -71,17 +71,6 @@ def test_an_mp4_without_its_package_names_the_install_command(frames, tmp_path, 
         render.save_mp4(frames, tmp_path / "a.mp4", 10.0)
 
 
-def test_the_ego_is_in_the_middle_on_the_road_and_holes_show_the_ground(scene):
-    image = scene.render(0, size=(300, 200), **PLAIN)
-    assert image.shape == (200, 300, 3)
-    assert image.dtype == np.uint8
-    assert tuple(image[100, 150]) == tuple(COLOURS["ego"])
-    # three pixels a metre: 10 m south of the middle, and the middle of the hole
-    assert tuple(image[130, 150]) == tuple(COLOURS["drivable area"])
-    assert tuple(image[100 - 60 + 15, 150 + 60]) == tuple(COLOURS["drivable area"])
-    assert tuple(image[100 - 60, 150 + 60]) == tuple(COLOURS["ground"])
-
-
 def test_the_middle_can_be_an_agent_a_point_or_wait_for_an_agent(scene):
     of_id = scene.render(12, centre="walker", size=(200, 200), span_m=40, **PLAIN)
     assert tuple(of_id[100, 100]) == tuple(COLOURS["replay"])

@@ -21,9 +21,9 @@ const layer = (name) => (p) => p.toggle(name);
 /** What the help says of keys, and what each does with the player and the event. */
 const KEYS = [
   ["space", "play, pause", { " ": (p) => p.togglePlay() }],
-  ["← →", "one step back, on", {
+  ["← →", "one step back, forward", {
     ArrowLeft: (p, e) => p.stepBy(e.shiftKey ? -second(p) : -1), ArrowRight: (p, e) => p.stepBy(e.shiftKey ? second(p) : 1) }],
-  ["shift ← →", "one second back, on", {}],
+  ["shift ← →", "one second back, forward", {}],
   ["home, end", "first, last step", { Home: (p) => p.seek(p.start), End: (p) => p.seek(p.end) }],
   ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
   ["F", "show all, follow nobody", { f: (p) => p.fit() }],
@@ -184,7 +184,7 @@ function showFocus(player) {
   const list = $("captions");
   const knowing = player.told.filter((run) => run.indexOf.has(player.focus));
   if (!knowing.length) {
-    list.replaceChildren(element("p", "quiet", "Tap an agent to see what is known of it."));
+    list.replaceChildren(element("p", "quiet", "Click an agent to select it."));
     return;
   }
   const known = knowing.map((run) => {

@@ -93,7 +93,7 @@ function showEvents(container, runs, goTo) {
     list.append(...[...told.values()].map((entry) => eventItem(entry, runs.length > 1, goTo)));
     container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
   }
-  if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
+  if (!container.childElementCount) container.append(element("p", "quiet", "No events."));
 }
 
 function eventItem({ run, indices, event }, several, goTo) {
