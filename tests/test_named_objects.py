@@ -78,7 +78,6 @@ def test_options_are_arguments_and_names_keep_them():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"{HERE}:Coasting?aceleration=1", "no option 'aceleration'.*did you mean 'acceleration'"),
         (f"{HERE}:Coasting?z=1", "no option 'z', it takes acceleration, label"),
         (f"{HERE}:Coasting?acceleration", "'acceleration', expected option=value"),
         (f"{HERE}:Coasting?label=a&label=b", "each option once"),
@@ -128,4 +127,4 @@ def test_the_command_line_takes_options(tmp_path, monkeypatch, capsys):
     assert main([*command, found, "--out", str(tmp_path / "run")]) == 0
     assert f"\n{found} " in capsys.readouterr().out
     assert main([*command, "my_planner_file:act?thrttle=1", "--out", str(tmp_path / "no")]) == 2
-    assert "did you mean 'throttle'" in capsys.readouterr().err
+    assert "no option 'thrttle', it takes obs, throttle" in capsys.readouterr().err

@@ -210,11 +210,9 @@ def _played(args: argparse.Namespace) -> Runs:
 
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:
-    if args.compare not in ([], [LOG]):
-        raise ConfigError('a folder takes no options but --compare "log"')
-    unfit = PLAYED | DRAWN | {"traffic": None}
+    unfit = PLAYED | DRAWN | {"traffic": None, "compare": []}
     _refuse(args, unfit, "does not go with a folder, which gives pages")
-    pages = write_pages(folder, args.out or folder / "replays", compare_log=bool(args.compare))
+    pages = write_pages(folder, args.out or folder / "replays")
     say_page(pages[0], open_it=args.open)
     return 0
 

@@ -16,7 +16,6 @@ from ccdiff_env.view.captions import is_log, subtitle
 from ccdiff_env.view.outcome import Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import data_address
-from ccdiff_env.view.sources import log_rollout
 from ccdiff_env.view.video import Video
 
 THUMBNAIL = (480, 300)
@@ -26,12 +25,12 @@ THUMBNAIL = (480, 300)
 Shown = tuple[str, Sequence[str], Sequence[Rollout]]
 
 
-def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:
+def write_pages(folder: Path, out: Path) -> list[Path]:
     """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it, then
     the pages.
 
-    ``compare_log`` shows the log of the scene beside each. Files that cannot be read are left out
-    with a warning; none at all is a :class:`DatasetNotFoundError` or :class:`DatasetError`.
+    Files that cannot be read are left out with a warning; none at all is a
+    :class:`DatasetNotFoundError` or :class:`DatasetError`.
     """
     files = sorted(folder.rglob("*.npz"))
     if not files:
@@ -46,8 +45,7 @@ def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[P
                 warnings.warn(f"left out: {error}", stacklevel=2)
                 continue
             path = file.relative_to(folder).with_suffix("").as_posix()
-            log = [log_rollout(rollout.scene, like=rollout)] * compare_log
-            yield path, [path.replace("/", "-"), "log"][: 1 + len(log)], [rollout, *log]
+            yield path, [path.replace("/", "-")], [rollout]
             readable += 1
         if not readable:
             raise DatasetError(f"no rollout (.npz) below {folder} can be read")
