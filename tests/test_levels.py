@@ -217,7 +217,7 @@ def test_measures_from_arrays_part_levels(tmp_path, lift):
         assert near[:, 1, ::2].any() != apart
     rollout = play(SceneSet([scene]))["rollout"]
     crosses = rollout.agent_ids.index("2")
-    assert any(crosses in a or crosses in b for a, b, _ in contacts(rollout)) != apart
+    assert any(crosses in pair[:2] for pairs in contacts(rollout) for pair in pairs) != apart
 
 
 def test_map_queries_answer_for_a_level(tmp_path):

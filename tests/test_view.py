@@ -23,11 +23,11 @@ from ccdiff_env.view.video import Video
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
     """Header and values of a data element, read by the rules that pack.py writes down."""
     header = json.loads(zlib.decompress(base64.b64decode(text)))
-    arrays = {
-        name: entry["step"] * np.cumsum(np.reshape(entry["deltas"], (-1, entry["row"])), axis=-1)
-        for name, entry in header["arrays"].items()
-    }
-    return header, arrays
+    return header, {name: values_of(array) for name, array in header["arrays"].items()}
+
+
+def values_of(array: dict) -> np.ndarray:
+    return array["step"] * np.cumsum(np.reshape(array["deltas"], (-1, array["row"])), axis=-1)
 
 
 def elements(text: str) -> list[str]:
@@ -56,19 +56,19 @@ def test_a_page_holds_the_states_to_a_centimetre():
 
 def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
     run = planned_rollout()
-    header, arrays = unpacked(elements(page_html(run))[0])
+    header, _ = unpacked(elements(page_html(run))[0])
     plan = header["plans"][2]
     assert (plan["made_at"], plan["agents"], plan["guided"]) == (20, [1, 2], [0, 1])
     assert plan["edges"] == [[2, 1]]  # entry (0, 1) of the graph: the second influences the first
     for row, (agent, chosen) in enumerate([(1, 1), (2, 3)]):
         points = run.plans[2].samples[chosen, row, [3, 7, 11, 15, 19], 0]
         expected = [run.position[agent, 20, 0], *points]
-        np.testing.assert_allclose(arrays["plan2x"][row], expected, atol=0.03)
+        np.testing.assert_allclose(values_of(plan["x"])[row], expected, atol=0.03)
 
 
 def test_pairs_are_those_that_the_core_says_will_meet():
     run = planned_rollout()
-    for step, (a, b, seconds) in enumerate(contacts(run)):
+    for step, pairs in enumerate(contacts(run)):
         if step % 16:
             continue
         expected = causal.ttc(
@@ -79,11 +79,11 @@ def test_pairs_are_those_that_the_core_says_will_meet():
             run.valid[:, step],
             normalised=False,
         )
-        np.testing.assert_array_equal(expected[a, b], seconds)
+        assert all(abs(expected[a, b] - seconds) < 0.0051 for a, b, seconds in pairs)
         kinds = np.array(run.scene.agent_types)
         alike = kinds[:, None] == kinds[None, :]
         near = (expected <= 10.0) & ~(alike & np.isin(kinds, ("static", "pedestrian")))
-        assert len(a) == np.count_nonzero(np.triu(near, 1))
+        assert len(pairs) == np.count_nonzero(np.triu(near, 1))
 
 
 def shown_events(run: Rollout) -> list[dict]:

@@ -32,12 +32,11 @@ from ccdiff_env.view.outcome import happenings, outcome
 LENGTH_STEP_M = 0.01
 ANGLE_STEP_RAD = 1e-4
 SPEED_STEP_MPS = 0.01
-TTC_STEP_S = 0.05
 PLAN_SPACING_S = 0.4  #: Time between the points of planned samples, at least.
 PLAN_SAMPLES = 12  #: Samples kept of a plan, at most; the selected one is always kept.
 TTC_CAP_S = 10.0  #: Pairs that meet later than this are left out.
 
-Arrays = dict[str, dict[str, Any]]
+Array = dict[str, Any]  #: As the page reads it.
 
 _AREAS = {
     "drivable": "drivable_area",
@@ -53,20 +52,17 @@ def pack(rollout: Rollout, title: str) -> str:
     """Return the text of a rollout's data element, base64 of the compressed bytes; ``title`` is the
     short name of the run on the page.
     """
-    arrays: Arrays = {}
-    layers = _add_map(arrays, rollout)
-    _add_tracks(arrays, rollout)
-    _add_pairs(arrays, rollout)
+    layers, points = _map(rollout)
     header = {
-        "run": _run(rollout, title) | {"layers": layers},
-        "plans": [_add_plan(arrays, rollout, i, plan) for i, plan in enumerate(rollout.plans)],
-        "arrays": arrays,
+        "run": _run(rollout, title) | {"layers": layers, "pairs": [*contacts(rollout)]},
+        "plans": [_plan(rollout, plan) for plan in rollout.plans],
+        "arrays": _tracks(rollout) | points,
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     return base64.b64encode(zlib.compress(text, 9)).decode()
 
 
-def _packed(values: npt.ArrayLike, step: float = 1) -> dict[str, Any]:
+def _packed(values: npt.ArrayLike, step: float = 1) -> Array:
     """An array in steps."""
     numbers = np.rint(np.asarray(values, np.float64) / step).astype(np.int64)
     deltas = np.diff(numbers, axis=-1, prepend=0)
@@ -109,18 +105,20 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
     }
 
 
-def _add_tracks(arrays: Arrays, rollout: Rollout) -> None:
+def _tracks(rollout: Rollout) -> dict[str, Array]:
     valid = rollout.valid
     held = _held(valid)
     rows = np.arange(len(valid))[:, None]
     heading = np.unwrap(rollout.heading[rows, held].astype(np.float64))
     position, velocity = rollout.position[rows, held], rollout.velocity[rows, held]
-    arrays["x"] = _packed(position[..., 0], LENGTH_STEP_M)
-    arrays["y"] = _packed(position[..., 1], LENGTH_STEP_M)
-    arrays["heading"] = _packed(heading, ANGLE_STEP_RAD)
-    arrays["vx"] = _packed(velocity[..., 0], SPEED_STEP_MPS)
-    arrays["vy"] = _packed(velocity[..., 1], SPEED_STEP_MPS)
-    arrays["valid"] = _packed(valid)
+    return {
+        "x": _packed(position[..., 0], LENGTH_STEP_M),
+        "y": _packed(position[..., 1], LENGTH_STEP_M),
+        "heading": _packed(heading, ANGLE_STEP_RAD),
+        "vx": _packed(velocity[..., 0], SPEED_STEP_MPS),
+        "vy": _packed(velocity[..., 1], SPEED_STEP_MPS),
+        "valid": _packed(valid),
+    }
 
 
 def _held(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
@@ -131,24 +129,8 @@ def _held(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     return np.where(last < 0, first[:, None], last)
 
 
-def _add_pairs(arrays: Arrays, rollout: Rollout) -> None:
-    """Pairs of agents on course to meet, at every step."""
-    starts, first, second, seconds = [0], [], [], []
-    for a, b, ttc in contacts(rollout):
-        first.append(a)
-        second.append(b)
-        seconds.append(ttc)
-        starts.append(starts[-1] + len(a))
-    arrays["pairStart"] = _packed(starts)
-    arrays["pairA"] = _packed(np.concatenate(first))
-    arrays["pairB"] = _packed(np.concatenate(second))
-    arrays["pairTtc"] = _packed(np.concatenate(seconds), TTC_STEP_S)
-
-
-def contacts(
-    rollout: Rollout,
-) -> Iterator[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
-    """Yield for each step the pairs (a < b) that meet within :data:`TTC_CAP_S`, and when.
+def contacts(rollout: Rollout) -> Iterator[list[tuple[int, int, float]]]:
+    """Yield for each step the pairs (a < b) that meet within :data:`TTC_CAP_S`, and when, seconds.
 
     Boxes move at constant velocities. Pairs of static obstacles and pairs of walkers are left out.
     """
@@ -173,10 +155,11 @@ def contacts(
             normalised=False,
         )
         a, b = np.nonzero((seconds <= TTC_CAP_S) & upper)
-        yield a, b, seconds[a, b]
+        times = seconds[a, b].astype(float).round(2)
+        yield [*zip(a.tolist(), b.tolist(), times.tolist(), strict=True)]
 
 
-def _add_plan(arrays: Arrays, rollout: Rollout, index: int, plan: TrafficPlan) -> dict[str, Any]:
+def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
     samples = plan.samples[..., :2].astype(np.float64)
     stride = max(1, round(PLAN_SPACING_S / rollout.dt_s))
     steps = np.unique(
@@ -190,10 +173,10 @@ def _add_plan(arrays: Arrays, rollout: Rollout, index: int, plan: TrafficPlan) -
     agents = plan.agents.tolist()
     here = np.broadcast_to(rollout.position[agents, plan.made_at], kept[:, :, 0].shape)
     kept = np.nan_to_num(np.concatenate([here[:, :, None], kept], axis=2))
-    arrays[f"plan{index}x"] = _packed(kept[..., 0], 5 * LENGTH_STEP_M)
-    arrays[f"plan{index}y"] = _packed(kept[..., 1], 5 * LENGTH_STEP_M)
     into, origin = np.nonzero(plan.graph & ~np.eye(len(agents), dtype=bool))
     return {
+        "x": _packed(kept[..., 0], 5 * LENGTH_STEP_M),
+        "y": _packed(kept[..., 1], 5 * LENGTH_STEP_M),
         "made_at": plan.made_at,
         "agents": agents,
         "num_samples": len(kept),
@@ -205,8 +188,8 @@ def _add_plan(arrays: Arrays, rollout: Rollout, index: int, plan: TrafficPlan) -
     }
 
 
-def _add_map(arrays: Arrays, rollout: Rollout) -> dict[str, list[list[int]]]:
-    """Add the points of all layers; return the lengths of the rings and lines of each."""
+def _map(rollout: Rollout) -> tuple[dict[str, list[list[int]]], dict[str, Array]]:
+    """Lengths of the rings and lines of each layer, and the points of all."""
     layers = rollout.scene.map_layers()
     points: list[npt.NDArray[np.float32]] = []
     lengths: dict[str, list[list[int]]] = {}
@@ -225,6 +208,5 @@ def _add_map(arrays: Arrays, rollout: Rollout) -> dict[str, list[list[int]]]:
         add(name, ([line] for line in layers.get(name, [])))  # type: ignore[attr-defined]
     add("lanes", ([lane["centreline"][::2]] for lane in layers.get("lanes", [])))
     joined = np.concatenate(points) if points else np.zeros((0, 2), np.float32)
-    arrays["mapX"] = _packed(joined[:, 0], LENGTH_STEP_M)
-    arrays["mapY"] = _packed(joined[:, 1], LENGTH_STEP_M)
-    return lengths
+    x, y = (_packed(joined[:, axis], LENGTH_STEP_M) for axis in (0, 1))
+    return lengths, {"mapX": x, "mapY": y}

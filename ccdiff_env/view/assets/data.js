@@ -12,23 +12,24 @@ async function inflate(element) {
   return new Response(stream).arrayBuffer();
 }
 
-/** The run of a data element: header and arrays. */
+/** The run of a data element. */
 async function readRun(element) {
-  const header = JSON.parse(new TextDecoder().decode(await inflate(element))), arrays = {};
-  for (const [name, { step, row, deltas }] of Object.entries(header.arrays)) {
-    let sum = 0;
-    arrays[name] = Float32Array.from(deltas, (delta, i) => step * (sum = (i % row ? sum : 0) + delta));
-  }
-  return new Run(header, arrays);
+  return new Run(JSON.parse(new TextDecoder().decode(await inflate(element))));
+}
+
+/** Values of an array that holds differences. */
+function valuesOf({ step, row, deltas }) {
+  let sum = 0;
+  return Float32Array.from(deltas, (delta, i) => step * (sum = (i % row ? sum : 0) + delta));
 }
 
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
-  constructor(header, arrays) {
-    Object.assign(this, header.run);
-    this.a = arrays;
+  constructor({ run, arrays, plans }) {
+    Object.assign(this, run);
+    this.a = Object.fromEntries(Object.entries(arrays).map(([name, array]) => [name, valuesOf(array)]));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
-    this.plans = header.plans.map((plan, i) => ({ ...plan, x: arrays[`plan${i}x`], y: arrays[`plan${i}y`] }));
+    this.plans = plans.map((plan) => ({ ...plan, x: valuesOf(plan.x), y: valuesOf(plan.y) }));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
     const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
     this.goal = goal && { agent: goal.agent, step: goal.step };
@@ -75,18 +76,9 @@ class Run {
     return { x: mix(x), y: mix(y), heading: heading[i] + t * turn, vx: mix(vx), vy: mix(vy) };
   }
 
-  /** Pairs that meet at constant velocities: [a, b, seconds] at a whole step. */
-  pairs(step) {
-    const { pairStart, pairA, pairB, pairTtc } = this.a;
-    const out = [];
-    for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
-      out.push([pairA[k], pairB[k], pairTtc[k]]);
-    return out;
-  }
-
   /** The first pair to meet that an agent is in, if there is one. */
   meeting(agent, step) {
-    return this.pairs(step).filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
+    return this.pairs[step].filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
   }
 
   /** The plan in force at a step: the last one made by then. */
@@ -99,7 +91,7 @@ class Run {
     const plan = this.planAt(step);
     if (plan && plan.edges) return plan.edges.map(([from, to]) => [from, to, 1]);
     const out = [];
-    for (const [a, b, ttc] of this.pairs(step)) {
+    for (const [a, b, ttc] of this.pairs[step]) {
       const solid = this.agents[a].kind === "static" || this.agents[b].kind === "static";
       if (ttc > this.graphTtc || solid) continue;
       const p = this.pose(a, step), q = this.pose(b, step);

@@ -152,7 +152,7 @@ class Drive extends View {
     }
     const run = this.runs[0];
     run.a.valid.fill(0);
-    run.a.pairStart.fill(0);
+    run.pairs.fill([]);
     run.events = [];
     run.goal = null;
     for (const agent of run.agents) agent.attacks = false;
