@@ -44,7 +44,7 @@ def ego_steps(scenes: SceneSet, steps: int, traffic: str = "ccdiff", **options: 
         count = envs * steps
         print(
             f"  E = {envs:3d}: {count / clock:7.0f} ego steps/s of the clock, "
-            f"{count / busy:7.0f} per second of one processor"
+            f"{count / busy:7.0f} per CPU second"
         )
         env.close()
 
@@ -63,7 +63,7 @@ def plans(weights: Path, scenes: SceneSet, rounds: int, solver_steps: int) -> No
         busy = (time.process_time() - busy) / rounds
         print(
             f"  E = {envs:3d}, {vehicles:4d} vehicles: {envs / clock:7.1f} plans/s of the "
-            f"clock, {envs / busy:7.1f} per second of one processor, "
+            f"clock, {envs / busy:7.1f} per CPU second, "
             f"{1e3 * busy / vehicles:7.2f} ms of it per vehicle and plan, "
             f"{1e3 * busy / vehicles / 5:6.3f} per vehicle and frame"
         )

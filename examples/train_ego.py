@@ -50,14 +50,14 @@ def arguments() -> argparse.Namespace:
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     parser.add_argument(
-        "--choose-split", help="scenes that choose the seed (default: train_val; embedded: city)"
+        "--choose-split", help="scenes that select the seed (default: train_val; embedded: city)"
     )
-    parser.add_argument("--decisions", default="7e5", help="of each training")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings")
+    parser.add_argument("--decisions", default="7e5", help="decisions per training")
+    parser.add_argument("--seeds", type=int, default=3, help="policies to train")
     parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
 
 

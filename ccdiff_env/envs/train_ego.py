@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="continue the run in --out")
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
-    parser.add_argument("--smoke", action="store_true", help="a test run of seconds")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
 
 
 def run(args: argparse.Namespace) -> int:
