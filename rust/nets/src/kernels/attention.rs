@@ -2,7 +2,7 @@
 
 use super::rows::{at_levels, exp, halves};
 use super::shape::PANEL;
-use super::simd::{Work, at_level};
+use super::simd::{Vector, Work, at_level};
 
 /// Whom the rows see: pairs of a row follow each other.
 #[derive(Debug, Clone, PartialEq, Default)]

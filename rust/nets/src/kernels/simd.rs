@@ -29,16 +29,11 @@ impl Level {
         #[cfg(target_arch = "x86_64")]
         {
             use std::arch::is_x86_feature_detected as has;
-            if has!("avx2") {
+            let narrow = has!("avx2") && has!("fma");
+            if narrow {
                 levels.push(Self::Avx2);
             }
-            if has!("avx2")
-                && has!("avx512f")
-                && has!("avx512vl")
-                && has!("avx512bw")
-                && has!("avx512dq")
-                && has!("popcnt")
-            {
+            if narrow && has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq") {
                 levels.push(Self::Avx512);
             }
         }
@@ -48,24 +43,26 @@ impl Level {
 
 /// Work that is compiled once per level.
 pub(super) trait Work {
-    /// Must be `#[inline(always)]`, and so must be what it calls.
-    fn run(self);
+    /// With vectors of the level, and so many rows in a tile of products. Must be `#[inline(always)]`, and so must be what it
+    /// calls; [`at_level`] alone calls it.
+    fn run<V: Vector, const ROWS: usize>(self);
 }
 
 /// Runs work compiled for the level of this thread.
 pub(super) fn at_level<W: Work>(work: W) {
     #[cfg(target_arch = "x86_64")]
     {
-        #[target_feature(enable = "avx2")]
+        use std::arch::x86_64::{__m128, __m256, __m512};
+        #[target_feature(enable = "avx2,fma")]
         fn avx2<W: Work>(work: W) {
-            work.run();
+            work.run::<__m256, 6>();
         }
-        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq")]
+        #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512bw,avx512dq")]
         fn avx512<W: Work>(work: W) {
-            work.run();
+            work.run::<__m512, 12>();
         }
         match level() {
-            Level::Base => work.run(),
+            Level::Base => work.run::<__m128, 6>(),
             // SAFETY: the level is one that the processor was asked for
             Level::Avx2 => unsafe { avx2(work) },
             // SAFETY: as above
@@ -73,7 +70,7 @@ pub(super) fn at_level<W: Work>(work: W) {
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    work.run();
+    work.run::<Four, 4>();
 }
 
 thread_local! {
@@ -81,7 +78,7 @@ thread_local! {
 }
 
 /// The level that this thread computes with, one that its processor has: the widest, unless [`with_level`] says otherwise.
-pub(super) fn level() -> Level {
+fn level() -> Level {
     static WIDEST: OnceLock<Level> = OnceLock::new();
     let base = ccdiff_sim::is_held_to_base().then_some(Level::Base);
     let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
@@ -276,17 +273,17 @@ mod wasm {
 
 /// The vector of processors of other families.
 #[cfg(target_arch = "aarch64")]
-pub(super) type Four = std::arch::aarch64::float32x4_t;
+type Four = std::arch::aarch64::float32x4_t;
 /// The vector of processors of other families.
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-pub(super) type Four = std::arch::wasm32::v128;
+type Four = std::arch::wasm32::v128;
 /// The vector of processors of other families.
 #[cfg(not(any(
     target_arch = "x86_64",
     target_arch = "aarch64",
     all(target_arch = "wasm32", target_feature = "simd128")
 )))]
-pub(super) type Four = Plain;
+type Four = Plain;
 
 /// Four numbers in plain Rust, of which compilers make scalar sums at best.
 #[derive(Clone, Copy)]

@@ -63,7 +63,7 @@ impl<B: Backend> Bits<B> {
     pub fn cells(&self, seen: &Encoded<B>) -> Option<B::Tensor> {
         let lines = self.lines.memory(seen.map.as_ref()?);
         let blocks = B::cut(&B::apply(&self.blocks, &seen.state), GOAL_WIDTHS[0]);
-        Some(self.cells.forward(&B::sum(&blocks, self.lines.forward(&blocks, &lines, None))))
+        Some(self.cells.forward(&B::sum(self.lines.forward(&blocks, &lines, None), &blocks)))
     }
 
     /// Knots of the predicted plans, those of an agent side by side, [R, 1, 2 · knots].
