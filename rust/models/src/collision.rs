@@ -39,7 +39,7 @@ fn every_other(t: &Tensor, dim: i64) -> Tensor {
 }
 
 impl Neighbours {
-    /// Neighbours of a batch; `None` where nobody is joined with anybody.
+    /// Neighbours of a batch; `None` where no two are joined.
     pub(crate) fn new(batch: &Batch, targets: &Targets) -> Option<Self> {
         let of = batch.neighbourhood();
         let (rows, slots) = (batch.num_rows() as i64, of.rows.size()[1]);

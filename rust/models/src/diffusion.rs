@@ -23,11 +23,8 @@ pub(crate) const CCDIFF: TorchKind = TorchKind {
 /// CTG++.
 pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
 /// CTG.
-pub(crate) const CTG: TorchKind = TorchKind {
-    name: "ctg",
-    build: on_torch::<Denoising<HalfUnet<Torch>>>,
-    ..CCDIFF
-};
+pub(crate) const CTG: TorchKind =
+    TorchKind { name: "ctg", build: on_torch::<Denoising<HalfUnet<Torch>>>, ..CCDIFF };
 
 /// Clean knots of noisy ones [R, knots, 2] at the rows' diffusion steps.
 fn predicted<B: Trains>(

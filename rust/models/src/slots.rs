@@ -4,17 +4,17 @@ use crate::batch::Neighbourhood;
 use crate::config::ModelConfig;
 use tch::{Kind, Tensor};
 
-/// Which row sits in which slot, and who may be seen.
+/// The row in each slot, and which slots may be seen.
 #[derive(Debug)]
 pub struct Slots {
     /// Row of each slot, flat [R · K], int64.
     pub(crate) rows: Tensor,
-    /// Others that may be seen, or the row itself (slot 0) where nobody else may be, [R, K, T].
+    /// Others that may be seen, or the row itself (slot 0) where no other may be, [R, K, T].
     pub(crate) others_or_self: Tensor,
     /// Others that may be seen and the row itself, [R, K, T].
     pub(crate) with_self: Tensor,
     /// Number of slots K.
-    num_slots: i64,
+    pub(crate) num_slots: i64,
     /// Tokens of histories and plans that are there, [R, 1, 1, T], where histories have a token per step.
     pub(crate) tokens: Option<Tensor>,
 }

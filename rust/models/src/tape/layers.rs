@@ -1,6 +1,6 @@
 //! Weights, and the layers that hold them.
 
-use super::{Node, Var};
+use super::Var;
 use ccdiff_nets::compute::cpu::Array;
 use ccdiff_nets::kernels::{self, How, PANEL, Packed, Strided};
 use std::cell::RefCell;
@@ -214,13 +214,13 @@ impl Norm {
 
     /// Normed rows, then a ReLU if asked for.
     pub(super) fn apply(&self, x: &Var, relu: bool) -> Var {
-        let norm = Rc::clone(&self.0);
-        x.weighted(self.made(x.numbers.clone(), relu), move |made: &Node, x, mut gradient| {
+        let (norm, x) = (Rc::clone(&self.0), x.clone());
+        Var::made(x.like(self.made(x.numbers.clone(), relu)), true, move |made, mut gradient| {
             if relu {
                 kernels::relu_back(&mut gradient, &made.numbers);
             }
-            norm.back(x, &mut gradient);
-            gradient
+            norm.back(&x.numbers, &mut gradient);
+            x.learn(gradient);
         })
     }
 
@@ -239,20 +239,6 @@ impl Norm {
     fn made(&self, mut numbers: Vec<f32>, relu: bool) -> Vec<f32> {
         kernels::norm(&mut numbers, &self.0.weight, &self.0.bias, relu);
         numbers
-    }
-}
-
-impl Var {
-    /// What a layer with weights made of numbers of this shape.
-    fn weighted(
-        &self,
-        numbers: Vec<f32>,
-        pull: impl FnOnce(&Node, &[f32], Vec<f32>) -> Vec<f32> + 'static,
-    ) -> Self {
-        let from = self.clone();
-        Self::made(self.like(numbers), true, move |made, gradient| {
-            from.learn(pull(made, &from.numbers, gradient));
-        })
     }
 }
 

@@ -48,7 +48,7 @@ impl Ops for Tape {
     }
 
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Var {
-        Var::data(numbers.len() / width as usize, width as usize, numbers.to_vec())
+        Var::of(Array::new(numbers.len() / width as usize, width as usize, numbers.to_vec()))
     }
 
     fn numbers(x: &Var) -> Vec<f32> {

@@ -6,6 +6,7 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -171,9 +172,22 @@ impl Weights {
 
     /// The linear layer of a name.
     pub(crate) fn layer(&self, name: &str, inputs: usize, outputs: usize) -> Packed {
-        let rows = self.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
-        let bias = self.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
-        Packed::new(rows, bias, outputs, inputs)
+        self.columns(name, (inputs, outputs), 0..inputs, true)
+    }
+
+    /// Some columns of a linear layer of (inputs, outputs); none of one that is not there.
+    pub(crate) fn columns(
+        &self,
+        name: &str,
+        (inputs, outputs): (usize, usize),
+        part: Range<usize>,
+        biased: bool,
+    ) -> Packed {
+        let rows = self.take(&format!("{name}.weight"), &[outputs, inputs]);
+        let bias = biased.then(|| self.take(&format!("{name}.bias"), &[outputs])).flatten();
+        let Some(rows) = rows else { return Packed::new(&[], &[], 0, 0) };
+        let columns = rows.chunks_exact(inputs.max(1)).flat_map(|row| &row[part.clone()]).copied();
+        Packed::new(&columns.collect::<Vec<_>>(), bias.unwrap_or_default(), outputs, part.len())
     }
 
     /// Checks that all that was taken was there, and that nothing is left.

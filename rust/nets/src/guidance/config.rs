@@ -178,25 +178,9 @@ mod tests {
     }
 
     #[test]
-    fn values_out_of_range_name_their_field() {
-        let released = GuidanceConfig::released;
-        for (config, field) in [
-            (
-                GuidanceConfig {
-                    objectives: vec![Objective::Approach(Approach { reach_m: 0.0, ..Approach::default() })],
-                    ..released()
-                },
-                "guidance.objectives[0].reach_m",
-            ),
-            (
-                GuidanceConfig {
-                    objectives: vec![Objective::Approach(Approach::default()); 33],
-                    ..released()
-                },
-                "guidance.objectives is 33 objectives",
-            ),
-        ] {
-            assert!(config.validated().unwrap_err().to_string().contains(field), "{field}");
-        }
+    fn too_many_objectives_are_refused() {
+        let objectives = vec![Objective::Approach(Approach::default()); 33];
+        let error = GuidanceConfig { objectives, ..GuidanceConfig::released() }.validated().unwrap_err();
+        assert!(error.to_string().contains("guidance.objectives is 33 objectives"));
     }
 }

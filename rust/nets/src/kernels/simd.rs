@@ -5,12 +5,11 @@
 
 #![allow(unsafe_code, reason = "intrinsics")]
 
-use std::cell::Cell;
 use std::sync::OnceLock;
 
 /// Which instructions are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Level {
+pub(super) enum Level {
     /// Those that every processor of the family has.
     Base,
     /// 256-bit vectors.
@@ -23,7 +22,7 @@ pub enum Level {
 
 impl Level {
     /// All that this processor has, the widest last.
-    pub fn available() -> Vec<Self> {
+    pub(super) fn available() -> Vec<Self> {
         #[allow(unused_mut, reason = "other processors have one")]
         let mut levels = vec![Self::Base];
         #[cfg(target_arch = "x86_64")]
@@ -48,8 +47,15 @@ pub(super) trait Work {
     fn run<V: Vector, const ROWS: usize>(self);
 }
 
-/// Runs work compiled for the level of this thread.
+/// Runs work compiled for the widest level that the processor has, or for the base if the process is held to it.
 pub(super) fn at_level<W: Work>(work: W) {
+    static WIDEST: OnceLock<Level> = OnceLock::new();
+    let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
+    at(if ccdiff_sim::is_held_to_base() { Level::Base } else { widest() }, work);
+}
+
+/// Runs work compiled for a level that the processor has.
+pub(super) fn at<W: Work>(level: Level, work: W) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{__m128, __m256, __m512};
@@ -61,7 +67,7 @@ pub(super) fn at_level<W: Work>(work: W) {
         fn avx512<W: Work>(work: W) {
             work.run::<__m512, 12>();
         }
-        match level() {
+        match level {
             Level::Base => work.run::<__m128, 6>(),
             // SAFETY: the level is one that the processor was asked for
             Level::Avx2 => unsafe { avx2(work) },
@@ -70,28 +76,10 @@ pub(super) fn at_level<W: Work>(work: W) {
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    work.run::<Four, 4>();
-}
-
-thread_local! {
-    static HELD: Cell<Option<Level>> = const { Cell::new(None) };
-}
-
-/// The level that this thread computes with, one that its processor has: the widest, unless [`with_level`] says otherwise.
-fn level() -> Level {
-    static WIDEST: OnceLock<Level> = OnceLock::new();
-    let base = ccdiff_sim::is_held_to_base().then_some(Level::Base);
-    let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
-    HELD.get().or(base).unwrap_or_else(widest)
-}
-
-/// Computes with the instructions of a level, or the widest if the processor has it not, on this thread: the bits are those of all
-/// others.
-pub fn with_level<T>(level: Level, work: impl FnOnce() -> T) -> T {
-    let before = HELD.replace(Some(level).filter(|level| Level::available().contains(level)));
-    let made = work();
-    HELD.set(before);
-    made
+    {
+        let Level::Base = level;
+        work.run::<Four, 4>();
+    }
 }
 
 /// A vector of `LANES` numbers.

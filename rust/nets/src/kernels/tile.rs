@@ -2,7 +2,7 @@
 //!
 //! Plans never fuse a product with its addition, so all levels, and processors of other families, compute the same bits.
 
-#![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
+#![allow(unsafe_code, reason = "pointers into a product, whose bounds `multiply` has checked")]
 
 use super::shape::{PANEL, Product};
 use super::simd::{Vector, Work, at_level};
@@ -170,19 +170,22 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: boo
 
 #[cfg(test)]
 mod tests {
-    use super::super::simd::{Level, Plain, with_level};
+    use super::super::simd::{Level, Plain, at};
     use super::*;
 
     #[test]
-    fn plain_vectors_compute_what_those_of_the_processor_do() {
+    fn every_level_computes_what_plain_vectors_do() {
         let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
-        let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
         let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
-        with_level(Level::Base, || multiply(&p, &a, &b, Some(&bias), &mut own, How::Exact));
+        let mut plain = vec![0.0; 7 * 80];
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
         let sides = Sides { a: a.as_ptr(), b: b.as_ptr(), bias: bias.as_ptr(), c: plain.as_mut_ptr() };
         // SAFETY: it fits
         unsafe { product::<Plain, 4, false>(&p, sides) };
-        assert_eq!(plain, own);
+        for level in Level::available() {
+            let mut own = vec![0.0; 7 * 80];
+            at(level, Multiply::<false>(&p, Sides { c: own.as_mut_ptr(), ..sides }));
+            assert_eq!(plain, own, "{level:?}");
+        }
     }
 }

@@ -23,7 +23,7 @@ pub struct PlanInput<'a> {
     pub map: Option<&'a MapLines>,
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
-    /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
+    /// Guided agents and what guidance knows of the world; `None`: no guidance. Used if the options hold a guidance.
     pub guide: Option<WorldGuidance<'a>>,
 }
 
@@ -72,8 +72,6 @@ pub struct TrajectoryModel {
     header: serde_json::Value,
     num_parameters: usize,
     config: ModelConfig,
-    /// The network's configuration as features are built from it.
-    inputs: ModelConfig,
     network: &'static NetworkKind,
 }
 
@@ -113,7 +111,7 @@ impl TrajectoryModel {
         num_parameters: usize,
     ) -> Result<Self> {
         let network = config.network()?;
-        Ok(Self { planner, header, num_parameters, inputs: config.clone(), config, network })
+        Ok(Self { planner, header, num_parameters, config, network })
     }
 
     /// What is known of the network.
@@ -152,8 +150,8 @@ impl TrajectoryModel {
 
     /// Replaces the thresholds of the graph G: infinite ones join all pairs.
     pub fn set_graph_thresholds(&mut self, ttc_s: f32, distance_m: f32) {
-        self.inputs.ttc_threshold_s = ttc_s;
-        self.inputs.distance_threshold_m = distance_m;
+        self.config.ttc_threshold_s = ttc_s;
+        self.config.distance_threshold_m = distance_m;
     }
 
     /// Numbers in the network.
@@ -174,7 +172,7 @@ impl TrajectoryModel {
         let options = self.network.options(options.clone().validated()?)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
         let config = &self.config;
-        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.map, &self.inputs);
+        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.map, config);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {
@@ -182,7 +180,7 @@ impl TrajectoryModel {
         };
         let sizes: Vec<usize> = built.iter().map(|f| f.agents.len()).collect();
         let n = options.sampling.num_samples;
-        let mut guide = guide_of(worlds, &built, config, &options, &sizes)?;
+        let mut guide = guide_of(worlds, &built, config, &options, &sizes);
         let drawn = if sizes.iter().all(|s| *s == 0) {
             Drawn::default()
         } else {
@@ -190,7 +188,7 @@ impl TrajectoryModel {
             self.planner.draw(&built, &seeds, &options, guide.as_mut())?
         };
         let mut reports = match &guide {
-            Some(guide) => guide.report(&drawn.knots)?,
+            Some(guide) => guide.report(&drawn.knots),
             None => vec![None; worlds.len()],
         };
         if !self.network.denoises {
@@ -231,15 +229,13 @@ fn guide_of<'a>(
     model: &ModelConfig,
     options: &'a PlanOptions,
     sizes: &[usize],
-) -> Result<Option<Guidance<'a>>> {
-    let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
-        return Ok(None);
-    };
+) -> Option<Guidance<'a>> {
+    let config = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some()))?;
     let steps = (config.discount, config.seen_steps);
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
-        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps)).transpose()
+        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps))
     };
-    let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
+    let contexts = worlds.iter().zip(features).map(context).collect();
     let samples = options.sampling.num_samples;
-    Guidance::new(config, model, contexts, sizes, samples, options.gradient_statistics).map(Some)
+    Some(Guidance::new(config, model, contexts, sizes, samples, options.gradient_statistics))
 }

@@ -30,7 +30,7 @@ pub struct Encoded<B: Backend> {
     pub speed: B::Tensor,
     /// Encoded edges now.
     pub edges: B::Tensor,
-    /// Who sits in which slot.
+    /// The rows in the slots of each row.
     pub slots: B::Slots,
     /// Map tokens [R, S, feature width]; `None` without a map.
     pub map: Option<B::Tensor>,

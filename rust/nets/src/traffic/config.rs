@@ -1,5 +1,6 @@
 //! What can be chosen about the traffic of a planning network.
 
+use crate::config::ModelConfig;
 use crate::error::{Result, require};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::networks::NETWORKS;
@@ -21,14 +22,14 @@ const ONE_STEP_SHARE: Real = 0.24;
 const ROUTES_SHARE: Real = 1.65;
 
 choices! {
-    /// Who drives the vehicles outside the guided set.
+    /// The driver of the vehicles outside the guided set.
     #[derive(Clone, Copy, Eq)]
     pub enum BackgroundDriver {
         /// The network, without guidance.
         Ccdiff = "ccdiff",
         /// The intelligent driver model along their routes.
         Idm = "idm",
-        /// The log (paper, as released). Who has left the log by being guided once never returns to it.
+        /// The log (paper, as released). A vehicle that was guided once never returns to its log.
         Replay = "replay",
     }
 }
@@ -101,7 +102,7 @@ choices! {
         Parked = "parked",
         /// Those slower than 0.5 m/s in the log at the start (as released).
         Standing = "standing",
-        /// None: what a log says of later is not asked.
+        /// None: the logged future is not used.
         Nobody = "nobody",
     }
 }
@@ -162,13 +163,13 @@ options! {
         num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
         /// How they are chosen; ids by the name of the scene choose them directly.
         ranking: Ranking = Ranking::Cliques;
-        /// Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the ranking: `"learned"`, the shipped
-        /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
-        /// with plans of 20 steps.
+        /// A policy that chooses, in place of the ranking, which vehicle is guided at every plan and how strongly, or none: `"learned"`,
+        /// the shipped one, or a file (examples/train_adversary_selection.py). `criticality` scales its strengths. It was trained
+        /// with `replan_steps` of 20.
         adversary_policy: Option<String> = None;
         /// Whether they are chosen again at every plan, not only at the first one.
         rerank: bool = true;
-        /// Who drives the vehicles that are not guided.
+        /// The driver of the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising step: 0.24 of it,
         /// routes: 1.65, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square
@@ -211,17 +212,26 @@ pub static DRIVERS: [Kind; NETWORKS.len()] = {
 };
 
 impl CcdiffConfig {
-    /// Checks every range against a network and the horizon of its weights, steps.
+    /// Checks every range, and that all of it means something to a network with weights.
     ///
     /// # Errors
     /// [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] name the field.
-    pub fn validate(&self, network: &NetworkKind, horizon_steps: usize) -> Result<()> {
+    pub(super) fn check(&self, network: &NetworkKind, model: &ModelConfig) -> Result<()> {
         options::check("ccdiff", self)?;
         let (steps, expected) = (self.replan_steps, "1 up to the horizon of the plans");
-        require(steps <= horizon_steps, "ccdiff.replan_steps", steps, expected)?;
+        require(steps <= model.horizon_steps, "ccdiff.replan_steps", steps, expected)?;
         self.guided(network)?.validated()?;
         self.unguided(network).validated()?;
-        Ok(())
+        let fits = self.graph == GraphMode::Causal || network.causal;
+        require(fits, "ccdiff.graph", "full", "causal: this network sees neighbours by distance")?;
+        let fits = self.ranking != Ranking::Greedy || network.attends;
+        require(fits, "ccdiff.ranking", "greedy", "one without attention: this network has none")?;
+        let fits = self.ranking != Ranking::Gradient || network.denoises;
+        let expected = "one without scores: this network does not denoise";
+        require(fits, "ccdiff.ranking", "gradient", expected)?;
+        network.options(self.guided(network)?)?;
+        let knows = !self.follow_route || !model.route_points_m.is_empty();
+        require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")
     }
 
     /// Whether plans made now may be guided.
@@ -241,21 +251,6 @@ impl CcdiffConfig {
         let one_step = if self.denoising_steps == Some(1) { ONE_STEP_SHARE } else { 1.0 };
         let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
         criticality * one_step * routes
-    }
-
-    /// Checks that all of it means something to a network.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Config`] names the field.
-    pub fn check_network(&self, network: &NetworkKind) -> Result<()> {
-        let fits = self.graph == GraphMode::Causal || network.causal;
-        require(fits, "ccdiff.graph", "full", "causal: this network sees neighbours by distance")?;
-        let fits = self.ranking != Ranking::Greedy || network.attends;
-        require(fits, "ccdiff.ranking", "greedy", "one without attention: this network has none")?;
-        let fits = self.ranking != Ranking::Gradient || network.denoises;
-        let expected = "one without scores: this network does not denoise";
-        require(fits, "ccdiff.ranking", "gradient", expected)?;
-        network.options(self.guided(network)?).map(drop)
     }
 
     /// How the plans of worlds with guidance are drawn. Those of tokens are the best of as many draws as the criticality asks for.

@@ -4,7 +4,7 @@
 //! The network plans for every vehicle that is there, the ones with other drivers included: those are predicted only.
 //! Pedestrians, cyclists and motorcycles are not seen, as in the released code (reference.md#agents).
 //!
-//! Differs from the released code: vehicles that arrive later are driven too, and nobody vanishes where the log ends but
+//! Differs from the released code: vehicles that arrive later are driven too, and none vanishes where the log ends but
 //! at the edge of the map, unless the world is told otherwise (reference.md#consequences-of-contact).
 
 mod adversary_policy;
@@ -22,7 +22,6 @@ pub use config::{
 
 pub(crate) use adversary_policy::AdversaryPolicy;
 pub use planned_agents::STATIONARY_REACH_M;
-pub(crate) use planned_agents::{is_ego, select_guided};
 
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result, require};
@@ -41,14 +40,14 @@ use sync_wrapper::SyncWrapper;
 
 /// Traffic of a batch of worlds that follows the plans of a network.
 pub struct PlannedTraffic {
-    /// A network for each thread of the pool; used by `plan` alone, which nobody else can enter meanwhile.
+    /// A network for each thread of the pool; used by `plan` alone, which takes them exclusively.
     copies: SyncWrapper<Vec<TrajectoryModel>>,
     /// Threads that plan. `None`: the caller's thread plans.
     pool: Option<ThreadPool>,
     /// Step and history of the weights.
     model: ModelConfig,
     config: CcdiffConfig,
-    /// Who says whom to guide, in place of the ranking.
+    /// A learned choice of guided vehicles, in place of the ranking.
     adversary_policy: Option<AdversaryPolicy>,
     /// How plans are drawn with guidance and without.
     guided: PlanOptions,
@@ -86,10 +85,7 @@ impl PlannedTraffic {
         }
         let model = copies[0].config().clone();
         let network = copies[0].network();
-        config.validate(network, model.horizon_steps)?;
-        config.check_network(network)?;
-        let knows = !config.follow_route || !model.route_points_m.is_empty();
-        require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")?;
+        config.check(network, &model)?;
         copies[0].check_solver_steps(config.denoising_steps)?;
         let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);

@@ -1,7 +1,7 @@
-//! One round of planning: planned agents, rankings, the network, and who follows what.
+//! One round of planning: planned agents, rankings, the network, and the plans that agents follow.
 
 use super::config::{BackgroundDriver, CollisionTargets, Ranking};
-use super::planned_agents::{self, PlannedAgents, RankingInputs};
+use super::planned_agents::{self, PlannedAgents, RankingInputs, select_guided};
 use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic, side_by_side};
 use crate::error::Result;
@@ -31,7 +31,7 @@ struct PreparedRequest<'a> {
     criticality: Real,
     /// Rows of the window whose plans are moved.
     guided: Vec<bool>,
-    /// Rows of the window with whom contacts count.
+    /// Rows of the window with which contacts count.
     collision_targets: Vec<bool>,
 }
 
@@ -147,7 +147,7 @@ impl PlannedTraffic {
         }
     }
 
-    /// Fills in rankings and who is guided.
+    /// Fills in rankings and the guided agents.
     fn rank(&mut self, due: &mut [PreparedRequest<'_>]) -> Result<()> {
         let mut ranking_inputs = self.ranking_inputs(due)?;
         ranking_inputs.resize_with(due.len(), RankingInputs::default);
@@ -162,19 +162,15 @@ impl PlannedTraffic {
             } else {
                 d.memory.first_ranking.clone()
             };
-            let wanted = d.request.plan_override;
             let fits = |a: &usize| {
                 let conflict = || d.planned.conflict(*a, &d.collision_targets);
                 config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
             };
-            d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
-            let mut criticality = wanted.criticality.unwrap_or(config.criticality);
-            if let Some(policy) = traffic.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let strength;
-                (d.chosen, strength) = policy.guided(d.request, &d.ranking);
-                criticality *= strength;
-            }
-            d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
+            let policy = traffic.adversary_policy.as_ref();
+            let (chosen, strength) = select_guided(d.request, config, policy, &d.ranking, fits);
+            let criticality = d.request.plan_override.criticality.unwrap_or(config.criticality);
+            d.chosen = chosen;
+            d.criticality = if config.guides_at(&d.request.world) { criticality * strength } else { 0.0 };
             d.guided = d.planned.agents.iter().map(|a| d.chosen.contains(a)).collect();
             Ok(())
         };

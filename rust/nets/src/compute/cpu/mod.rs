@@ -9,7 +9,6 @@ use crate::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use crate::config::ModelConfig;
 use crate::kernels::{self, How, Mix, Packed, Within};
 use crate::sampling::plan_space::PlanSpace;
-use parts::packed;
 use std::ops::Range;
 
 /// Layers on the kernels of this crate.
@@ -26,18 +25,17 @@ impl Ops for Cpu {
     type Path<'a> = Place<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
-        let dot = if p.name.is_empty() { "" } else { "." };
-        Place { weights: p.weights, name: format!("{}{dot}{name}", p.name) }
+        p.sub(name)
     }
 
     fn linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Packed {
-        packed(p.take("weight", &[outputs, inputs]), p.take("bias", &[outputs]), outputs, inputs, 0, inputs)
+        p.weights.layer(&p.name, inputs as usize, outputs as usize)
     }
 
     fn joint(p: &Place<'_>, token: i64, edge: i64, outputs: i64) -> [Packed; 2] {
-        let all = token + edge;
-        let (rows, bias) = (p.take("weight", &[outputs, all]), p.take("bias", &[outputs]));
-        [packed(rows, bias, outputs, all, 0, token), packed(rows, None, outputs, all, token, all)]
+        let [token, all, outputs] = [token, token + edge, outputs].map(|n| n as usize);
+        [(0..token, true), (token..all, false)]
+            .map(|(part, biased)| p.weights.columns(&p.name, (all, outputs), part, biased))
     }
 
     fn norm(p: &Place<'_>, width: i64) -> Norm {
@@ -213,11 +211,11 @@ impl Convolves for Cpu {
     type Groups = Groups;
 
     fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
-        let stored = p.take("weight", &[outputs, inputs, kernel]);
-        let turned = stored.map(|w| turned(w, inputs as usize, kernel as usize));
-        let all = inputs * kernel;
-        let weights = packed(turned.as_deref(), p.take("bias", &[outputs]), outputs, all, 0, all);
-        Filter { weights, kernel: kernel as usize, stride: stride as usize }
+        let stored = p.take("weight", &[outputs, inputs, kernel]).unwrap_or_default();
+        let bias = p.take("bias", &[outputs]).unwrap_or_default();
+        let [inputs, outputs, kernel, stride] = [inputs, outputs, kernel, stride].map(|n| n as usize);
+        let weights = Packed::new(&turned(stored, inputs, kernel), bias, outputs, inputs * kernel);
+        Filter { weights, kernel, stride }
     }
 
     fn groups(p: &Place<'_>, groups: i64, width: i64) -> Groups {

@@ -120,7 +120,7 @@ impl Grid {
 impl MapCollision {
     pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
         for agent in (0..context.num_agents()).filter(|a| out.wanted[*a] && context.moving[*a]) {
-            let Some(road) = context.roads.get(agent).copied().unwrap_or(context.road) else { continue };
+            let Some(road) = context.roads[agent] else { continue };
             let grid = Grid::new(context.length_m[agent], context.width_m[agent]);
             for t in 0..plan.num_steps {
                 let at = agent * plan.num_steps + t;

@@ -102,7 +102,6 @@ impl<B: Backend> Weighted<B> for Bits<B> {
 impl<B: Backend> Proposes<B> for Bits<B> {
     /// Plans to N goals drawn from the grid. Each agent's sample is chosen against the predicted plans of the others.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
-        asked.rows.check_seeds(asked.seeds)?;
         let (config, seen) = (self.config(), self.encode(batch));
         let Some(cells) = self.cells(&seen) else {
             return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
@@ -114,8 +113,8 @@ impl<B: Backend> Proposes<B> for Bits<B> {
             knots.extend(B::numbers(&self.plans(&seen, &goals)));
         }
         if let Some(guide) = guide {
-            guide.choose_against(B::numbers(&self.predicted(&seen)), None)?;
-            guide.adjust_finished(&mut knots)?;
+            guide.choose_against(B::numbers(&self.predicted(&seen)), None);
+            guide.adjust_finished(&mut knots);
         }
         Ok((knots, None))
     }

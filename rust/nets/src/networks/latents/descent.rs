@@ -4,7 +4,6 @@
 //! the gradient of g · x(z) with respect to z is then exact.
 
 use super::LOG_VARIANCE;
-use crate::error::Result;
 use crate::guidance::Guidance;
 
 const BETA: (f32, f32) = (0.9, 0.999);
@@ -52,13 +51,13 @@ pub(super) fn descended(
     guide: &Guidance<'_>,
     decode: impl Fn(&[f32]) -> Vec<f32>,
     pulled: impl Fn(&[f32], &[f32]) -> Vec<f32>,
-) -> Result<Vec<f32>> {
+) -> Vec<f32> {
     let (scales, shares, config) = (guide.guidance_scales(), guide.shares(), guide.config());
     let (mut z, mut first, mut second) = (start.to_vec(), vec![0f32; start.len()], vec![0f32; start.len()]);
     let mut unbias = (1f32, 1f32);
     for _ in 0..config.gradient_steps {
         unbias = (unbias.0 * BETA.0, unbias.1 * BETA.1);
-        let mut gradient = pulled(&z, &guide.gradient(&decode(&z))?);
+        let mut gradient = pulled(&z, &guide.gradient(&decode(&z)));
         if let Some(prior) = prior {
             add_prior(&mut gradient, &z, latent, prior, &shares);
         }
@@ -78,7 +77,7 @@ pub(super) fn descended(
     for (at, z) in z.iter_mut().enumerate().filter(|(at, _)| scales[at / latent] > 0.0) {
         *z = start[at] + scales[at / latent] * (*z - start[at]);
     }
-    Ok(z)
+    z
 }
 
 /// Adds the gradient of the distance from a prior.

@@ -1,7 +1,7 @@
 //! Swift traffic: each vehicle drives by a small network that was taught what guided CCDiff does (`ccdiff-env distil`).
 //!
-//! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the nearest to the ego
-//! see who the ego is, and how strongly they shall hinder it. Nobody asks the map anything but the routes.
+//! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the vehicles nearest to
+//! the ego are told which agent it is, and how strongly to hinder it. Of the map only the routes are used.
 
 mod network;
 mod seen;
@@ -15,7 +15,9 @@ use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
 use crate::networks::tokens::grid::TOKEN_STEPS;
 use crate::sampling::noise::Noise;
-use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided, side_by_side};
+pub use crate::traffic::planned_agents::egos_of;
+use crate::traffic::planned_agents::{history_of, select_guided};
+use crate::traffic::{AdversaryPolicy, CcdiffConfig, planning_pool, side_by_side};
 use ccdiff_sim::SimError;
 use ccdiff_sim::drivers::{
     AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
@@ -78,7 +80,7 @@ struct Scratch {
     watch: Watch,
 }
 
-/// Who decides in a world, who of them is guided, and how strongly.
+/// The vehicles of a world that decide, those of them that are guided, and how strongly.
 struct Decides<'a> {
     request: &'a PlanRequest<'a>,
     history: &'a History,
@@ -130,13 +132,10 @@ impl Swift {
         Ok(Self { network, adversary_policy: AdversaryPolicy::of(&config)?, config, pool })
     }
 
-    /// Who decides now.
+    /// The vehicles that decide now.
     fn decides<'a>(&self, request: &'a PlanRequest<'a>) -> ccdiff_sim::Result<Decides<'a>> {
         let (world, states) = (&request.world, request.world.states);
-        let history = world.history.filter(|h| h.len() >= STATES).ok_or_else(|| SimError::Driver {
-            driver: SWIFT.name.into(),
-            message: "the world keeps too short a history".into(),
-        })?;
+        let history = history_of(world, STATES, SWIFT.name)?;
         let there = |a: &usize| {
             request.drives(*a)
                 && states.active[*a]
@@ -146,8 +145,7 @@ impl Swift {
         };
         let agents: Vec<usize> = (0..states.len()).filter(there).collect();
         let egos = egos_of(world);
-        let wanted = request.plan_override;
-        let mut criticality = wanted.criticality.unwrap_or(self.config.criticality);
+        let mut criticality = request.plan_override.criticality.unwrap_or(self.config.criticality);
         if !self.config.guides_at(world) || egos.is_empty() {
             criticality = 0.0;
         }
@@ -161,12 +159,10 @@ impl Swift {
             };
             ranking.extend(agents.iter().copied().filter(|a| !egos.contains(a)));
             ranking.sort_by(|a, b| to_ego(*a).total_cmp(&to_ego(*b)));
-            guided = select_guided(&ranking, wanted, self.config.num_guided, |_| true);
-            if let Some(policy) = self.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let strength;
-                (guided, strength) = policy.guided(request, &ranking);
-                criticality *= strength;
-            }
+            let policy = self.adversary_policy.as_ref();
+            let strength;
+            (guided, strength) = select_guided(request, &self.config, policy, &ranking, |_| true);
+            criticality *= strength;
         }
         Ok(Decides { request, history, agents, egos, ranking, guided, criticality })
     }
@@ -194,8 +190,8 @@ impl Swift {
         Ok(plans.collect())
     }
 
-    /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it drives into nobody
-    /// in the next 1.5 s, all others doing as they have drawn; without one it brakes. Guided vehicles do not mind the ego.
+    /// Acceleration and yaw rate of the vehicles of a world: the first of some draws without a contact in the next 1.5 s, while
+    /// all others do as they have drawn; without such a draw it brakes. Guided vehicles ignore contacts with the ego.
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
@@ -221,11 +217,6 @@ impl Swift {
         }
         motions
     }
-}
-
-/// The agents of a world whom guided vehicles hinder: its ego, and all that are driven from outside.
-pub fn egos_of(world: &WorldView<'_>) -> Vec<usize> {
-    (0..world.states.len()).filter(|a| world.states.active[*a] && is_ego(world, *a)).collect()
 }
 
 /// The plan of a world in which agents do as drawn.
