@@ -34,7 +34,8 @@ pub(crate) struct Neighbours {
     half: (Tensor, Tensor),
 }
 
-fn every_other(t: &Tensor, dim: i64) -> Tensor {
+/// The looked-at steps.
+pub(crate) fn every_other(t: &Tensor, dim: i64) -> Tensor {
     t.slice(dim, STRIDE - 1, None, STRIDE)
 }
 

@@ -26,7 +26,8 @@ pub(crate) fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
 /// The network of a weight file.
 #[pyfunction]
 pub(crate) fn load_network(py: Python<'_>, path: PathBuf) -> PyResult<PyTrajectoryModel> {
-    py.detach(|| TrajectoryModel::load(&path)).map(PyTrajectoryModel::new).map_err(from_model)
+    let model = py.detach(|| TrajectoryModel::new(&path, weights::read(&path)?));
+    model.map(PyTrajectoryModel::new).map_err(from_model)
 }
 
 /// A driver of worlds with this step over these scenes, which plans on this many threads; `options` is a

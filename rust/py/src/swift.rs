@@ -2,6 +2,7 @@
 
 use ccdiff_bridge::errors::{from_model, from_sim, py};
 use ccdiff_bridge::{contained, driver_capsule, path_of};
+use ccdiff_nets::compute::weights::read;
 use ccdiff_nets::networks::tokens::token_of;
 use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
 use ccdiff_sim::drivers::WorldView;
@@ -27,7 +28,7 @@ pub(crate) fn driver<'py>(
     num_threads: usize,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     let config = options::read(&path_of(name, SWIFT.name), settings).map_err(from_sim)?;
-    let made = py.detach(|| Swift::load(config, weights, dt_s, num_threads));
+    let made = py.detach(|| Swift::new(config, weights, read(weights)?, dt_s, num_threads));
     driver_capsule(py, contained(Box::new(made.map_err(from_model)?)))
 }
 

@@ -1,6 +1,6 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
-use ccdiff_nets::compute::weights::{Entry, tensors};
+use ccdiff_nets::compute::weights::{Entry, parse, tensors};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
@@ -86,10 +86,12 @@ impl Playground {
     /// Keeps the weights of a network, checked.
     pub(crate) fn weights(&mut self) -> Result<(), String> {
         let bytes = std::mem::take(&mut self.given);
-        let kind = if Swift::from_bytes(CcdiffConfig::default(), "weights", &bytes, DT_S).is_ok() {
+        let path = Path::new("weights");
+        let file = parse(path, &bytes).map_err(|e| e.to_string())?;
+        let kind = if Swift::new(CcdiffConfig::default(), path, file.clone(), DT_S, 1).is_ok() {
             SWIFT.name.into()
         } else {
-            let model = TrajectoryModel::from_bytes("weights", &bytes).map_err(|e| e.to_string())?;
+            let model = TrajectoryModel::new(path, file).map_err(|e| e.to_string())?;
             model.config().kind.as_str().into()
         };
         self.weights.push((kind, bytes));
@@ -122,12 +124,14 @@ impl Playground {
             let Some(asked) = options["named_drivers"][kind].get(kind) else { continue };
             let config: CcdiffConfig = read(kind, &asked.to_string()).map_err(|e| e.to_string())?;
             let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
+            let path = Path::new(kind);
+            let file = parse(path, bytes).map_err(|e| e.to_string())?;
             if kind == SWIFT.name {
-                let driver = Swift::from_bytes(config, kind, bytes, dt_s).map_err(|e| e.to_string())?;
+                let driver = Swift::new(config, path, file, dt_s, 1).map_err(|e| e.to_string())?;
                 drivers.push((kind.clone(), Box::new(driver)));
                 continue;
             }
-            let model = TrajectoryModel::from_bytes(kind, bytes).map_err(|e| e.to_string())?;
+            let model = TrajectoryModel::new(path, file).map_err(|e| e.to_string())?;
             let driver = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
             driver.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
             drivers.push((kind.clone(), Box::new(driver)));

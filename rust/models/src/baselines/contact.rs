@@ -1,6 +1,7 @@
 //! Contact between the plans of one scene, and departures from the road, in tensors (rivals.md#trafficsim).
 
 use crate::batch::Batch;
+use crate::collision::every_other;
 use crate::torch::to_vec;
 use ccdiff_sim::geom::Point2;
 use tch::{Kind, Tensor};
@@ -9,8 +10,6 @@ use tch::{Kind, Tensor};
 const CIRCLES: i64 = 5;
 /// Squared distance below which two circles are on the same spot, m²: the penalty is 1, without a gradient.
 const SAME_SPOT_M2: f64 = 1e-12;
-/// Every `STRIDE`-th step of a plan is looked at.
-pub(super) const STRIDE: i64 = 2;
 
 /// Footprints over time: rows of x, y, heading [R, T] in one frame, lengths and widths [R].
 pub(super) struct Footprints<'a> {
@@ -74,7 +73,7 @@ impl Pairs {
 
     /// Penalties [P, steps] of plans [R, T, 6] in the rows' own frames.
     fn of_plans(&self, batch: &Batch, states: &Tensor) -> Tensor {
-        let states = states.slice(1, STRIDE - 1, None, STRIDE);
+        let states = every_other(states, 1);
         let [x, y, heading] = poses(batch).map(|c| c.unsqueeze(1));
         let (ahead, left) = (states.select(2, 0), states.select(2, 1));
         let (cos, sin, [length, width]) = (heading.cos(), heading.sin(), batch.sizes());
@@ -118,7 +117,7 @@ fn poses(batch: &Batch) -> [Tensor; 3] {
 ///
 /// As in the guidance's objective, points off the road are held fixed, and footprints wholly off it count nothing.
 pub(super) fn off_road(batch: &Batch, states: &Tensor, moving_mps: f64) -> Tensor {
-    let states = states.slice(1, STRIDE - 1, None, STRIDE);
+    let states = every_other(states, 1);
     let [length, width] = batch.sizes().map(|size| size.view([-1, 1, 1]));
     let points = |signs: [f32; 8]| Tensor::from_slice(&signs).to_device(states.device());
     let along = &length * 0.5 * points([-1.0, 0.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0]);

@@ -21,6 +21,8 @@ pub const FORMAT: u64 = 1;
 
 /// A tensor of a file: its shape and its numbers.
 pub type Entry = (Vec<usize>, Vec<f32>);
+/// Header and tensors of a file.
+pub type File = (serde_json::Value, BTreeMap<String, Entry>);
 
 /// The error of a file that cannot be read or written.
 pub fn io(path: &Path, action: &'static str) -> impl FnOnce(std::io::Error) -> ModelError {
@@ -64,7 +66,7 @@ fn bytes_of(path: &Path) -> Result<Vec<u8>> {
 ///
 /// # Errors
 /// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
-pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
+pub fn read(path: &Path) -> Result<File> {
     parse(path, &bytes_of(path)?)
 }
 
@@ -72,7 +74,7 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)>
 ///
 /// # Errors
 /// [`ModelError::Checkpoint`] where these are not the bytes of such a file.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<File> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(foreign(path))?;
     let text = metadata
         .metadata()

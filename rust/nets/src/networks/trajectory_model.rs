@@ -2,7 +2,7 @@
 
 pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 
-use crate::compute::weights::{self, Entry};
+use crate::compute::weights::File;
 use crate::config::ModelConfig;
 use crate::error::{Result, require};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
@@ -11,7 +11,6 @@ use crate::inputs::segments::MapLines;
 use crate::networks::kind::NetworkKind;
 use crate::networks::kinds::{check_cpu, described};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What a model sees of one world.
@@ -76,23 +75,11 @@ pub struct TrajectoryModel {
 }
 
 impl TrajectoryModel {
-    /// Loads a weight file for the kernels of this crate, checking every name and shape.
+    /// The network of a weight file, read or parsed, on the kernels of this crate; checks every name and shape.
     ///
     /// # Errors
-    /// [`ModelError::Io`], [`ModelError::Checkpoint`]; [`ModelError::Config`] for a network that needs torch.
-    pub fn load(path: &Path) -> Result<Self> {
-        Self::own(path, weights::read(path)?)
-    }
-
-    /// As [`Self::load`], from the bytes of a file where there are no files; errors call it by `name`.
-    ///
-    /// # Errors
-    /// As [`Self::load`].
-    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
-        Self::own(Path::new(name), weights::parse(Path::new(name), bytes)?)
-    }
-
-    fn own(path: &Path, (header, tensors): (serde_json::Value, BTreeMap<String, Entry>)) -> Result<Self> {
+    /// [`ModelError::Checkpoint`] names the path; [`ModelError::Config`] for a network that needs torch.
+    pub fn new(path: &Path, (header, tensors): File) -> Result<Self> {
         let config = described(path, &header)?;
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
         check_cpu(&config)?;

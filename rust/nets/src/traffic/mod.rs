@@ -23,6 +23,7 @@ pub use config::{
 pub(crate) use adversary_policy::AdversaryPolicy;
 pub use planned_agents::STATIONARY_REACH_M;
 
+use crate::compute::weights::read;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result, require};
 use crate::inputs::segments::MapLines;
@@ -66,8 +67,8 @@ impl PlannedTraffic {
         let (fits, got) = (config.device == config::CPU, format!("{:?}", config.device));
         require(fits, "ccdiff.device", got, "\"cpu\" without torch")?;
         let pool = planning_pool(num_threads)?;
-        let copies =
-            (0..num_threads.max(1)).map(|_| TrajectoryModel::load(weights)).collect::<Result<_>>()?;
+        let (file, copies) = (read(weights)?, 0..num_threads.max(1));
+        let copies = copies.map(|_| TrajectoryModel::new(weights, file.clone())).collect::<Result<_>>()?;
         Self::of(config, copies, Some(pool))
     }
 

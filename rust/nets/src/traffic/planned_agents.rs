@@ -170,11 +170,6 @@ impl PlannedAgents {
         self.window.routes = self.agents.iter().zip(&self.driven).map(told).collect();
     }
 
-    /// Whether this driver may drive an agent of the scene.
-    pub(super) fn is_driven(&self, agent_idx: usize) -> bool {
-        self.agents.iter().zip(&self.driven).any(|(a, driven)| *a == agent_idx && *driven)
-    }
-
     /// Agents of the scene that may be guided, by falling importance, from the times to contact in the window.
     pub(super) fn ranking(
         &self,

@@ -246,15 +246,15 @@ impl PlannedTraffic {
         let (n, m) = (plan.num_samples, plan.agents.len());
         let steps = plan.states.len() / (n * m * 6).max(1);
         let agents: Vec<usize> = plan.agents.iter().map(|row| due.planned.agents[*row]).collect();
-        let follows = |a: &usize| {
-            due.planned.is_driven(*a)
+        let follows = |(row, a): (&usize, &usize)| {
+            due.planned.driven[*row]
                 && match background {
                     BackgroundDriver::Ccdiff => true,
                     BackgroundDriver::Idm => due.chosen.contains(a),
                     BackgroundDriver::Replay => due.chosen.contains(a) || memory.left_log[*a],
                 }
         };
-        let follows_plan: Vec<bool> = agents.iter().map(follows).collect();
+        let follows_plan: Vec<bool> = plan.agents.iter().zip(&agents).map(follows).collect();
         for (agent, follows) in agents.iter().zip(&follows_plan) {
             memory.left_log[*agent] |= *follows;
         }

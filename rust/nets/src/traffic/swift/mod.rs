@@ -9,7 +9,7 @@ mod watch;
 
 pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
 
-use crate::compute::weights::{Entry, parse, read};
+use crate::compute::weights::File;
 use crate::error::{Result, require};
 use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
@@ -29,7 +29,6 @@ use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 use network::{Hidden, Network};
 use rayon::ThreadPool;
-use std::collections::BTreeMap;
 use std::path::Path;
 use watch::Watch;
 
@@ -92,29 +91,16 @@ struct Decides<'a> {
 }
 
 impl Swift {
-    /// From a file of weights, for worlds with a step; it plans on so many threads, which changes no bit.
+    /// From a file of weights, read or parsed, for worlds with a step; it plans on so many threads, which changes no bit.
     ///
     /// # Errors
-    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] for the files, [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] for options.
-    pub fn load(config: CcdiffConfig, weights: &Path, dt_s: Real, num_threads: usize) -> Result<Self> {
-        let pool = if num_threads > 1 { Some(planning_pool(num_threads)?) } else { None };
-        Self::of(config, weights, read(weights)?, dt_s, pool)
-    }
-
-    /// The same of the bytes of a file, on the caller's thread; errors name `name`.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`], [`crate::ModelError::Sim`].
-    pub fn from_bytes(config: CcdiffConfig, name: &str, bytes: &[u8], dt_s: Real) -> Result<Self> {
-        Self::of(config, Path::new(name), parse(Path::new(name), bytes)?, dt_s, None)
-    }
-
-    fn of(
+    /// [`crate::ModelError::Checkpoint`] names the path, [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] the option.
+    pub fn new(
         config: CcdiffConfig,
         path: &Path,
-        (header, tensors): (serde_json::Value, BTreeMap<String, Entry>),
+        (header, tensors): File,
         dt_s: Real,
-        pool: Option<ThreadPool>,
+        num_threads: usize,
     ) -> Result<Self> {
         let network = Network::new(path, &header, tensors)?;
         options::check("ccdiff", &config)?;
@@ -129,6 +115,7 @@ impl Swift {
             let field = format!("ccdiff.{name}").into();
             return Err(SimError::Config { field, got: value.to_string(), expected }.into());
         }
+        let pool = (num_threads > 1).then(|| planning_pool(num_threads)).transpose()?;
         Ok(Self { network, adversary_policy: AdversaryPolicy::of(&config)?, config, pool })
     }
 
