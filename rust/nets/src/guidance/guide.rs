@@ -279,22 +279,14 @@ impl<'a> Guidance<'a> {
         context.guided.iter().map(of).collect()
     }
 
-    /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
-    pub fn guidance_scales(&self) -> Vec<f32> {
-        let of = |s: &GuidanceContext<'_>, agent: usize| if s.guided[agent] { s.guidance_scale } else { 0.0 };
-        self.per_row(&|world, agent| self.worlds[world].as_ref().map_or(0.0, |s| of(s, agent)))
-    }
-
-    /// One over the number of agents in each row's world, [N · R].
-    pub fn shares(&self) -> Vec<f32> {
-        self.per_row(&|world, _| 1.0 / self.sizes[world] as f32)
-    }
-
-    fn per_row(&self, of: &dyn Fn(usize, usize) -> f32) -> Vec<f32> {
-        let rows =
-            self.sizes.iter().enumerate().flat_map(|(world, size)| (0..*size).map(move |a| (world, a)));
-        let rows: Vec<f32> = rows.map(|(world, agent)| of(world, agent)).collect();
-        rows.repeat(self.num_samples)
+    /// Of each row the share of a move that is made, 0 for rows that are not guided, and one over the agents of its world, [N · R].
+    pub fn row_scales(&self) -> Vec<[f32; 2]> {
+        let of_world = |(world, size): (&Option<GuidanceContext<'_>>, &usize)| {
+            let guided = |agent: &usize| world.as_ref().filter(|world| world.guided[*agent]);
+            let scale = |agent| guided(&agent).map_or(0.0, |world| world.guidance_scale);
+            (0..*size).map(|agent| [scale(agent), 1.0 / *size as f32]).collect::<Vec<_>>()
+        };
+        self.worlds.iter().zip(&self.sizes).flat_map(of_world).collect::<Vec<_>>().repeat(self.num_samples)
     }
 
     /// Gradient of the total of all weighted objectives with respect to knots [N · R, knots, 2]; zero in rows that are not
