@@ -2,10 +2,11 @@
 
 use crate::batch::{Batch, Targets};
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, Trains, on_tape, on_torch};
+use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_tape, on_torch};
 use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
+use crate::trains::Trains;
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::ccdiff::Network;
 use ccdiff_nets::networks::ctg::HalfUnet;

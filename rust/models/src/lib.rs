@@ -26,6 +26,7 @@ pub mod tokens;
 pub mod torch;
 pub mod torch_model;
 pub mod train;
+pub mod trains;
 pub mod unicycle;
 
 pub use ccdiff_nets::inputs::{features, segments};

@@ -9,19 +9,13 @@ use crate::plan_space::PlanSpace;
 use crate::tape::{self, Parameters, Tape};
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use ccdiff_nets::compute::backend::Inputs;
+use crate::trains::Trains;
 use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};
 
 /// Streams of random numbers of one training step; the last one moves agents off their log.
 const STREAMS: u64 = 4;
-
-/// A backend that networks are trained on.
-pub trait Trains: for<'a> Inputs<Batch<'a> = Batch> {
-    /// Numbers as a tensor of torch's of a size, whose gradient goes back to them.
-    fn leaf(x: &Self::Tensor, size: &[i64]) -> Tensor;
-}
 
 /// A network that is trained on a backend.
 pub trait Learns<B: Trains>: Proposes<B> {

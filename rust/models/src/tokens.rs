@@ -1,11 +1,12 @@
 //! Training of tokens: cross entropy with labels smoothed by distance, mirrored rows (rivals.md#tokens).
 
 use crate::batch::{Batch, Targets};
-use crate::plan_model::{Learns, TorchKind, TrainingStep, Trains, on_tape};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_tape};
 use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
 use crate::train::config::TrainConfig;
+use crate::trains::Trains;
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{near_columns, own_columns};

@@ -2,8 +2,8 @@
 
 use crate::batch::Batch;
 use crate::config::{HistoryTokens, ModelConfig};
-use crate::plan_model::Trains;
 use crate::slots::{Slots, mix, weights};
+use crate::trains::Trains;
 use ccdiff_nets::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::cpu::Cpu;
 use ccdiff_nets::compute::numbers::{self, Array};

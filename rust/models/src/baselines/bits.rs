@@ -2,10 +2,11 @@
 
 use crate::batch::Targets;
 use crate::losses::plan_loss;
-use crate::plan_model::{Learns, TorchKind, TrainingStep, Trains, on_tape};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_tape};
 use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
+use crate::trains::Trains;
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 use tch::{Kind, Tensor};

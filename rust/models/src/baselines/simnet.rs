@@ -1,10 +1,11 @@
 //! The loss of SimNet.
 
 use crate::losses::plan_loss;
-use crate::plan_model::{Learns, TorchKind, TrainingStep, Trains, on_tape};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_tape};
 use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::Torch;
+use crate::trains::Trains;
 use ccdiff_nets::networks::simnet::Simnet;
 use tch::{Kind, Tensor};
 

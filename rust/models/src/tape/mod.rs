@@ -11,8 +11,8 @@ mod ops;
 pub use layers::{Parameters, Place};
 
 use crate::config::{HistoryTokens, ModelConfig};
-use crate::plan_model::Trains;
 use crate::torch::to_vec;
+use crate::trains::Trains;
 use ccdiff_nets::compute::cpu::Array;
 use ccdiff_nets::kernels::{self, PANEL};
 use std::cell::{Cell, RefCell};
