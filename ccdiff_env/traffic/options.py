@@ -349,7 +349,7 @@ Ranking: TypeAlias = (
     | Mapping[str, tuple[str, ...]]
 )
 
-#: Who drives the vehicles outside the guided set.
+#: The driver of the vehicles outside the guided set.
 BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]
 
 #: Agents with which contacts count in the collision objectives.
@@ -401,13 +401,14 @@ class CcdiffConfig(Options):
     num_guided: int | None = 5  #: Vehicles that are guided K (in [0, 512]); ``None``: all.
     #: How they are chosen; ids by the name of the scene choose them directly.
     ranking: Ranking = "cliques"
-    #: Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the
-    #: ranking: ``"learned"``, the shipped policy, or the file of one
-    #: (examples/train_adversary_selection.py); ``criticality`` scales its strengths. It learned
-    #: with plans of 20 steps.
+    #: A policy that chooses, in place of the ranking, which vehicle is guided at every plan and how
+    #: strongly, or none: ``"learned"``, the shipped one, or a file
+    #: (examples/train_adversary_selection.py). ``criticality`` scales its strengths. It was trained
+    #: with ``replan_steps`` of 20.
     adversary_policy: str | None = None
     rerank: bool = True  #: Whether they are chosen again at every plan, not only at the first one.
-    background_driver: BackgroundDriver = "ccdiff"  #: Who drives the vehicles that are not guided.
+    #: The driver of the vehicles that are not guided.
+    background_driver: BackgroundDriver = "ccdiff"
     #: Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising
     #: step: 0.24 of it, routes: 1.65, so that an ego collides as often) (in [0, 10]). Tokens:
     #: guided vehicles take the best of 1 plus its square of draws. Worlds can change it at any
