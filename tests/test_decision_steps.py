@@ -101,18 +101,6 @@ def test_each_agent_sees_its_own_end(scenes):
     assert early > 0
 
 
-def test_snapshots_go_between_paces(scenes):
-    """The state of a world does not depend on how often its driver is asked."""
-    slow = EgoEnv(scenes=scenes, traffic="idm", decision_steps=5)
-    fast = EgoEnv(scenes=scenes, traffic="idm")
-    slow.reset(seed=3)
-    slow.step(np.zeros(2, np.float32))
-    obs = fast.restore(slow.snapshot())
-    assert np.array_equal(obs, slow.observation())
-    assert fast.worlds.native.digest(0) == slow.worlds.native.digest(0)
-    assert slow.worlds.native.status(0).elapsed_steps == 5
-
-
 def test_what_counts_steps_refuses_decisions(scenes):
     with pytest.raises(ConfigError, match="decision_steps is 3, expected 1"):
         Recorder(EgoEnv(scenes=scenes, decision_steps=3))
@@ -120,11 +108,6 @@ def test_what_counts_steps_refuses_decisions(scenes):
         ccdiff_env.AdversarySelectionEnv(scenes=scenes, decision_steps=3)
     with pytest.raises(ConfigError, match="decision_steps"):
         EgoEnv(scenes=scenes, decision_steps=0)
-
-
-def test_max_cycles_counts_decisions(scenes):
-    game = ccdiff_env.parallel_env(scenes=scenes, agents=2, max_cycles=4, decision_steps=5)
-    assert (game.max_cycles, game.worlds.config.horizon_steps) == (4, 20)
 
 
 def driven(env, action, steps=60):

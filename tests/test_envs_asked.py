@@ -8,33 +8,15 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import ccdiff_env
 from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.planners.built_in import ego_driver
-from ccdiff_env.worlds.fit import ATTRIBUTE
 
 NUM_SCENES = 2
-
-
-def test_vector_environments_answer_as_gymnasiums_own(scenes):
-    env = ccdiff_env.make_vec(
-        3, scenes=scenes, autoreset_mode="same_step", criticality=(0, 1), traffic="ccdiff"
-    )
-    assert env.autoreset_mode is AutoresetMode.SAME_STEP
-    assert env.call("set_progress", 0.5) == (None, None, None)
-    assert env.get_attr("num_envs") == (3, 3, 3)
-    env.set_attr("note", "mine")
-    env.set_attr("note", ["ours"] * 3)
-    assert env.get_attr("note") == ("ours",) * 3
-    for values in (["a", "b", "c"], ["a"]):
-        with pytest.raises(ConfigError, match="share their attributes"):
-            env.set_attr("note", values)
-    with pytest.raises(AttributeError):
-        env.call("fly")
 
 
 def test_a_learner_chooses_when_worlds_begin_anew(scenes):
@@ -124,18 +106,6 @@ def spoil(space):
         space.low[:], space.high[:] = -3.0, 3.0
     elif isinstance(space, spaces.MultiBinary):
         space.n, space._shape = 1, (1,)
-
-
-def test_statistics_and_stacks_change_the_wrappers_space_alone(scenes):
-    env, flat = (ccdiff_env.make_vec(2, scenes=scenes, **form) for form in (RASTER, {}))
-    before, vec = copy.deepcopy((own(env), own(flat))), SB3VecEnv(env)
-    norm = VecNormalize(vec, norm_obs_keys=["bev", "ego"])
-    norm.reset()
-    assert norm.observation_space["bev"].dtype == np.float32
-    stacked = VecFrameStack(SB3VecEnv(flat), 3)
-    assert stacked.reset().shape == (2, 3 * flat.single_observation_space.shape[0])
-    assert (own(env), own(flat)) == before
-    assert getattr(env.single_observation_space, ATTRIBUTE)
 
 
 def test_worlds_go_on_whatever_is_done_to_a_space_that_was_handed_out(scenes):

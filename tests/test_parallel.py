@@ -3,13 +3,11 @@
 import copy
 import itertools
 import pickle
-import types
 import warnings
 
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
-from pettingzoo.test.max_cycles_test import max_cycles_test
 from stable_baselines3 import PPO
 
 import ccdiff_env
@@ -52,16 +50,10 @@ def test_pettingzoos_other_suites_pass(scenes):
         parallel_api_test(parallel_env(scenes=scenes, agents=3, names=names), num_cycles=60)
     parallel_seed_test(lambda: parallel_env(scenes=scenes, agents=3), num_cycles=40)
     seed_test(lambda: aec_env(scenes=scenes, agents=3), num_cycles=20)
-    options = {"scenes": scenes[:1], "agents": 3, "terminate_at_goal": False}
-    module = types.SimpleNamespace(
-        parallel_env=lambda **more: parallel_env(**options, **more),
-        env=lambda **more: aec_env(**options, **more),
-    )
-    max_cycles_test(module)
     render_test(lambda **more: aec_env(scenes=scenes[:1], agents=2, **more))
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
-        options = {"agents": 4, "names": "slot", "max_cycles": 30}
+        options = {"agents": 4, "names": "slot", "horizon_steps": 30}
         api_test(aec_env(scenes=scenes[:1], **options), num_cycles=100)
 
 
