@@ -41,7 +41,6 @@ def train(
     start: str | os.PathLike[str] | None = None,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
-    validation_samples: int = 96,
     progress: bool = True,
 ) -> Path:
     """Train a planning network and write its weights.
@@ -71,7 +70,6 @@ def train(
             ``network`` adds to them begin fresh.
         notes: Kept in the weight file's header.
         checkpoint_minutes: Time between checkpoints and validations.
-        validation_samples: Held-out (scene, step) pairs per validation.
         progress: Whether to show a progress bar (needs tqdm).
 
     Returns:
@@ -130,9 +128,7 @@ def train(
     def checkpoint() -> None:
         run.save(os.fspath(state))
         run.export(os.fspath(weights), json.dumps(notes))
-        errors = run.validate(
-            validation_samples, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0
-        )
+        errors = run.validate(96, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0)
         if errors is not None:
             curves.write("validation", run.step, errors)
             nonlocal said
