@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
 import ccdiff_env
 import ccdiff_env_cli
@@ -340,14 +339,6 @@ def test_scenes_that_trained_or_chose_never_report(path):
     used = [splits for name, splits in USED_FOR.items() if name in named]
     for splits in [*used, *(kept[key] for key in ("trained_on", "chosen_on") if key in kept)]:
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
-
-
-@pytest.mark.parametrize("name", ["hero", "task_ego", "task_multi_agent", "task_selection"])
-def test_images_move_and_load_fast(name):
-    path = ROOT / "docs" / f"{name}.gif"
-    assert path.stat().st_size < 500_000
-    with Image.open(path) as video:
-        assert video.n_frames > 10
 
 
 def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):

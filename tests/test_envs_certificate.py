@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from array_scenes import played
 
 import ccdiff_env
 from ccdiff_env import Certificate, EgoEnv, replay
@@ -14,18 +15,9 @@ from ccdiff_env.errors import ResetNeededError, SnapshotError
 def driven(scenes, *, episodes=1, **options) -> tuple[EgoEnv, list[float]]:
     """An environment at the end of an episode, and that episode's rewards."""
     env = EgoEnv(scenes=scenes, **options)
-    env.reset(seed=2**70 + 1)
-    for _ in range(episodes - 1):
-        env.reset()
-    env.action_space.seed(3)
-    rewards, done = [], False
-    while not done:
-        action = env.action_space.sample()
-        if not options.get("discrete"):
-            action = action * np.float32(0.1)
-        _, reward, terminated, truncated, _ = env.step(action)
-        rewards.append(reward)
-        done = terminated or truncated
+    action = 33 if options.get("discrete") else np.full(env.action_space.shape, 0.05, np.float32)
+    for seed in (2**70 + 1, *[None] * (episodes - 1)):
+        rewards = [info["reward"] for *_, info in played(env, action, seed)]
     return env, rewards
 
 

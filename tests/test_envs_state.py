@@ -1,12 +1,10 @@
 """The single environment's state: snapshots, forks, pickles, processes, threads, memory."""
 
 import copy
-import gc
 import multiprocessing
 import os
 import pickle
 import threading
-import weakref
 
 import numpy as np
 import pytest
@@ -155,16 +153,6 @@ def test_threads_that_share_an_environment_get_an_error_not_a_crash(scenes):
         thread.join()
     assert all("environment of its own" in str(error) for error in seen)
     env.step(actions)
-
-
-def test_environments_go_when_nobody_holds_them(scenes):
-    env = EgoEnv(scenes=scenes)
-    env.reset(seed=0)
-    trace = weakref.ref(env)
-    env.close()
-    del env
-    gc.collect()
-    assert trace() is None
 
 
 @pytest.mark.parametrize("make", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])

@@ -119,36 +119,13 @@ def test_a_run_that_cooled_down_goes_on_over_added_steps(tmp_path, monkeypatch):
     assert spans == [(10, 9, 1), (14, 10, 4), (14, 10, 4)]
 
 
-@pytest.mark.parametrize(
-    "model", ["simnet", "trafficsim", "strive", "bits", "ctg", "ctgpp", "tokens"]
-)
-def test_rivals_train_plan_and_are_resumed_as_what_they_are(tmp_path, model):
-    options = {"model": model, "settings": QUICK, "progress": False}
+def test_rivals_are_resumed_as_what_they_are(tmp_path):
+    options = {"model": "simnet", "settings": QUICK, "progress": False}
     train([road()], out=tmp_path, steps=2, **options)
-    path = train([road()], out=tmp_path, steps=3, **options)
-    loaded = TrajectoryModel(path)
-    assert (loaded.header["kind"], loaded.header["step"]) == (model, 3)
-    (plan,) = loaded.plan([road()], [40], num_samples=2, attention=True)
-    assert plan.actions.shape == (2, 2, 25 if model == "tokens" else 52, 2)
-    assert (plan.attention is not None) == (model == "ctgpp")
+    header = TrajectoryModel(train([road()], out=tmp_path, steps=3, **options)).header
+    assert (header["kind"], header["step"]) == ("simnet", 3)
     with pytest.raises(ConfigError, match="another"):
         train([road()], out=tmp_path, steps=4, progress=False)
-
-
-def test_a_network_of_another_width_of_its_map_trains_and_drives(tmp_path):
-    network = {"map": {"feature_width": 32}}
-    weights = train(
-        [road()], out=tmp_path, steps=2, settings=QUICK, progress=False, network=network
-    )
-    assert TrajectoryModel(weights).header["model"]["map"] == {
-        "feature_width": 32,
-        "rounds": [0, 1],
-    }
-    env = EgoEnv(traffic="ccdiff", ccdiff={"weights": str(weights)})
-    env.reset(seed=0)
-    for _ in range(12):
-        observation, *_ = env.step(np.zeros(2, np.float32))
-    assert np.isfinite(observation).all()
 
 
 RIVALS = [name for name in NETWORKS if name not in ("ccdiff", "tokens", SWIFT)]

@@ -80,13 +80,6 @@ def test_the_middle_can_be_an_agent_a_point_or_wait_for_an_agent(scene):
     assert tuple(before[100, 100]) == tuple(COLOURS["drivable area"])
 
 
-def test_heading_up_is_north_up_turned_by_a_quarter_for_an_ego_that_heads_east(scene):
-    turned = scene.render(12, size=(200, 200), heading_up=True, **PLAIN)
-    north_up = scene.render(12, size=(200, 200), **PLAIN)
-    difference = np.abs(np.rot90(north_up).astype(int) - turned)
-    assert (difference.max(axis=2) > 40).mean() < 0.005
-
-
 def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
     plain = scene.render(8, **PLAIN)
     assert np.array_equal(plain, scene.render(8, **PLAIN))

@@ -56,22 +56,6 @@ def test_pdm_drives_better_than_constant_velocity_and_keeps_to_its_lanes(val):
     assert all(row["on_road"] == row["right_way"] == 1.0 for row in rows["pdm"])
 
 
-def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):
-    scenes = [scene for scene in val if scene.name.startswith("free-curve")]
-    worlds, out = begun(scenes)
-    seat = ego_driver("lane_idm")[1]
-    seat.begin(worlds)
-    idm = worlds.config.idm
-    ego = worlds.native.slot_agents(0)[0]
-    speed = float(worlds.native.states(0)["speed"][ego])
-    wanted = seat(out.obs[:, 0])[0, 0]
-    low, high = (bound for bound in (-8.0, 4.0))
-    acceleration = wanted * (high if wanted > 0 else -low)
-    free = idm.acceleration_mps2 * (1 - (speed / worlds.config.speed_limit_mps) ** idm.exponent)
-    assert acceleration <= free + 1e-4  # curves and leaders slow it, nothing else does
-    assert acceleration >= -idm.max_braking_mps2
-
-
 def test_planners_take_the_bicycle_and_refuse_assisted_dynamics(val):
     action = ActionConfig(dynamics=BicycleLimits())
     assert np.abs(driven(val[:1], "pdm", action=action) - driven(val[:1], "pdm")).max() < 0.5
