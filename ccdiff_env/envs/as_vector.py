@@ -63,10 +63,7 @@ class AsVector(VectorEnv[Any, Any, Any]):
         """Do nothing: the worlds go with the environment."""
 
     def _per_world(self, name: str, value: Any) -> list[Any]:
-        """Return what a reset is given, world by world: one for all, or one per world or row.
-
-        More, fewer, and different ones for rows of one world are a :class:`ConfigError`.
-        """
+        """Return what a reset is given, world by world; refuse what differs within a world."""
         found = []
         for rows in self._rows(name, value):
             said = [one for one in rows if one is not None]
