@@ -7,11 +7,8 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
-from array_scenes import outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import affinity
-from shapely.geometry import MultiPoint
 
 from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.metrics import causal
@@ -108,32 +105,6 @@ def test_the_weights_of_absent_agents_do_not_count():
 
 
 CAR = [4.5, 2.0]
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_oriented_ttc_is_where_the_swept_box_first_touches(seed):
-    rng = np.random.default_rng(seed)
-    p, h = rng.uniform(-30, 30, (2, 2)), rng.uniform(-np.pi, np.pi, 2)
-    v, size = rng.uniform(-3, 15, 2), rng.uniform([3, 1.5], [12, 3], (2, 2))
-    both = causal.ttc(p, h, v, size, normalised=False)
-    t = float(both[0, 1])
-    assert both[1, 0] == pytest.approx(t, abs=1e-3)
-    velocity = v[:, None] * np.stack([np.cos(h), np.sin(h)], 1)
-    relative = velocity[0] - velocity[1]
-    target = outline(*p[1], h[1], size[1])
-
-    def swept(until):
-        a = outline(*p[0], h[0], size[0])
-        b = affinity.translate(a, *(relative * until))
-        return MultiPoint([*a.exterior.coords, *b.exterior.coords]).convex_hull
-
-    if t < 20:
-        assert swept(t + 0.01).intersects(target)
-        if t > 0.02:
-            assert not swept(t - 0.01).intersects(target.buffer(-1e-3))
-    else:
-        assert not swept(19.9).intersects(target.buffer(-1e-3))
 
 
 def test_agents_that_are_absent_or_have_no_position_meet_nobody():

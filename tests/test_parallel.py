@@ -164,16 +164,13 @@ def test_copies_and_pickles_go_on_alike(scenes):
     for _ in range(10):
         env.step({name: np.array([0.5, 0.1], np.float32) for name in env.agents})
     others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), env.fork()]
-    for _ in range(20):
-        if not env.agents:
-            break
+    while env.agents:
         actions = {name: np.array([0.2, -0.1], np.float32) for name in env.agents}
         want = env.step(actions)
         for other in others:
-            got = other.step(actions)
+            assert other.step(actions)[1:4] == want[1:4]
             assert other.agents == env.agents
-            assert got[1:4] == want[1:4]
-            assert all((got[0][name] == want[0][name]).all() for name in want[0])
+            assert (other.state() == env.state()).all()
 
 
 def test_mistakes_are_named(scenes):
@@ -334,14 +331,7 @@ def test_rows_show_what_the_parallel_form_shows(scenes, more):
 @pytest.mark.parametrize("form", [{"observation": "bev"}, {"observation": "dict", "bev": {}}])
 def test_dictionaries_rasters_and_indices_work_too(scenes, form):
     rows = AgentVectorEnv(2, scenes=scenes, discrete=True, **form, **RULES)
-    game = parallel_env(scenes=scenes, discrete=True, names="slot", **form, **RULES)
-    obs, _ = rows.reset(seed=0)
-    seen, _ = game.reset(seed=0)
-    for name in seen:
-        assert game.observation_space(name).contains(seen[name])
-    if form["observation"] == "bev":
-        assert (obs[0] == seen["ego_0"]).all()
-    assert rows.observation_space.contains(obs)
+    assert rows.observation_space.contains(rows.reset(seed=0)[0])
     rows.action_space.seed(0)
     for _ in range(60):
         obs, *_, infos = rows.step(rows.action_space.sample())

@@ -132,35 +132,28 @@ def test_a_trajectory_that_begins_elsewhere_names_its_world_and_the_frames(val):
     ids = [worlds.native.slot_agents(i)[0] for i in range(4)]
     places = [worlds.native.states(i)["position"][agent] for i, agent in enumerate(ids)]
 
-    def seat(poses, **attributes):
+    def decided(poses, due=None, **attributes):
         def plan(obs):
-            return np.asarray(poses, np.float64)
+            return poses
 
         vars(plan).update(attributes)
         made = Seat(plan, "mine")
         made.begin(worlds)
-        return made
+        return made(out.obs[:, 0], due)
 
-    here = np.column_stack([places, np.zeros(4)])[:, None]
-    for away, fine in ((20.0, False), (2.0, True)):
-        moved = np.add(here, [away, 0.0, 0.0])
-        at = np.add(np.zeros((4, 1, 3)), [away, 0.0, 0.0])
-        for made in (seat(moved), seat(moved, frame="scene"), seat(at, frame="ego")):
-            if fine:
-                assert made(out.obs[:, 0]).shape == (4, 2)
-                continue
-            with pytest.raises(
-                ActionError, match=r"mine .*world 0 \(\S+, step 0\): .* 20\.0 m from"
-            ):
-                made(out.obs[:, 0])
+    here, origin = np.column_stack([places, np.zeros(4)])[:, None], np.zeros((4, 1, 3))
+    near = np.array([2.0, 0.0, 0.0])
+    for poses, frame in ((here, {}), (here, {"frame": "scene"}), (origin, {"frame": "ego"})):
+        assert decided(poses + near, **frame).shape == (4, 2)
+        with pytest.raises(ActionError, match=r"mine .*world 0 \(\S+, step 0\): .* 20\.0 m from"):
+            decided(poses + 10 * near, **frame)
     # of its own frame, which it does not say
-    far = np.array([np.hypot(*place) > 20.0 for place in places])
+    far = np.hypot(*np.transpose(places)) > 20.0
     assert far.any()
-    silent = seat(np.zeros((4, 1, 3)))
     with pytest.raises(
         ActionError, match=r"'scene'; expected at most .* \(the default\) or \"ego\""
     ):
-        silent(out.obs[:, 0])
-    silent(out.obs[:, 0], ~far)  # those that do not go on mean nothing
+        decided(origin)
+    decided(origin, ~far)  # those that do not go on mean nothing
     with pytest.raises(ConfigError, match="frame is 'world', expected 'scene' or 'ego'"):
-        seat(here, frame="world")
+        decided(here, frame="world")

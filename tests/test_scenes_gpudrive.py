@@ -153,21 +153,6 @@ def test_networks_and_images_see_the_road(loaded):
     assert shown > 0.05, "the road's surface is drawn"
 
 
-def test_built_scenes_are_kept(tmp_path):
-    file, cache = save(tmp_path / "a.json"), tmp_path / "cache"
-    first = ccdiff_env.load_gpudrive(file, cache=cache)
-    assert (first.report.cache.built, first.report.cache.hits) == (1, 0)
-    again = ccdiff_env.load_gpudrive(file, cache=cache)
-    assert (again.report.cache.built, again.report.cache.hits) == (0, 1)
-    assert again[0] == first[0]
-    twin = save(tmp_path / "b.json")
-    assert ccdiff_env.load_gpudrive(twin, cache=cache)[0].name == "b"
-    data = scene()
-    data["objects"][0]["length"] = 5.0
-    save(file, data)
-    assert ccdiff_env.load_gpudrive(file, cache=cache)[0] != first[0]
-
-
 def ego(number):
     """Say that another object is the ego."""
     return lambda d: d["metadata"].update(sdc_track_index=number)

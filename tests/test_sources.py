@@ -20,10 +20,9 @@ from ccdiff_env.scenes.arguments import (
     add_scene_arguments,
     other_place,
     place_from,
-    scenes_from,
 )
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
-from ccdiff_env.scenes.sources import SOURCES, Place, Source, coverage, parse, settled, title
+from ccdiff_env.scenes.sources import SOURCES, Source, coverage, parse, settled, title
 from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
 
@@ -264,19 +263,3 @@ def test_a_load_without_roads_warns_once(tmp_path):
     with pytest.warns(UserWarning, match="2 of 2 scenes have no road") as caught:
         ccdiff_env.load(f"scenarionet:{tmp_path}")
     assert len([w for w in caught if w.category is UserWarning]) == 1
-
-
-@pytest.mark.nuscenes
-def test_texts_open_what_load_nuscenes_opens(data_root):
-    folder = data_root / "nuscenes"
-    expected = ccdiff_env.load_nuscenes(folder, MINI, "mini_val")
-    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val") == expected
-    args = arguments(["--dataroot", str(folder), "--version", MINI])
-    assert scenes_from(args) == expected
-    found = ccdiff_env.load(Place("nuscenes", str(folder), MINI), names=["scene-0103"])
-    assert found.names == ("scene-0103",)
-    vehicles = ccdiff_env.load_nuscenes(folder, MINI, "mini_val", kinds=["vehicle"])
-    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val", kinds=["vehicle"]) == vehicles
-    with pytest.warns(UserWarning, match="93 of the 150"):
-        scenes = ccdiff_env.load(f"nuscenes:{folder}@v1.0-trainval/val")
-    assert coverage(parse(f"nuscenes:{folder}/val"), len(scenes)) == "93 of 150 scenes of val"
