@@ -136,6 +136,7 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert place.version == MINI  # the only one that is there
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
         scenes = ccdiff_env.load(place)
+    assert len(scenes.report.missing) == 149
     said = coverage(place, len(scenes))
     assert said == "1 of 150 scenes of val"
     assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"

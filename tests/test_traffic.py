@@ -13,7 +13,6 @@ from ccdiff_env.errors import (
     ConfigError,
     ResetNeededError,
     SceneError,
-    UnknownNameError,
 )
 from ccdiff_env.metrics import causal
 from ccdiff_env.models import shipped_weights
@@ -171,10 +170,6 @@ def test_a_scene_without_a_map_is_refused_by_name():
 
 
 def test_a_plans_record_has_the_same_fields_everywhere(scenes):
-    calm = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm")
-    calm.reset(seed=0)
-    with pytest.raises(UnknownNameError, match=r"explain: traffic is 'idm', expected one that"):
-        calm.explain()
     env = ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff={"explain": True})
     env.reset(seed=0)
     with pytest.raises(ResetNeededError, match="call step"):
