@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from array_scenes import GOES_ON
+from traffic_play import Play
 
 import ccdiff_env
 from ccdiff_env import WorldConfig, planners
@@ -136,31 +137,25 @@ def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(scenes,
     path = tmp_path / "unicycle.safetensors"
     save_ego(path, tensors, {}, {})
     policy, compared = planners.load(path), 0
-    config = policy.config.with_options(
-        traffic="replay", horizon_steps=60, on_traffic_collision="ignore", on_collision="ignore"
-    )
     own = {"egos": EgosConfig(policy=str(path))}
-    for i, scene in enumerate(scenes):
+    for scene in scenes:
         log, vehicle = scene.tracks(), np.array(scene.agent_types) == "vehicle"
         moves = np.ptp(log["position"], axis=1).max(axis=1) > 15.0
         fit = np.flatnonzero(moves & vehicle & log["valid"][:, :50].all(axis=1))
         if len(fit) < 2:
             continue
         agent, name = fit[1], scene.agent_ids[fit[1]]  # the first is the ego
-        made = {"driver": "replay", "drivers": {name: "egos"}, "named_drivers": own}
         seat, traffic = (
-            Worlds(scenes[i : i + 1], config.with_options(**options), num_worlds=1)
-            for options in ({"controlled": [name]}, made)
+            Play([scene], "replay", horizon_steps=60, on_traffic_collision="ignore", **options)
+            for options in (
+                {"controlled": [name], "driver": "external"},
+                {"drivers": {name: "egos"}, "named_drivers": own},
+            )
         )
-        for worlds in (seat, traffic):
-            worlds.native.reset([0], [0], None, worlds.arrays())
-        act = policy.act
         for _ in range(30):
-            seat.native.step(act(seat.last.obs[:, 0]).reshape(1, 1, 2), seat.last)
-            traffic.native.step(np.zeros((1, 1, 2), np.float32), traffic.last)
-            if seat.last.done[0] or traffic.last.done[0]:
-                break
-            places = [w.native.states(0)["position"][agent] for w in (seat, traffic)]
+            seat.native.step(policy.act(seat.out.obs[:, 0])[:, None], seat.out)
+            traffic.step()
+            places = [play.states()["position"][agent] for play in (seat, traffic)]
             np.testing.assert_allclose(*places, atol=2e-3)
             compared += 1
     assert compared > 100
