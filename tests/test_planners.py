@@ -200,7 +200,7 @@ def test_environments_take_every_planner_as_driver(scenes, name):
     assert np.array_equal(way[:-1], path[1 : len(way)])
     if name in ("pdm", "lane_idm"):  # who keep nothing from before
         env.reset(seed=3)
-        for _ in range(30):
+        for _ in range(10):
             env.step(ones)
         copy_of = env.fork()
         for one in (env, copy_of):

@@ -195,7 +195,7 @@ def test_short_forms_and_texts_name_the_same(words, played, trained):
     [
         (["--scenes", "embedded", "--dataroot", "/a"], "--dataroot is a part of --scenes"),
         (["--scenes", "embedded", "--split", "val"], "--split is a part of --scenes"),
-        (["--version", MINI], "--version is of --dataroot"),
+        (["--version", MINI], "--version is a part of --dataroot"),
         (["--split", "vla"], "no split 'vla'"),
         (["--limit", "0"], "limit is 0"),
         (["--scenes", "scenarionet:/a"], "scenarionet:/a has no split to train on"),
