@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -52,11 +52,11 @@ def pack(rollout: Rollout, title: str) -> str:
     """Return the text of a rollout's data element, base64 of the compressed bytes; ``title`` is the
     short name of the run on the page.
     """
-    layers, points = _map(rollout)
     header = {
-        "run": _run(rollout, title) | {"layers": layers, "pairs": [*contacts(rollout)]},
+        "run": _run(rollout, title) | {"pairs": [*contacts(rollout)]},
+        "layers": _map(rollout),
         "plans": [_plan(rollout, plan) for plan in rollout.plans],
-        "arrays": _tracks(rollout) | points,
+        "arrays": _tracks(rollout),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
     return base64.b64encode(zlib.compress(text, 9)).decode()
@@ -188,25 +188,16 @@ def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
     }
 
 
-def _map(rollout: Rollout) -> tuple[dict[str, list[list[int]]], dict[str, Array]]:
-    """Lengths of the rings and lines of each layer, and the points of all."""
-    layers = rollout.scene.map_layers()
-    points: list[npt.NDArray[np.float32]] = []
-    lengths: dict[str, list[list[int]]] = {}
-
-    def add(name: str, entries: Iterable[list[npt.NDArray[np.float32]]]) -> None:
-        lengths[name] = []
-        for rings in entries:
-            lengths[name].append([len(ring) for ring in rings])
-            points.extend(rings)
-
-    surfaces = layers.get("drivable_area") or [lane["polygon"] for lane in layers.get("lanes", [])]
-    for name, key in _AREAS.items():
-        polygons = surfaces if name == "drivable" else layers.get(key, [])
-        add(name, ([p["exterior"], *p["holes"]] for p in polygons))  # type: ignore[attr-defined]
-    for name in _LINES:
-        add(name, ([line] for line in layers.get(name, [])))  # type: ignore[attr-defined]
-    add("lanes", ([lane["centreline"][::2]] for lane in layers.get("lanes", [])))
-    joined = np.concatenate(points) if points else np.zeros((0, 2), np.float32)
-    x, y = (_packed(joined[:, axis], LENGTH_STEP_M) for axis in (0, 1))
-    return lengths, {"mapX": x, "mapY": y}
+def _map(rollout: Rollout) -> dict[str, list[list[Array]]]:
+    """Rings and lines [2, N] of each layer."""
+    layers: dict[str, Any] = {**rollout.scene.map_layers()}
+    lanes = layers.get("lanes", [])
+    areas = {name: layers.get(key, []) for name, key in _AREAS.items()}
+    areas["drivable"] = areas["drivable"] or [lane["polygon"] for lane in lanes]
+    found = {name: [[a["exterior"], *a["holes"]] for a in of] for name, of in areas.items()}
+    found |= {name: [[line] for line in layers.get(name, [])] for name in _LINES}
+    found["lanes"] = [[lane["centreline"][::2]] for lane in lanes]
+    return {
+        name: [[_packed(ring.T, LENGTH_STEP_M) for ring in rings] for rings in entries]
+        for name, entries in found.items()
+    }

@@ -25,8 +25,8 @@ function valuesOf({ step, row, deltas }) {
 
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
-  constructor({ run, arrays, plans }) {
-    Object.assign(this, run);
+  constructor({ run, layers, arrays, plans }) {
+    Object.assign(this, run, { layers });
     this.a = Object.fromEntries(Object.entries(arrays).map(([name, array]) => [name, valuesOf(array)]));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
     this.plans = plans.map((plan) => ({ ...plan, x: valuesOf(plan.x), y: valuesOf(plan.y) }));
