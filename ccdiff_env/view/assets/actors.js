@@ -6,7 +6,6 @@ class Actors {
     this.run = run;
   }
 
-  /** Colour of who drives an agent. */
   colour(agent, theme) {
     const { driver, kind } = this.run.agents[agent];
     return COLOURS[theme][kind === "static" ? "static obstacle" : driver];
@@ -150,7 +149,6 @@ class Actors {
     context.restore();
   }
 
-  /** Collisions that began within the last moments. */
   recent(step) {
     return this.run.events.filter((e) =>
       e.kind === "collision" && e.step <= step && step - e.step < LOOK.MARK_S / this.run.dt);

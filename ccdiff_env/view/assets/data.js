@@ -4,7 +4,6 @@
 const SETTINGS = JSON.parse(document.getElementById("settings").textContent);
 const { colours: COLOURS, look: LOOK } = SETTINGS;
 
-/** Bytes of the text of a data element. */
 async function inflate(element) {
   const text = atob(element.textContent.trim());
   const packed = Uint8Array.from(text, (c) => c.charCodeAt(0));
@@ -12,7 +11,6 @@ async function inflate(element) {
   return new Response(stream).arrayBuffer();
 }
 
-/** The run of a data element. */
 async function readRun(element) {
   return new Run(JSON.parse(new TextDecoder().decode(await inflate(element))));
 }
@@ -109,7 +107,6 @@ function leadingTo(edges, agent) {
   return edges.filter(([from, to]) => to === agent || (direct.has(to) && from !== agent));
 }
 
-/** Angle in (-π, π]. */
 function wrap(angle) {
   return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
 }

@@ -71,7 +71,6 @@ class Way extends Ground {
     if (this.rival) this.drawRival(context, pixel);
   }
 
-  /** Outline of the ego to beat. */
   drawRival(context, pixel) {
     const { track, step } = this.rival, { length, width } = this.log.agents[0];
     const at = Math.min(Math.round(step), track.length / STATE - 1) * STATE, [x, y, heading] = track.slice(at, at + 3);
@@ -97,7 +96,6 @@ class Drive extends View {
     this.time = 0;
   }
 
-  /** Take a scene and begin. */
   async open(name) {
     const of = (kind) => document.querySelector(`script.${kind}[data-scene="${CSS.escape(name)}"]`);
     const [run, log, bytes] = await Promise.all([readRun(of("run")), readRun(of("run")), inflate(of("bytes"))]);
@@ -168,7 +166,6 @@ class Drive extends View {
     this.touch();
   }
 
-  /** Scene, traffic and criticality, as in the address. */
   get key() {
     const criticality = this.network ? `&criticality=${$("criticality").value}` : "";
     return `scene=${$("scene").value}&traffic=${$("traffic").value}${criticality}`;
@@ -206,7 +203,6 @@ class Drive extends View {
     this.info = this.named(info);
   }
 
-  /** Figures of a step by name. */
   named(info) {
     return Object.fromEntries(this.settings.columns.map((name, i) => [name, info[i]]));
   }
@@ -221,7 +217,6 @@ class Drive extends View {
     this.touch();
   }
 
-  /** What became of the episode. */
   finish() {
     const run = this.runs[0], { info, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
     const partner = info.collision_partner - 1; // 0 is nobody
@@ -249,7 +244,6 @@ class Drive extends View {
     $("outcome").replaceChildren(...verdict(this.outcome));
   }
 
-  /** What became of it, and of the trained ego. */
   showCard() {
     const { result } = this;
     let line = "still driving";
@@ -264,7 +258,6 @@ class Drive extends View {
     $("card").hidden = false;
   }
 
-  /** A key or a button of the pad goes down or up. */
   hold(key, down) {
     if (down) this.held.add(key);
     else this.held.delete(key);
@@ -297,7 +290,6 @@ class Drive extends View {
     return [mask & 2 ? -1 : gas, this.steer];
   }
 
-  /** The next step, by keys. */
   async go() {
     this.asked = true;
     const { mask, turn } = this;

@@ -1,6 +1,5 @@
 // Start of the page: reads the runs, wires buttons, keys and panels to the player.
 
-/** Colours of the page by theme, as its style sheet has them. */
 const CHROME = {};
 function chromeOf({ theme }) {
   const style = getComputedStyle(document.documentElement), of = (name) => style.getPropertyValue(`--${name}`);
@@ -106,7 +105,6 @@ function readAddress(player) {
   return wishes;
 }
 
-/** The address that opens what is shown now. */
 function addressOf(player) {
   const wishes = new URLSearchParams({ t: (player.time - player.start).toFixed(1) });
   if (player.follow !== null) wishes.set("follow", player.follow);

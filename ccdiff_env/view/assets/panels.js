@@ -4,7 +4,6 @@ const KMH = 3.6;
 const RUN_COLOURS = 4;
 const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
-/** New element with text and class. */
 function element(tag, className, text) {
   const node = document.createElement(tag);
   if (className) node.className = className;
@@ -33,7 +32,6 @@ function captionsOf(run, agent, at) {
   return [...captions, ...lasting];
 }
 
-/** What the plan in force says of an agent. */
 function planCaptions(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];

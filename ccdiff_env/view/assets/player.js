@@ -6,7 +6,6 @@ const LAYERS = Object.keys(LAYERS_AT_START);
 const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
-/** One run on one canvas. */
 class Pane {
   constructor(root, run, index) {
     this.run = run;
@@ -97,7 +96,6 @@ class View {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  /** Something changed: draw again at the next frame. */
   touch() {
     this.dirty = true;
   }
@@ -235,7 +233,6 @@ class Player extends View {
     this.touch();
   }
 
-  /** Show all that moves. */
   fit() {
     const box = [Infinity, Infinity, -Infinity, -Infinity];
     for (const { agents, numSteps, a: { x, y, valid } } of this.runs)

@@ -102,7 +102,6 @@ function line(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-/** First and last time of some runs. */
 function spanOf(runs) {
   return [Math.min(...runs.map((run) => run.start)), Math.max(...runs.map((run) => run.end))];
 }
