@@ -142,7 +142,7 @@ def test_several_runs_keep_their_titles_and_a_title_too_few_is_an_error():
     ],
 )
 def test_runs_are_shown_beside_each_other_by_what_differs(options, titles, tmp_path):
-    words = ["view", "left-turn-00", *options.split(), "--samples", "1"]
+    words = ["view", "left-turn-00", *options.split()]
     assert cli.main([*words, "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert [unpacked(e)[0]["run"]["title"] for e in elements(text)] == titles
@@ -282,7 +282,6 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         ("left-turn-00 --criticality 1", "a", "--criticality plays a scene: give --traffic"),
         ("left-turn-00 --driver idm", "a", "--driver plays a scene: give --traffic"),
         ("left-turn-00 --span 40", "a", "--span goes with an image"),
-        ("left-turn-00 --traffic idm --samples 3", "a", "--samples is for networks"),
         ("left-turn-00 --traffic idm --criticality 1", "a", "guides networks"),
         ("left-turn-00 --traffic ccdiff --criticality 5", "a", "expected 0 to 2"),
         ("left-turn-00 --traffic idm --driver external", "a", "'external'; there are"),

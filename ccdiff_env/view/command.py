@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.system.files import file_name, write_aside
-from ccdiff_env.system.progress import shown
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view import render
@@ -22,14 +20,13 @@ from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
+from ccdiff_env.view.sources import LOG, find_rollout, find_scene, play_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
 #: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
     "driver": None,
     "seed": 0,
-    "samples": None,
     "criticality": [0.0],
     "save": None,
     "slider": False,
@@ -82,7 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compare has the log, so that the traffic alone differs)",
     )
     play.add_argument("--seed", type=int, help="seed of the episode")
-    play.add_argument("--samples", type=int, help=f"samples per plan (default: {SAMPLES})")
     play.add_argument(
         "--criticality",
         type=float,
@@ -183,8 +179,6 @@ def _played(args: argparse.Namespace) -> Runs:
     for traffic in args.traffic:
         if any(levels) and not {traffic, *drivers} & set(NETWORKS):
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
-    if args.samples is not None and not {*args.traffic, *drivers} & set(NETWORKS):
-        raise ConfigError(f"--samples is for networks, but --traffic is {' '.join(args.traffic)}")
     choices = list(product(args.traffic, drivers, levels))
     if args.save is not None and len(choices) > 1:
         raise ConfigError(
@@ -192,10 +186,8 @@ def _played(args: argparse.Namespace) -> Runs:
         )
     scene = find_scene(args.what, place_from(args))
     runs, titles = [], []
-    samples = {} if args.samples is None else {"num_samples": args.samples}
     for traffic, driver, level in choices:
-        planned = {traffic, driver} & set(NETWORKS)
-        ccdiff = {**samples, "criticality": level} if planned else {}
+        ccdiff = {"criticality": level} if {traffic, driver} & set(NETWORKS) else {}
         runs.append(
             play_scene(scene, traffic=traffic, driver=driver, seed=args.seed, ccdiff=ccdiff)
         )
@@ -231,8 +223,7 @@ def _image(
     if kind in ("gif", "mp4"):
         if args.step is not None:
             raise ConfigError(f"--step is of an image, but --out is {out}")
-        progress = partial(shown, what=out.name)
-        save_video(videos, out, speed=args.speed, progress=progress)
+        save_video(videos, out, speed=args.speed)
         return
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -201,22 +201,14 @@ def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
     return np.concatenate(parts[1:], axis=1)
 
 
-def save_video(
-    videos: Sequence[Video],
-    path: Path,
-    *,
-    speed: float = 1.0,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> None:
+def save_video(videos: Sequence[Video], path: Path, *, speed: float = 1.0) -> None:
     """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
-    world.
-
-    It has :data:`FPS` images a second; ``progress`` goes over their steps.
+    world and :data:`FPS` images a second.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
     save = {".gif": render.save_gif, ".mp4": render.save_mp4}[path.suffix.lower()]
     last, every = max(video.num_steps for video in videos) - 1, speed / (FPS * videos[0].dt_s)
     steps = [int(k * every + 1e-6) for k in range(math.ceil(last / every - 1e-9))] + [last]
-    images = [side_by_side(videos, step) for step in progress(steps)]
+    images = [side_by_side(videos, step) for step in steps]
     save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), path, FPS)
