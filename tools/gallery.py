@@ -38,7 +38,7 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
             shown.append((critical.mishap != "is hit", (scene.name, TITLES, pair)))
     shown.sort(key=lambda entry: entry[0])
     title = f"Gallery, {len(shown)} of {len(scenes)} scenes: criticality makes the ego collide"
-    return write_index((page for _, page in shown), folder, title, home=HOME)[0]
+    return write_index((page for _, page in shown), folder, title, home=HOME)
 
 
 if __name__ == "__main__":

@@ -204,8 +204,7 @@ def _played(args: argparse.Namespace) -> Runs:
 def _folder(args: argparse.Namespace, folder: Path) -> int:
     unfit = PLAYED | DRAWN | {"traffic": None, "compare": []}
     _refuse(args, unfit, "does not go with a folder, which gives pages")
-    pages = write_pages(folder, args.out or folder / "replays")
-    say_page(pages[0], open_it=args.open)
+    say_page(write_pages(folder, args.out or folder / "replays"), open_it=args.open)
     return 0
 
 

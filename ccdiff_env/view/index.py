@@ -25,9 +25,8 @@ THUMBNAIL = (480, 300)
 Shown = tuple[str, Sequence[str], Sequence[Rollout]]
 
 
-def write_pages(folder: Path, out: Path) -> list[Path]:
-    """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it, then
-    the pages.
+def write_pages(folder: Path, out: Path) -> Path:
+    """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it.
 
     Files that cannot be read are left out with a warning; none at all is a
     :class:`DatasetNotFoundError` or :class:`DatasetError`.
@@ -55,9 +54,9 @@ def write_pages(folder: Path, out: Path) -> list[Path]:
 
 def write_index(
     shown: Iterable[Shown], out: Path, title: str, *, home: tuple[str, str] | None = None
-) -> list[Path]:
+) -> Path:
     """Write pages of replays, and ``index.html``, which links them in their order with what became
-    of each; return it, then the pages.
+    of each; return it.
 
     ``home`` is address and title of the page above.
     """
@@ -87,7 +86,7 @@ def write_index(
     body = f'{up}<div class="cards">\n{chr(10).join(cards)}\n</div>'
     index = out / "index.html"
     write_aside(index, plain_html(title, line, style=part("index.css"), body=body))
-    return [index, *pages]
+    return index
 
 
 def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequence[str]) -> str:
