@@ -21,7 +21,7 @@ from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
 from ccdiff_env.bench.provenance import sha256_of
 from ccdiff_env.bench.scenes import chunks, scenes_of
-from ccdiff_env.bench.traffic import motion_of
+from ccdiff_env.bench.traffic import guidance_cost, motions
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
@@ -141,26 +141,13 @@ def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
 def realism(rollout: Rollout) -> dict[str, float | None]:
     """Return how far the vehicles that follow plans are from the log, and what guidance cost.
 
-    ``realism_cost``: mean total variation of the guided plans, the paper's C(tau); ``shift_sigmas``
-    the same in standard deviations; ``fde_m``: mean distance from the log at the last common step.
+    ``fde_m``: mean distance from the log at the last common step; see :func:`.guidance_cost`.
     """
     moved = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
     agents = np.array([i for i in sorted(moved) if rollout.agent_ids[i] != "ego"], np.int64)
-    guided = [plan for plan in rollout.plans if plan.guided.any()]
-
-    def mean(name: str) -> float | None:
-        values = [getattr(plan, name)[plan.guided] for plan in guided]
-        found = np.concatenate(values).mean() if values else np.nan
-        return float(found) if np.isfinite(found) else None
-
-    scene, start = rollout.scene, rollout.start_step
-    log = motion_of(scene, scene.tracks(), agents, slice(start, start + rollout.num_steps))
-    fde = motion_of(scene, rollout.tracks(), agents).displacement(log).mean()[1]
-    return {
-        "realism_cost": mean("realism_cost"),
-        "shift_sigmas": mean("shift_sigmas"),
-        "fde_m": fde if np.isfinite(fde) else None,
-    }
+    motion, log = motions(rollout, agents)
+    fde = motion.displacement(log).mean()[1]
+    return {**guidance_cost(rollout.plans), "fde_m": fde if np.isfinite(fde) else None}
 
 
 def set_digest(made: Job, rows: Rows) -> str:
