@@ -19,7 +19,7 @@ import numpy as np
 
 from ccdiff_env import cli
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
-from ccdiff_env.bench.jobs import results, run_jobs
+from ccdiff_env.bench.jobs import run_jobs
 from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 from ccdiff_env.record.bank import record_bank
 from ccdiff_env.scenes.arguments import (
@@ -64,8 +64,7 @@ def arguments() -> argparse.Namespace:
 def driven(place, planners, traffic, draws: int, folder: Path, workers: int):
     """Rows of every planner and traffic, the scenes in the same order in each draw."""
     jobs = [j for k in range(draws) for j in planner_jobs(str(place), planners, traffic, seed=k)]
-    run_jobs(jobs, folder, workers=workers)
-    by_name, found = results(jobs, folder), {}
+    by_name, found = run_jobs(jobs, folder, workers=workers), {}
     for job in jobs:
         key = job.arguments["planner"], job.arguments["traffic"]
         found.setdefault(key, []).extend(by_name[job.name])
