@@ -153,16 +153,14 @@ def test_the_verdict_names_the_best_and_what_breaks():
         idm__replay=[0.9, 0.9], idm__idm=[0.8, 0.8],
         pdm__replay=[0.5, 0.5], pdm__idm=[0.0, 0.2],
     )  # fmt: skip
-    text = verdict(found, ["idm", "pdm"], ["replay", "idm"])
+    text = verdict(found)
     assert text.startswith("IDM on the log's path is best over all (0.85), first in all traffic. ")
     assert "PDM-Closed breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
     assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
-    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(
-        near, ["idm", "pdm"], ["replay"]
-    )
+    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(near)
     few = {key: rows[:9] for key, rows in found.items()}
-    assert verdict(few, ["idm", "pdm"], ["replay", "idm"]) == FEW
+    assert verdict(few) == FEW
 
 
 def test_the_worst_come_first_once_each_and_close_calls_break_ties():

@@ -231,8 +231,8 @@ def _planners(args: argparse.Namespace) -> int:
     pages = run.replays(row for of in worst for _, row in of)
     privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
     scores = [
-        report.verdict(found, planners, traffic),
-        *report.summary(found, planners, traffic, privileged),
+        report.verdict(found),
+        *report.summary(found, privileged),
         *report.parts_tables(found),
     ]
     files = {"figures.csv": report.figures_table(found)}
@@ -247,7 +247,7 @@ def _planners(args: argparse.Namespace) -> int:
         title,
         {
             "Scores": scores,
-            "Planners against one another": report.comparison(found, planners, traffic),
+            "Planners against one another": report.comparison(found),
             "Worst scenes": report.worst_table(found, max(args.replays, 10), pages),
         },
         rows,
