@@ -22,9 +22,6 @@ from ccdiff_env.scenes.scene_types import (
 _Places = tuple[Sequence["Scene"], npt.NDArray[np.int64], F32, F32, F32]
 
 def causal_pairs(of_contact: bool, states: F32, sizes: F32, valid: Bool) -> F32: ...
-def causal_graph(
-    ttc_s: F32, distance_m: F32, max_ttc_s: float, max_distance_m: float,
-) -> Bool: ...
 
 GRAPH_THRESHOLDS: tuple[float, float]
 

@@ -1,4 +1,4 @@
-"""Measures, causal graph and rankings against networkx, shapely and the released lists."""
+"""Measures and rankings against networkx, shapely and the released lists."""
 
 import json
 import os
@@ -118,16 +118,6 @@ def test_agents_that_are_absent_or_have_no_position_meet_nobody():
     assert causal.distance(p, normalised=True)[0].tolist() == [1.0, 0.75, 0.0]
 
 
-def test_graph_joins_within_both_thresholds_and_always_self():
-    ttc_s = np.array([[0, 3.0, 1], [3.1, 0, 20], [1, 20, 0]])
-    metres = np.array([[0, 50, 51], [50, 0, 5], [51, 5, np.inf]])
-    g = causal.graph(ttc_s, metres)
-    assert g.adjacency.tolist() == [[True, True, False], [False, True, False], [False, False, True]]
-    assert g.sparsity == pytest.approx(5 / 6)
-    assert causal.graph(ttc_s, metres, symmetric=True).adjacency[1, 0]
-    assert causal.graph(ttc_s, metres, max_ttc_s=20, max_distance_m=100).sparsity == 0
-
-
 def greedy_reference(weights):
     w = np.maximum(weights, weights.T)
     np.fill_diagonal(w, 0)
@@ -190,8 +180,6 @@ def test_bad_input_is_refused_with_the_offending_part():
         cliques(np.full((1, 2, 2), 20.0))
     with pytest.raises(ShapeError):
         cliques(np.zeros((1, 2, 3)))
-    with pytest.raises(ConfigError, match=r"graph\.ttc_s"):
-        causal.graph(np.zeros((2, 2)), np.zeros((2, 2)), max_ttc_s=-1)
     with pytest.raises(UnknownNameError, match="agent"):
         causal.rank("listed", top_k=1, valid=[True], agents=[1])
     assert issubclass(ShapeError, CcdiffError)

@@ -24,7 +24,7 @@ mod world_state;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::causal::{causal_graph, causal_pairs, causal_rank};
+    use crate::causal::{causal_pairs, causal_rank};
     #[pymodule_export]
     use crate::drivers::{driver_kinds, drivers, networks_wanted};
     #[pymodule_export]
