@@ -1,4 +1,4 @@
-"""Experiments of the traffic benchmark: over-speed, conflict of gradients, own weights."""
+"""Experiments of the traffic benchmark: conflict of gradients, own weights."""
 
 import json
 import re
@@ -10,7 +10,6 @@ from ccdiff_env import cli, models
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import episodes, evaluate
-from ccdiff_env.metrics import speed_limit
 
 VAL = "embedded/val"
 NAMES = ["cut-in-03", "left-turn-04"]
@@ -23,15 +22,6 @@ def played(method, num_controlled=2):
 def measured(method):
     arguments = {"source": VAL, "names": NAMES, "num_controlled": 2, "replan_steps": 5, "seed": 0}
     return evaluate(**arguments, method=method)
-
-
-def test_over_speed_is_that_of_the_log_where_the_log_is_replayed():
-    for row, episode in zip(measured("replay"), played("replay"), strict=True):
-        tracks, agents = episode.scene.tracks(), episode.agents
-        speed = np.linalg.norm(tracks["velocity"][agents], axis=-1)
-        limit = speed_limit(np.where(tracks["valid"][agents], speed, np.nan))
-        over = episode.log.over_speed(limit, counted=episode.controlled)
-        assert row["sor"] == bool(over.any())
 
 
 def test_conflict_is_that_of_the_guided_vehicles_of_all_plans():

@@ -29,53 +29,7 @@ from ccdiff_env.planners import SHIPPED
 from ccdiff_env.system.table import document
 from ccdiff_env.worlds.worlds_view import behind, worlds_view
 
-PLANNER = """
-import numpy as np
-from helper import SPEED
-
-def act(obs):
-    return np.tile(np.float32([SPEED, 0.0]), (len(obs), 1))
-"""
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def in_a_process(folder, *words):
-    """Run `bench planners` as a user does who has edited a file in between."""
-    command = [sys.executable, "-m", "ccdiff_env.cli", "bench", "planners", "--quiet", *words]
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return done
-
-
-def digests(folder):
-    return [row["digest"] for entry in Record.read(folder).entries for row in entry.rows]
-
-
-@pytest.fixture
-def desk(tmp_path):
-    """A folder with a custom planner that imports another file."""
-    (tmp_path / "mine.py").write_text(PLANNER)
-    (tmp_path / "helper.py").write_text("SPEED = 0.0\n")
-    return tmp_path
-
-
-def test_a_planner_that_has_changed_is_driven_anew(desk):
-    words = ["--planners", "mine:act", "--traffic", "replay", "--limit", "2", "--seeds", "0"]
-    assert "anew" not in in_a_process(desk, *words, "--out", "run").stderr
-    first = digests(desk / "run")
-    assert "anew" not in in_a_process(desk, *words, "--out", "run").stderr
-    (desk / "helper.py").write_text("SPEED = -1.0\n")
-    done = in_a_process(desk, *words, "--out", "run")
-    assert "1 result is made again" in done.stderr
-    assert "planner was" in done.stderr
-    in_a_process(desk, *words, "--out", "fresh")
-    assert digests(desk / "run") == digests(desk / "fresh") != first
 
 
 def run(folder, *words):
