@@ -192,6 +192,7 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.planners import planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
+    from ccdiff_env.bench.provenance import scene_hashes
     from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
     fixed = PROTOCOL.fix(args)
@@ -211,7 +212,7 @@ def _planners(args: argparse.Namespace) -> int:
             source, planners, traffic, seed=seed, window=window, by_nuplan=args.nuplan_score
         )
     ]
-    scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
+    scenes = scene_hashes(source)
     if fixed:
         PROTOCOL.check(args.level, scenes)
     title = f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic"

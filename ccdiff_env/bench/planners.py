@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import NamedDrivers, on_device
 from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import Judge
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import scene_hashes, source_digest
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.provenance import source_digest
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import Ego, ego_driver
@@ -164,33 +164,21 @@ def planner_jobs(
         TRAFFIC[name]  # refuses a name that does not exist
     for planner in planners:
         PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
-    privileged = {planner: is_privileged(planner) for planner in planners}
-    parts = chunks(scene_names(source), CHUNK)
-    drives = {(p, t): _sources(p, t) for p in planners for t in traffic}
+    given: dict[str, Any] = {"window": dict(window)} if window else {}
+    given |= {"by_nuplan": True} if by_nuplan else {}
+    made_from = {
+        planner: {"protocol": PROTOCOL.sha256, "privileged": is_privileged(planner)}
+        for planner in planners
+    }
     return [
-        Job(
-            f"{file_name(planner)}-{file_name(name)}-{seed}-{i:03d}",
-            f"{__name__}:evaluate",
-            {
-                "source": source,
-                "names": names,
-                "planner": planner,
-                "traffic": name,
-                "seed": seed,
-                "sources": drives[planner, name],
-                **({"window": dict(window)} if window else {}),
-                **({"by_nuplan": True} if by_nuplan else {}),
-            },
-            {
-                "protocol": PROTOCOL.sha256,
-                "scenes": scene_hashes(source, names),
-                "privileged": privileged[planner],
-            },
-        )
+        replace(job, made_from=made_from[planner])
         for planner in planners
         for name in traffic
-        for i, names in enumerate(parts)
-    ]
+        for job in chunk_jobs(
+            f"{file_name(planner)}-{file_name(name)}-{seed}", f"{__name__}:evaluate", source, CHUNK,
+            planner=planner, traffic=name, seed=seed, sources=_sources(planner, name), **given,
+        )
+    ]  # fmt: skip
 
 
 def is_privileged(planner: str) -> bool:
