@@ -129,13 +129,11 @@ def episodes(
     num_controlled: int | None,
     replan_steps: int = 5,
     seed: int = 0,
-    explain: bool = False,
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
     K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
-    ``replan_steps``. ``explain``, whether guided plans say how their gradients agree, does not
-    change the episodes.
+    ``replan_steps``.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -150,8 +148,6 @@ def episodes(
     if own:
         ccdiff |= {"ranking": method.ranking, "num_guided": num_controlled}
         ccdiff["background_driver"] = "replay"
-    # only guidance has gradients to tell of
-    ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
     if method.driver == SWIFT:
         ccdiff = method.options()
     config = WorldConfig().with_options(
@@ -210,7 +206,6 @@ def evaluate(
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
-        explain=True,
     )
     return [measure(episode, replan_steps) for episode in played]
 
@@ -323,7 +318,6 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "sor": known and bool(motion.over_speed(limit, counted=controlled).any()),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         **guidance_cost(episode.plans),
-        "conflict_share": _number(_conflict_share(episode.plans)),
     }
 
 
@@ -339,19 +333,6 @@ def guidance_cost(plans: Sequence[TrafficPlan]) -> dict[str, float | None]:
         values = [getattr(plan, name)[plan.guided] for plan in guided]
         found[name] = _number(np.concatenate(values).mean() if values else np.nan)
     return found
-
-
-def _conflict_share(plans: Sequence[TrafficPlan]) -> float:
-    """Share of the denoising steps and samples in which the gradients of realism and guidance
-    oppose, mean over guided vehicles that have a gradient and over plans; NaN without any.
-    """
-    shares = [
-        p.conflict_share[p.guided & (p.realism_cosine != 0.0)]
-        for p in plans
-        if p.realism_cosine is not None and p.conflict_share is not None
-    ]
-    found = np.concatenate(shares) if shares else np.zeros(0)
-    return float(found.mean()) if found.size else np.nan
 
 
 def _number(value: Any) -> float | None:
