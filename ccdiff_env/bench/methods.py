@@ -17,27 +17,20 @@ _T = TypeVar("_T")
 class Method:
     """A way to drive the vehicles of the control set.
 
-    Args:
-        label: Name in tables.
-        driver: Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
-        ranking: ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control
-            set. With ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
-        ccdiff: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-        guidance: What differs from the preset that ``ccdiff`` names.
+    ``ranking`` says who is in the control set. With ``greedy`` and ``gradient``, CCDiff finds the
+    set itself, at its first plan.
     """
 
-    label: str
-    driver: str
+    label: str  #: Name in tables.
+    driver: str  #: As :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking: str = "cliques"
+    #: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    #: What differs from the preset that ``ccdiff`` names.
     guidance: Mapping[str, Any] = field(default_factory=dict)
 
     def with_weights(self, weights: Mapping[str, str]) -> Method:
-        """Return the method with weights of a file, where one is given for its network.
-
-        Args:
-            weights: Weight files by driver. A method that names its own weights keeps them.
-        """
+        """Return the method with a file of ``weights``, by driver, unless it names its own."""
         if self.driver not in weights or "weights" in self.ccdiff:
             return self
         return replace(self, ccdiff={**self.ccdiff, "weights": weights[self.driver]})

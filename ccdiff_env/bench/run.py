@@ -36,16 +36,10 @@ _HIDDEN = ("job", "actions", "action")
 class Run:
     """A run folder of a resumable benchmark.
 
-    Args:
-        args: Arguments of :func:`~ccdiff_env.bench.cli.add_run_arguments`.
-        benchmark: Its name.
-        **settings: What else decides the results, ``seeds`` where there are several; a folder
-            belongs to one choice of all of it, and to the scenes, the seed, and custom weights.
-            Results that another package, other weights or another file of a planner made are made
-            again.
-
-    Raises:
-        ConfigError: If the folder holds a run with other settings.
+    ``args`` are those of :func:`~ccdiff_env.bench.cli.add_run_arguments`, ``settings`` what else
+    decides the results, ``seeds`` where there are several. A folder belongs to one choice of all of
+    it: a :class:`ConfigError` refuses others. Results that another package, other weights or
+    another file of a planner made are made again.
     """
 
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
@@ -152,11 +146,9 @@ class Run:
         files: Mapping[str, Table],
         *plots: Path | None,
     ) -> int:
-        """Write the report, say its first part, and return the exit status.
+        """Write all files of the report, say its first part, and return the exit status.
 
-        ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables,
-        ``episodes.csv`` a row per episode; ``files`` are further tables by file name. The first
-        part is what was found.
+        ``files`` are further tables by file name.
         """
         if not self._begun:
             self._begin()

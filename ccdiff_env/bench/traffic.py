@@ -52,18 +52,10 @@ def traffic_jobs(
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
-    The floor, K = 0, is always among them. What cannot differ is not played twice: other periods of
-    methods that do not plan, and all vehicles by another ranking than that of ``ccdiff``, where
-    that one is asked for.
-
-    Args:
-        num_controlled: Numbers of controlled vehicles K; ``None`` is all.
-        replan_controlled: Those K at which all periods are played, the first one alone at the
-            others; all K for ``None``.
-        weights: Weight files by driver, in place of the shipped ones.
-
-    Raises:
-        UnknownNameError: For a method that does not exist.
+    The floor, K = 0, is always among them; K = ``None`` is all vehicles. All periods are played at
+    the K of ``replan_controlled`` (all by default), the first one alone at the others. What cannot
+    differ is not played twice: other periods of methods that do not plan, and all vehicles by
+    another ranking than that of ``ccdiff``, where that one is asked for.
     """
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
