@@ -54,34 +54,25 @@ _TITLES = driver_titles()
 
 
 #: Options of CCDiff that have names of their own, and their titles.
-_FORMS: dict[str, tuple[dict[str, Any], str]] = {
-    "avoidable": ({"avoidable_only": True}, "avoidable only"),
-    "one-step": ({"denoising_steps": 1}, "one step"),
-    "routes": ({"follow_route": True}, "routes"),
-    "routes-one-step": ({"follow_route": True, "denoising_steps": 1}, "routes, one step"),
+_FORMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "avoidable": (", avoidable only", {"avoidable_only": True}),
+    "one-step": (", one step", {"denoising_steps": 1}),
+    "routes": (", routes", {"follow_route": True}),
+    "routes-one-step": (", routes, one step", {"follow_route": True, "denoising_steps": 1}),
 }
 
 
-def _critical(level: float, driver: str = "ccdiff", form: str | None = None) -> Traffic:
-    options = {"criticality": level, "num_samples": 1}
-    label = f"{_TITLES[driver]}, criticality {level:g}"
-    if form is None:
-        return Traffic(label, driver, options)
-    chosen, title = _FORMS[form]
-    return Traffic(f"{label}, {title}", driver, {**options, **chosen})
+def _critical(level: float, driver: str = "ccdiff", title: str = "", **options: Any) -> Traffic:
+    label = f"{_TITLES[driver]}, criticality {level:g}{title}"
+    return Traffic(label, driver, {"criticality": level, "num_samples": 1, **options})
 
 
 def _named(label: str, name: str) -> Traffic:
-    kind, _, path = name.partition(":")
+    kind, _, policy = name.partition(":")
     if kind != "adversary":
         return Traffic(label, name)
-    return _chosen_by(path)
-
-
-def _chosen_by(policy: str) -> Traffic:
-    pace = {"criticality": 1.0, "num_samples": 1, "replan_steps": 20, "denoising_steps": 1}
-    options: dict[str, Any] = {**pace, "adversary_policy": policy}
-    return Traffic(f"CCDiff, chosen by {Path(policy).stem}", "ccdiff", options)
+    pace = {"replan_steps": 20, "denoising_steps": 1, "adversary_policy": policy}
+    return replace(_critical(1.0, **pace), label=f"CCDiff, chosen by {Path(policy).stem}")
 
 
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
@@ -100,11 +91,13 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.5)},
         **{f"{name}-{c:g}": _critical(c, name) for c in (1.0, 2.0) for name in NETWORKS},
         **{
-            f"ccdiff-{level:g}-{form}": _critical(level, form=form)
+            f"ccdiff-{level:g}-{form}": _critical(level, "ccdiff", title, **options)
             for level in (1.0, 2.0)
-            for form in _FORMS
+            for form, (title, options) in _FORMS.items()
         },
-        "ccdiff-1-learned": replace(_chosen_by(LEARNED), label="CCDiff, a learned adversary"),
+        "ccdiff-1-learned": replace(
+            _named("", f"adversary:{LEARNED}"), label="CCDiff, a learned adversary"
+        ),
     },
 )
 for _name, _own in PROTOCOL.fields["traffic"].items():
