@@ -256,10 +256,3 @@ def test_other_settings_need_another_folder(scenes, folder, tmp_path):
         record_bank(scenes, folder, ego="idm", criticality=2.0, seed=5)
     with pytest.raises(ConfigError, match="draws"):
         record_bank(scenes, folder, draws=0)
-
-
-def test_unavoidable_episodes_can_be_left_out(scenes, tmp_path):
-    options = {"ego": "idm", "criticality": 2.0, "seed": 1}
-    some = record_bank(scenes, tmp_path / "some", avoidable_only=True, **options)
-    everything = record_bank(scenes, tmp_path / "all", **options)
-    assert len(some) <= len(everything) == 3
