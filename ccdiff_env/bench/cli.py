@@ -271,7 +271,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
-    add_replays(parser, "first collisions of every set and the N worst scenarios of every planner")
+    add_replays(parser, "worst scenarios of every planner")
     parser.set_defaults(run=_scenarios)
 
 
@@ -314,9 +314,6 @@ def _scenarios(args: argparse.Namespace) -> int:
             "Cross matrix": report.tables(sets, rows, what),
             "Worst scenarios that can be avoided": worst_table(
                 avoidable, max(args.replays, 10), pages, "made against"
-            ),
-            "Collisions in the sets": report.collisions_tables(
-                sets, folders, run.folder, args.replays
             ),
         },
         rows,
