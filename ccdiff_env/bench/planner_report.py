@@ -74,31 +74,18 @@ def _scores(
 
 
 def headlines(found: Results) -> dict[str, dict[str, Figure]]:
-    """Return scores of each planner over traffic, with 95 % intervals; the scenes are the same in
-    all.
-
-    ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the logged
-    driver scores 0, where there are such.
-    """
+    """Return ``mean`` and ``worst`` of the traffic for each planner, with 95 % intervals."""
     planners, traffic = _names(found)
     heads: dict[str, dict[str, Figure]] = {}
     for planner in planners:
-        rows, table = found[planner, traffic[0]], _scores(found, planner, traffic)
-        fails, count = _log_fails(rows), table.shape[1]
+        table = _scores(found, planner, traffic)
+        count = table.shape[1]
         resamples = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
         drawn = table[:, resamples].mean(axis=2).min(axis=0)
-        ends = (np.nan, np.nan) if are_few(rows) else interval(drawn)
-        mean = table.mean(axis=0)
-        heads[planner] = {"mean": mean_of(mean), "worst": (float(table.mean(axis=1).min()), *ends)}
-        if fails and len(fails) < count:
-            kept = [scene not in fails for scene in scene_means(rows, "score")]
-            heads[planner]["rest"] = mean_of(mean[kept])
+        ends = (np.nan, np.nan) if _few(found) else interval(drawn)
+        worst = (float(table.mean(axis=1).min()), *ends)
+        heads[planner] = {"mean": mean_of(table.mean(axis=0)), "worst": worst}
     return heads
-
-
-def _log_fails(rows: Sequence[Row]) -> list[str]:
-    """Scenes in which the logged driver scores 0."""
-    return sorted({row["scene"] for row in rows if row.get("log_fails")})
 
 
 def figures_table(found: Results) -> Table:
@@ -262,22 +249,15 @@ def summary(found: Results, privileged: Collection[str] = ()) -> list[Block]:
     """
     planners, traffic = _names(found)
     heads = headlines(found)
-    ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}
-    ends = {name: title for name, title in ends.items() if name in heads[planners[0]]}
     some = len(planners) > 1 and not _few(found)
     scores = [Column(t, TRAFFIC[t].label, best=some) for t in traffic]
     lines: TableRows = []
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
         cells = [mean_interval(found[planner, t], "score") for t in traffic]
         mark = " †" if planner in privileged else ""
-        lines.append([short_name(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
-    columns = [*scores, *(Column(name, title) for name, title in ends.items())]
+        lines.append([short_name(planner) + mark, *cells, *heads[planner].values()])
+    columns = [*scores, Column("mean"), Column("worst")]
     blocks: list[Block] = [Table(["score", *columns], lines)]
     if privileged:
         blocks.append("† privileged: uses what a vehicle cannot know, as the log.")
-    if "rest" in ends:
-        fails = ", ".join(_log_fails(next(iter(found.values()))))
-        blocks.append(
-            f"*log can*: without the scenes in which the logged driver scores 0 ({fails})."
-        )
     return blocks

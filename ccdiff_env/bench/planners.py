@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -185,25 +184,6 @@ def _sources(planner: str, traffic: str) -> dict[str, str | None]:
     return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
 
 
-def with_log(
-    rows: Sequence[dict[str, Any]],
-    source: str,
-    names: Sequence[str],
-    window: Mapping[str, int] | None = None,
-) -> list[dict[str, Any]]:
-    """Return rows that say whether the logged driver scores 0 in the scene: ``log_fails``."""
-    fails = _log_fails(source, tuple(names), tuple((window or {}).items()))
-    return [{**row, "log_fails": row["scene"] in fails} for row in rows]
-
-
-@lru_cache(maxsize=64)
-def _log_fails(
-    source: str, names: tuple[str, ...], window: tuple[tuple[str, int], ...]
-) -> frozenset[str]:
-    rows = play(scenes_of(source, names), "replay", TRAFFIC["replay"], options=dict(window))
-    return frozenset(row["scene"] for row in rows if row["score"] == 0.0)
-
-
 def evaluate(
     *,
     source: str,
@@ -240,7 +220,7 @@ def evaluate(
         for row in rows:
             row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
     chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
-    return with_log(rows, source, names, window), chosen
+    return rows, chosen
 
 
 def play(

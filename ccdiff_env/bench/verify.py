@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planners import TRAFFIC, drive, with_log
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.record import Entry, Record
@@ -105,7 +105,6 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
         planner = Recorded(entry.rows)
     scenes = scenes_of(source, entry.names)
     rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed, options=entry.window)
-    rows = with_log(rows, source, entry.names, entry.window)
     return [
         f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
         for then, now in zip(entry.rows, rows, strict=True)
