@@ -104,11 +104,7 @@ class Record:
                 raise ConfigError(f"a run of {kind!a:.40}, expected planners")
             if declared and (made := declared.get("format")) != FORMAT:
                 raise DatasetError(f"format {made!a:.40}, this release reads {FORMAT!r}")
-            entries = [
-                _entry(fields, str(path / name))
-                for name, fields in parsed.items()
-                if fields.get("function") == FUNCTION or not name.startswith("raw/replay-")
-            ]
+            entries = [_entry(fields, str(path / name)) for name, fields in parsed.items()]
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")
             code, trained = _declared(declared.get("code"), declared.get("training_data"))

@@ -104,8 +104,6 @@ def generate(
                 "file": file,
                 "sha256": sha256_of(place / file),
                 "collision": bool(hits),
-                "kind": first and first.kind,
-                "partner": first and first.partner_id,
                 "time_s": first and round(first.step * rollout.dt_s, 3),
                 "at_fault": any(event.at_fault for event in hits),
                 "avoidable": verdict is None or verdict.avoidable,
