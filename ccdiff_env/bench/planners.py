@@ -70,7 +70,7 @@ def _named(label: str, name: str) -> Traffic:
     kind, _, policy = name.partition(":")
     if kind != "adversary":
         return Traffic(label, name)
-    pace = {"replan_steps": 20, "denoising_steps": 1, "adversary_policy": policy}
+    pace: dict[str, Any] = {"replan_steps": 20, "denoising_steps": 1, "adversary_policy": policy}
     return replace(_critical(1.0, **pace), label=f"CCDiff, chosen by {Path(policy).stem}")
 
 
