@@ -100,7 +100,7 @@ pub enum Form {
     Kinds(&'static Choice),
     /// Fields.
     Table(#[serde(serialize_with = "name_of")] &'static Table),
-    /// Anything; who reads it checks it.
+    /// Anything; its reader checks it.
     Any,
 }
 
@@ -456,6 +456,3 @@ impl Table {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

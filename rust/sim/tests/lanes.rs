@@ -8,20 +8,8 @@ use ccdiff_sim::state::{AgentStates, Footprint};
 use proptest::prelude::*;
 use std::f32::consts::{FRAC_PI_2, PI};
 
-fn lane(centreline: Vec<Point2>) -> Lane {
-    Lane {
-        id: String::new(),
-        kind: LaneKind::Lane,
-        centreline,
-        polygon: Polygon::default(),
-        successors: vec![],
-        predecessors: vec![],
-        speed_limit_mps: None,
-        elevation_m: Vec::new(),
-    }
-}
-
 fn map(centrelines: impl IntoIterator<Item = Vec<Point2>>) -> Map {
+    let lane = |centreline| Lane { centreline, ..Lane::default() };
     Map { lanes: centrelines.into_iter().map(lane).collect(), ..Map::default() }
 }
 

@@ -133,17 +133,3 @@ impl DriverModel for Idm {
         AgentMotion::Place(next, Vector2::new(next.cos * next_speed, next.sin * next_speed))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn equilibrium_gap_of_the_published_formula() {
-        // at equal speeds the acceleration vanishes at gap (s0 + v T) / sqrt(1 - (v/v0)^delta)
-        let idm = IdmConfig::default();
-        let (v, v0) = (8.0f32, 12.0f32);
-        let gap = (idm.min_gap_m + v * idm.headway_s) / (1.0 - (v / v0).powf(idm.exponent)).sqrt();
-        assert!(idm_towards(&idm, v, v0, Some((gap, v))).abs() < 1e-4);
-    }
-}
