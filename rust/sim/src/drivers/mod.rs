@@ -29,7 +29,7 @@ use crate::stage::{History, PreparedScene};
 use crate::state::AgentStates;
 use serde::{Deserialize, Serialize};
 
-/// Who drives an agent.
+/// What drives an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Driver {
     /// Actions handed to `step`.
@@ -86,7 +86,7 @@ pub struct WorldView<'a> {
     pub route_s_m: &'a [f32],
     /// The ego.
     pub ego: Option<usize>,
-    /// Who drives each agent.
+    /// Driver of each agent.
     pub drivers: &'a [Driver],
     /// Whether a contact has stopped an agent for the rest of the episode.
     pub halted: &'a [bool],
@@ -132,8 +132,7 @@ pub trait DriverModel: Send + Sync {
         1
     }
 
-    /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep the plan
-    /// that there is.
+    /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep its plan.
     ///
     /// # Errors
     /// Whatever stops the driver; the tick is then not executed.

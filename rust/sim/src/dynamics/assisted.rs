@@ -49,16 +49,6 @@ options! {
     }
 }
 
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BesideRoute {
-    /// Signed distance from the route, left positive, metres.
-    pub(crate) distance_m: Real,
-    /// Sine of the heading against the route's.
-    pub(crate) sin: Real,
-    /// Curvature of the route, left positive, 1/m.
-    pub(crate) curvature_1pm: Real,
-}
-
 impl AssistedLimits {
     pub(super) fn unicycle(&self) -> UnicycleLimits {
         UnicycleLimits {
@@ -98,12 +88,13 @@ impl AssistedLimits {
         };
         (base_mps2 + delta_mps2).clamp(low, high).clamp(self.acceleration_mps2[0], self.acceleration_mps2[1])
     }
+}
 
-    /// Yaw rate that leads to a distance from the route: that of the route, and a critically damped return.
-    pub(crate) fn yaw_rate(&self, at: &BesideRoute, offset_m: Real, speed_mps: Real) -> Real {
-        let (f, lateral_mps) = (FREQUENCY_RADPS, speed_mps * at.sin);
-        let wanted = f * f * (offset_m - at.distance_m) - 2.0 * f * lateral_mps;
-        let correction = wanted.clamp(-MAX_CORRECTION_MPS2, MAX_CORRECTION_MPS2);
-        at.curvature_1pm * speed_mps + correction / speed_mps.max(LEAST_SPEED_MPS)
-    }
+/// Yaw rate that corrects a distance from a route, left positive: that of its curvature, and a critically damped return.
+/// `error_sin`: of the heading from the route's.
+pub(crate) fn yaw_rate(distance_m: Real, error_sin: Real, curvature_1pm: Real, speed_mps: Real) -> Real {
+    let (f, lateral_mps) = (FREQUENCY_RADPS, speed_mps * error_sin);
+    let wanted = f * f * -distance_m - 2.0 * f * lateral_mps;
+    let correction = wanted.clamp(-MAX_CORRECTION_MPS2, MAX_CORRECTION_MPS2);
+    curvature_1pm * speed_mps + correction / speed_mps.max(LEAST_SPEED_MPS)
 }

@@ -50,7 +50,7 @@ const REMEMBERED: usize = 3;
 
 /// Traffic in which each vehicle decides as the policy does, and holds what it decided.
 ///
-/// Vehicles that never move in the log stay parked; who is at the end of its route leaves; all but vehicles do as logged.
+/// Vehicles that never move in the log stay parked; those at the end of their route leave; all other agents follow the log.
 #[derive(Debug)]
 pub struct Egos {
     observer: Observer,
@@ -170,7 +170,7 @@ fn remembered(memory: &[u8], a: usize) -> [Real; REMEMBERED] {
     for (number, bytes) in numbers.iter_mut().zip(memory.chunks_exact(4).skip(a * REMEMBERED)) {
         *number = bytes.try_into().map_or(0.0, Real::from_le_bytes);
     }
-    // what a snapshot says may be anything
+    // a snapshot may hold anything
     if numbers.iter().all(|n| n.is_finite()) { numbers } else { [0.0; REMEMBERED] }
 }
 
@@ -205,7 +205,7 @@ impl DriverModel for Egos {
         }
         match plan.and_then(|p| p.follow(world, agent_idx)) {
             Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
-            // it came after the decision
+            // it entered after the decision
             None => stands(world.states, agent_idx),
         }
     }

@@ -60,9 +60,9 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// The vehicles that `may_be_chosen` among those that are there and move, at most `num_rows` of them; nobody, and zeros, without an ego.
+    /// At most `num_rows` vehicles that `may_be_chosen` among those that are there and move; none without an ego.
     ///
-    /// `plan` is the latest plan of who drives them.
+    /// `plan` is the latest plan of their driver.
     pub fn new(
         world: &WorldView<'_>,
         plan: Option<&PlanRecord>,

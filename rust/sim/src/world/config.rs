@@ -274,21 +274,18 @@ impl WorldConfig {
     }
 
     fn check_together(&self) -> Result<()> {
-        check(
-            !matches!(self.controlled, Controlled::Ego | Controlled::Any) || self.num_slots == 1,
-            "num_slots",
-            self.num_slots,
-            "1 when only the ego is controlled",
-        )?;
-        if let Controlled::Ids(ids) = &self.controlled {
-            let expected = "as many slots as there are ids, ids not empty";
-            check(!ids.is_empty() && ids.len() == self.num_slots, "num_slots", self.num_slots, expected)?;
-        }
-        if let Controlled::PerScene(scenes) = &self.controlled {
-            let longest = scenes.values().map(Vec::len).max().unwrap_or(0);
-            let expected = "at least as many slots as any scene has ids";
-            check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
-        }
+        let slots = self.num_slots;
+        let (fits, expected) = match &self.controlled {
+            Controlled::Ego | Controlled::Any => (slots == 1, "1 when only the ego is controlled"),
+            Controlled::Ids(ids) => {
+                (!ids.is_empty() && ids.len() == slots, "as many slots as there are ids, ids not empty")
+            }
+            Controlled::PerScene(scenes) => {
+                (scenes.values().all(|ids| ids.len() <= slots), "at least as many slots as any scene has ids")
+            }
+            Controlled::Vehicles => (true, ""),
+        };
+        check(fits, "num_slots", slots, expected)?;
         let external = self.traffic.shares().iter().any(|(name, _)| *name == EXTERNAL);
         check(!external, "traffic", EXTERNAL, "a driver of traffic")?;
         if let Traffic::Mix(shares) = &self.traffic {
@@ -313,7 +310,7 @@ impl WorldConfig {
         Ok(())
     }
 
-    /// Whether somebody drives under a name from the start of an episode.
+    /// Whether agents may have a driver of this name from the start of an episode.
     pub fn names(&self, driver: &str) -> bool {
         let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == driver);
         in_traffic || self.driver == driver || self.drivers.values().any(|name| name == driver)

@@ -24,8 +24,7 @@ impl World {
         }
     }
 
-    /// The first contact of each slot in the step that is no initial one, described where it begins, and whether it leaves
-    /// the road before the step ends; initial contacts are forgotten when the two have parted.
+    /// Finds the first new contact of each slot in the step and departures from the road between its ends.
     fn look_between(&mut self, at_start: bool, dt_s: Real) {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();

@@ -88,7 +88,8 @@ impl DriverTable {
             };
             let is_named = matches!(config.controlled, Controlled::Ids(_) | Controlled::PerScene(_));
             if !is_named && scenes.iter().any(is_towed) {
-                let expected = "the id of a vehicle that no other one tows: those follow who tows them";
+                let expected =
+                    "the id of a vehicle that no other one tows: those follow the one that tows them";
                 return Err(SimError::config("drivers", format!("{id:?}"), expected));
             }
             made.by_id.push((id.clone(), made.driver("drivers", name)?));

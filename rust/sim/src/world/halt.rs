@@ -61,7 +61,7 @@ pub(super) fn halt(
     }
 }
 
-/// Stops an agent, and whoever is hitched to it, at a share of their way.
+/// Stops an agent and all hitched to it at a share of their way.
 fn stop(e: &mut Episode, scene: &PreparedScene, a: usize, before: &[Pose2], share: Real) {
     for b in 0..e.states.len() {
         if (b == a || e.states.hitched(a, b)) && may_stop(e, scene, b) {

@@ -253,7 +253,7 @@ impl VecWorld {
         self.begun(world_idx)?;
         let extent = self.extent();
         check_length("obs", obs.len(), extent.slots * extent.row)?;
-        check_length("bev", bev.len(), extent.slots * self.layout.raster_size())?;
+        check_length("bev", bev.len(), extent.slots * extent.raster.iter().product::<usize>())?;
         let now = self.worlds[world_idx].episode.elapsed_steps;
         self.worlds[world_idx].observe(&self.config, extent, now, obs, bev);
         Ok(())

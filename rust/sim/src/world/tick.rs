@@ -260,7 +260,7 @@ impl World {
         }
     }
 
-    /// Writes who is alive, and the observations.
+    /// Writes which slots are alive, and the observations.
     pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
         self.write_alive(out);
         self.observe(shared.config, shared.extent, since, out.obs, out.bev);

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// Name of the driver of agents that take actions from outside.
 pub const EXTERNAL: &str = "external";
 
-/// Who drives the vehicles that are not controlled.
+/// Drivers of the vehicles that are not controlled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Traffic {
