@@ -92,7 +92,7 @@ pub struct WorldView<'a> {
     pub halted: &'a [bool],
     /// Past states, where a driver of the batch asked for them: as many as the one that looks back farthest wants.
     pub history: Option<&'a History>,
-    /// Step of the log that the states stand at.
+    /// Step of the log that belongs to the states.
     pub step_idx: usize,
     /// Steps since the episode began.
     pub elapsed_steps: usize,

@@ -22,7 +22,7 @@ const MAX_CELLS: Real = 65_536.0;
 pub(crate) const MAX_SEGMENTS: usize = 256;
 
 named! {
-    /// What a segment belongs to; its name stands after `is_` in observations.
+    /// What a segment belongs to; observations name it after `is_`.
     pub enum SegmentKind {
         /// Centre line of a lane.
         Lane = "lane",

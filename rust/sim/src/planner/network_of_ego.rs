@@ -72,7 +72,7 @@ fn rectify(x: &mut [Real]) {
 pub struct NetworkOfEgo {
     mean: Vec<Real>,
     std: Vec<Real>,
-    /// Numbers of an agent in the row, one agent after another, and where their mask stands.
+    /// Numbers of an agent in the row, one agent after another, and places of their mask.
     agents: Range<usize>,
     mask: Range<usize>,
     encoder: Vec<Linear>,

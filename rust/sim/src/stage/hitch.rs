@@ -92,7 +92,7 @@ pub(crate) fn towed_pose(
     pose: &Pose2,
     own: &Footprint,
 ) -> Pose2 {
-    // the hitch: the middle of what the boxes share when they stand in line
+    // the hitch: the middle of what the boxes share when in line
     let reach_m = 0.5 * (leader.half_length_m - own.half_length_m + (pose.position - from.position).norm());
     let hitch = Point2::new(-reach_m, 0.0);
     let axle_m = 2.0 * AXLE * own.half_length_m;

@@ -72,7 +72,7 @@ pub(crate) struct Episode {
     pub(crate) scene_idx: usize,
     /// Scene of the next episode in sequential order.
     pub(crate) next_scene_idx: usize,
-    /// Step of the log that the states stand at.
+    /// Step of the log that belongs to the states.
     pub(crate) step_idx: usize,
     pub(crate) elapsed_steps: usize,
     pub(crate) states: AgentStates,

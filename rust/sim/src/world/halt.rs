@@ -27,7 +27,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
     }
 }
 
-/// Puts agents in new contacts with driven vehicles back to the moment of contact; they stand from the next step on.
+/// Puts agents in new contacts with driven vehicles back to the moment of contact; they are halted from the next step on.
 pub(super) fn halt(
     e: &mut Episode,
     scene: &PreparedScene,

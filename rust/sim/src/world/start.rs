@@ -9,7 +9,7 @@ use crate::world::differences::check_style;
 use crate::world::rng::Rng;
 use std::collections::BTreeMap;
 
-/// Least distance of a drawn ego's start from where its log stands at the end of the episode, metres.
+/// Least distance of a drawn ego's start from its logged place at the end of the episode, metres.
 pub const LEAST_WAY_M: Real = 10.0;
 
 /// What a reset asks for beside the scene; `None` leaves the choice to the draw.
