@@ -19,12 +19,12 @@ from typing import Any, NoReturn
 VERBS = {
     "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
     "train-ego": ("train an ego with PPO (resumes with --resume)", "envs.train_ego"),
-    "distil": ("teach swift traffic what guided CCDiff does", "envs.distil"),
+    "distil": ("distil guided CCDiff into swift traffic", "envs.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "view": ("write a replay page, an image or a video", "view.command"),
-    "scenes": ("list the scenes that can be played and shown", "view.listing"),
-    "play": ("write a page in which one drives the ego by keys", "view.play"),
-    "doctor": ("say what is installed, and whether it works here", "bench.doctor"),
+    "scenes": ("list the scenes of a source", "view.listing"),
+    "play": ("write a page in which you drive the ego with the keyboard", "view.play"),
+    "doctor": ("check the installation and say what is missing", "bench.doctor"),
 }
 
 
@@ -86,7 +86,7 @@ class _Version(argparse.Action):
 
 def parser_for(words: Sequence[str]) -> argparse.ArgumentParser:
     """Return the parser of a command line; of its verb alone it has the arguments."""
-    parser = _Parser(prog="ccdiff-env", description="Driving among learned traffic.")
+    parser = _Parser(prog="ccdiff-env", description="A driving environment with learned traffic.")
     parser.add_argument("--version", nargs=0, action=_Version, help="print the version")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="verb")
     for verb, (help_text, module) in VERBS.items():

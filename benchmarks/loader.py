@@ -33,7 +33,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def run(way: str, *arguments: str) -> list[float]:
-    """Return seconds, processor seconds, scenes and peak resident MiB of one load."""
+    """Return seconds, CPU seconds, scenes and peak resident MiB of one load."""
     before, cache = WAYS[way]
     command = [sys.executable, "-c", CODE.format(before=before, cache=cache), *arguments]
     out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -49,7 +49,7 @@ def main() -> None:
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         cache = str(Path(folder) / "cache")
-        # in turns: what else the machine does in the meantime befalls them all
+        # in turns, so that other load on the machine affects all alike
         rounds = [
             {way: run(way, args.dataroot, args.version, cache) for way in WAYS}
             for _ in range(args.repeats)

@@ -10,8 +10,11 @@ its processor time; more: per second of the clock. Best of some rounds.
 - *equal work*: the worlds beneath, all vehicles controlled, with 7 + 63 x 7 + 200 x 7 = 1,848
   floats each: the work that other simulators' figures are quoted for. It needs real roads, the
   eight scenes of most vehicles in ``--scenes``.
+- traffic of networks: a plan every 0.5 s, one sample, the ego driven by IDM; without ``--scenes``
+  in the embedded ones.
 
-The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone.
+The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone, and
+what a plan of CCDiff costs.
 """
 
 from __future__ import annotations
@@ -21,18 +24,21 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 
 import numpy as np
 
 import ccdiff_env
 from ccdiff_env.config import ObservationConfig, WorldConfig
-from ccdiff_env.scenes import Scene
+from ccdiff_env.models import TrajectoryModel, shipped_weights
+from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.worlds import Worlds, scene_set
 
 
 def best_s(step: Callable[[], object], threads: int, rounds: int) -> float:
     """Return the best seconds per call over rounds of about a fifth of a second."""
-    clock = time.thread_time if threads == 1 else time.perf_counter
+    clock = time.process_time if threads == 1 else time.perf_counter
     best = float("inf")
     for _ in range(rounds):
         end, start, calls = time.perf_counter() + 0.2, clock(), 0
@@ -52,10 +58,11 @@ class Steps:
     threads: int
     agents: float
     floats: int
+    steps: int = 1  #: That one call takes.
 
     def report(self, name: str, rounds: int) -> None:
         """Measure and print one line."""
-        s = best_s(self.step, self.threads, rounds)
+        s = best_s(self.step, self.threads, rounds) / self.steps
         slots = self.envs * self.agents
         print(
             f"{name:<36}{self.envs:>6}{self.threads:>4}{self.agents:>5.0f}{self.floats:>6}"
@@ -72,6 +79,15 @@ def vector_env(envs: int, traffic: str, threads: int) -> Steps:
     shape = env.action_space.shape
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, shape).astype(np.float32)
     return Steps(lambda: env.step(actions), envs, threads, 1, env.single_observation_space.shape[0])
+
+
+def network_env(scenes: SceneSet, envs: int, threads: int, traffic: str, **ccdiff: object) -> Steps:
+    """Return a vector environment in traffic that plans, as what takes ten steps of it."""
+    options = {"copy": False, "info": "end", "driver": "idm", "ccdiff": ccdiff}
+    env = ccdiff_env.make_vec(envs, scenes=scenes, traffic=traffic, num_threads=threads, **options)
+    env.reset(seed=0)
+    idle, width = np.zeros(env.action_space.shape, np.float32), env.single_observation_space.shape
+    return Steps(lambda: [env.step(idle) for _ in range(10)], envs, threads, 1, width[0], 10)
 
 
 def vehicles(scene: Scene) -> int:
@@ -134,6 +150,19 @@ def one_of_many(rounds: int, envs: int = 1024) -> None:
         print(f"{name} of {envs} worlds: {best_s(call, 1, rounds) * 1e6:,.1f} us")
 
 
+def plans(scenes: SceneSet, rounds: int, envs: int = 64, step: int = 40) -> None:
+    """Print what plans of some worlds cost in one thread."""
+    part = [scenes[i % len(scenes)] for i in range(envs)]
+    for solver_steps in (5, 1):
+        model = TrajectoryModel(shipped_weights(one_step=solver_steps == 1))
+        plan = partial(model.plan, part, [step] * envs, solver_steps=solver_steps)
+        count = sum(len(found.agents) for found in plan())
+        ms = 1e3 * best_s(plan, 1, rounds) / count
+        print(
+            f"a plan of {count} vehicles, denoising steps {solver_steps}: {ms:.2f} ms per vehicle"
+        )
+
+
 def table(rounds: int, source: str | None) -> None:
     """Print all figures, those of real roads first."""
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
@@ -150,7 +179,15 @@ def table(rounds: int, source: str | None) -> None:
     for traffic in ("replay", "idm"):
         for envs, n in sizes:
             vector_env(envs, traffic, n).report(f"make_vec, {traffic}", rounds)
+    scenes = ccdiff_env.load(source or "embedded/val")
+    for envs, n in ((1, 1), (64, 1), (64, threads)):
+        network_env(scenes, envs, n, "swift", criticality=1.0).report("make_vec, swift", rounds)
+        for criticality, steps in product((0.0, 1.0), (5, 1)):
+            ccdiff = {"criticality": criticality, "denoising_steps": steps}
+            name = f"make_vec, ccdiff-{criticality:g}, {steps} denoising"
+            network_env(scenes, envs, n, "ccdiff", **ccdiff).report(name, rounds)
     one_of_many(rounds)
+    plans(scenes, rounds)
 
 
 def main() -> None:

@@ -221,8 +221,6 @@ class WorldConfig(WorldOptions):
 
 
 _C = TypeVar("_C")
-#: Tables of Rust that have another name than their class.
-_TABLES: dict[Any, str] = {WorldConfig: "WorldConfig", PythonTraffic: "PythonOptions"}
 
 
 def _fields_of(kind: Any) -> tuple[str, ...]:
@@ -244,7 +242,8 @@ def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str)
             raise unknown_option(str(name), known)
         changes[name] = _formed(path + name, value, hints[name], getattr(old, name, None))
     checked = {n: _plain_field(n, v) for n, v in changes.items() if n not in ("ccdiff", "model")}
-    check(_TABLES.get(kind, kind.__name__), path.removesuffix("."), checked)
+    table = "PythonOptions" if kind is PythonTraffic else kind.__name__
+    check(table, path.removesuffix("."), checked)
     try:
         return kind(**changes) if old is None else dataclasses.replace(old, **changes)  # type: ignore[type-var]
     except TypeError as error:  # a field without default is missing

@@ -20,8 +20,8 @@ The program below stands in for yours: it keeps its lane and two seconds to whoe
 from __future__ import annotations
 
 import argparse
+import cmath
 import json
-import math
 import shlex
 import subprocess
 import sys
@@ -79,25 +79,20 @@ def program() -> None:
 
 def act(world: dict[str, Any]) -> tuple[float, float]:
     """The action of one world: an acceleration and a yaw rate."""
-    ego = world["ego"]
-    (x, y), heading, speed = (world[name][ego] for name in ("position", "heading", "speed"))
-
-    def seen(point: list[float]) -> tuple[float, float]:
-        """A point ahead and to the left of the ego."""
-        dx, dy = point[0] - x, point[1] - y
-        cos, sin = math.cos(heading), math.sin(heading)
-        return dx * cos + dy * sin, dy * cos - dx * sin
-
+    ego, speed = world["ego"], world["speed"][world["ego"]]
+    at, turned = complex(*world["position"][ego]), cmath.exp(-1j * world["heading"][ego])
+    # places ahead of the ego (real) and to its left (imaginary)
+    route = [(complex(*point) - at) * turned for point in world["route"]]
+    others = [(complex(*point) - at) * turned for point in world["position"]]
     reach = max(6.0, speed)
-    ahead, left = next((p for p in map(seen, world["route"]) if p[0] > reach), (reach, 0.0))
-    turn = 2.0 * left / (ahead**2 + left**2) * speed
+    aim = next((point for point in route if point.real > reach), complex(reach))
     gap = 1e3
-    for i, active in enumerate(world["active"]):
-        there = seen(world["position"][i])
-        if active and i != ego and there[0] > 0.0 and abs(there[1]) < 2.0:
-            gap = min(gap, there[0] - (world["size"][i][0] + world["size"][ego][0]) / 2)
+    for i, there in enumerate(others):
+        if world["active"][i] and i != ego and there.real > 0.0 and abs(there.imag) < 2.0:
+            gap = min(gap, there.real - (world["size"][i][0] + world["size"][ego][0]) / 2)
     wanted = min(10.0, max(gap - 2.0, 0.0) / 2.0)
     acceleration = max(min(wanted - speed, 2.0), -8.0)
+    turn = 2.0 * aim.imag / abs(aim) ** 2 * speed
     return acceleration / (4.0 if acceleration > 0.0 else 8.0), max(min(turn, 1.0), -1.0)
 
 
@@ -105,8 +100,8 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "test")
     parser.add_argument("--traffic", default="idm", choices=list(TRAFFIC))
-    parser.add_argument("--program", action="store_true", help="be the program")
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    parser.add_argument("--program", action="store_true", help="run as the program")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
 
 

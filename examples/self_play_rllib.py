@@ -29,9 +29,11 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     parser.add_argument("--iterations", type=int, default=50)
-    parser.add_argument("--runners", type=int, default=0, help="processes that play; 0: this one")
+    parser.add_argument(
+        "--runners", type=int, default=0, help="processes that simulate; 0: this one"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
 
 

@@ -3,8 +3,8 @@
     python examples/train_adversary_selection.py --dataroot <nuscenes> --split train \
         --test-split val train_val --seeds 3 --test-seeds 3
 
-MaskablePPO of sb3-contrib decides once per plan of CCDiff traffic. Guidance is free at first, and
-grows dearer: where it is dear from the beginning, nobody is all that is learned. Policies,
+MaskablePPO of sb3-contrib decides once per plan of CCDiff traffic. Guidance is free at first, then
+its cost rises: at a high cost from the start the policy learns to choose no adversary. Policies,
 curve, table and picture go to ``--out``; what is there is not made again. Traffic reads a policy by
 ``ccdiff={"adversary_policy": "<out>/policy-0.safetensors", "replan_steps": 20}``.
 """
@@ -39,23 +39,23 @@ def arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--ego", default="idm", help="planner of the ego")
     add("--counts", default="all", help="collisions that count, see docs/tasks.md")
-    add("--adversaries", type=int, default=1, help="vehicles that are guided")
-    add("--avoidable", action="store_true", help="plans leave the ego a way out")
-    add("--denoising-steps", type=int, default=1, help="of the traffic, in tests")
-    add("--steps", type=int, default=12_800, help="decisions of each stage")
+    add("--adversaries", type=int, default=1, help="vehicles guided at a time")
+    add("--avoidable", action="store_true", help="only plans that the ego can evade")
+    add("--denoising-steps", type=int, default=1, help="of the traffic in tests")
+    add("--steps", type=int, default=12_800, help="decisions per stage")
     add("--worlds", type=int, default=128)
-    add("--seeds", type=int, default=1, help="policies that are trained")
-    add("--test-seeds", type=int, default=1, help="episodes of each test scene")
-    add("--policies", type=Path, help="folder of policies that are there already")
+    add("--seeds", type=int, default=1, help="policies to train")
+    add("--test-seeds", type=int, default=1, help="episodes per test scene")
+    add("--policies", type=Path, help="folder of trained policies")
     add("--out", type=Path, default=Path("runs/adversary_selection"))
-    add("--smoke", action="store_true", help="a run of seconds")
+    add("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
 
 
 def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int) -> None:
     """Train one policy in stages."""
     env = AdversarySelectionVectorEnv(args.worlds, scenes=scenes, num_threads=1, **options)
-    # scenes in which the ego can be hit come oftener
+    # scenes in which the ego can be hit are sampled more often
     everybody = selection.traffics("all", "4", 4.0, num_guided=None)
     hits = selection.play(scenes, everybody, seeds=(0, 1), **options)["is_success"]
     env.worlds.set_scene_weights(0.5 + 2.0 * np.array(hits))
@@ -81,7 +81,7 @@ def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int
         curve.append([(stage + 1) * args.steps, env.shift_cost, hit])
         print(curve[-1], flush=True)
     seconds = time.process_time() - begun
-    print(f"{seconds:.0f} s of a processor, {curve[-1][0] / seconds:.0f} decisions a second")
+    print(f"{seconds:.0f} CPU seconds, {curve[-1][0] / seconds:.0f} decisions a second")
     path.with_name(f"curve-{seed}.json").write_text(json.dumps(curve))
     notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
     save_policy(model, path.with_suffix(".safetensors"), env.strengths, **notes)

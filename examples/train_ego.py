@@ -19,7 +19,7 @@ import numpy as np
 
 from ccdiff_env import cli
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
-from ccdiff_env.bench.jobs import results, run_jobs
+from ccdiff_env.bench.jobs import run_jobs
 from ccdiff_env.bench.planners import TRAFFIC, planner_jobs
 from ccdiff_env.record.bank import record_bank
 from ccdiff_env.scenes.arguments import (
@@ -50,22 +50,21 @@ def arguments() -> argparse.Namespace:
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     parser.add_argument(
-        "--choose-split", help="scenes that choose the seed (default: train_val; embedded: city)"
+        "--choose-split", help="scenes that select the seed (default: train_val; embedded: city)"
     )
-    parser.add_argument("--decisions", default="7e5", help="of each training")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings")
+    parser.add_argument("--decisions", default="7e5", help="decisions per training")
+    parser.add_argument("--seeds", type=int, default=3, help="policies to train")
     parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
 
 
 def driven(place, planners, traffic, draws: int, folder: Path, workers: int):
     """Rows of every planner and traffic, the scenes in the same order in each draw."""
     jobs = [j for k in range(draws) for j in planner_jobs(str(place), planners, traffic, seed=k)]
-    run_jobs(jobs, folder, workers=workers)
-    by_name, found = results(jobs, folder), {}
+    by_name, found = run_jobs(jobs, folder, workers=workers), {}
     for job in jobs:
         key = job.arguments["planner"], job.arguments["traffic"]
         found.setdefault(key, []).extend(by_name[job.name])

@@ -62,7 +62,7 @@ def files(tmp_path_factory):
     rollout = planned_rollout()
     write_page(rollout, folder / "one.html")
     log = log_rollout(rollout.scene, like=rollout)
-    write_page(rollout, folder / "two.html", compare=log, titles=("run", "log"))
+    write_page(rollout, folder / "two.html", compare=[log], titles=("run", "log"))
     runs = [log, rollout, log, rollout]
     write_page(rollout, folder / "grid.html", compare=runs, titles=("one", *"abcd"))
     rollout.save(folder / "a.npz")

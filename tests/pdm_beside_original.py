@@ -16,7 +16,7 @@ import numpy as np
 import ccdiff_env
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.interop.nuplan import nuplan_planner
-from ccdiff_env.planners.rules import RULES
+from ccdiff_env.planners.rules import PdmClosed
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds.worlds_view import behind
 
@@ -30,7 +30,7 @@ class Both:
     """Ours drives, theirs is asked; the first decision of an episode makes theirs ready."""
 
     def __init__(self, worlds):
-        self.worlds, self.ours = worlds, RULES["pdm"](worlds)
+        self.worlds, self.ours = worlds, PdmClosed(worlds)
         self.theirs = nuplan_planner("nuplan:pdm_closed_planner")
 
     def reset(self, worlds, indices):

@@ -7,7 +7,7 @@ import pytest
 from array_scenes import agent, array_scene, rebuilt, wide_road
 from array_scenes import played as episode
 from episode_play import actions, played, same
-from test_own_traffic import straight_on
+from test_own_traffic import straight_on, watching
 from traffic_play import Play
 
 import ccdiff_env
@@ -186,13 +186,11 @@ def road(num_steps: int = 91) -> Scene:
     return array_scene(*cars, name=f"road-{num_steps}", layers=wide_road(3.5, (-1.75, 1.75)))
 
 
-def play(scene, traffic, *, steps=np.inf, **options):
+def play(scene, traffic, *, steps=1000, **options):
     """A world in which the traffic and the ego are driven alike."""
     driver = "python" if isinstance(traffic, PythonTraffic) else traffic
     made = Play([scene], traffic, driver=driver, **options)
-    while not made.out.done.all() and (
-        steps is None or made.native.status(0).elapsed_steps < steps
-    ):
+    while not made.out.done.all() and made.native.status(0).elapsed_steps < steps:
         made.step()
     return made.worlds
 
@@ -238,13 +236,8 @@ def test_states_before_a_log_count_as_states_of_nobody(name, history):
 
 
 def test_a_python_model_is_told_which_states_there_were():
-    seen = []
-
-    def look(batch):
-        seen.append(batch)
-        return straight_on(batch)
-
-    play(road(), PythonTraffic(look, history_states=31), steps=1, **PROTOCOL)
+    traffic, seen = watching(history_states=31)
+    play(road(), traffic, steps=1, **PROTOCOL)
     (batch,) = seen
     assert not batch.valid[:, :20].any()
     assert batch.valid[:, 20:].all()

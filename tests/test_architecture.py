@@ -32,7 +32,7 @@ USERS = {
 #: Rooms of crates; each may use those before it.
 CRATE_ROOMS = {
     "sim": "simd_dispatch named error geom options scene state dynamics events causal metrics "
-    "observe stage policy pdm world planner",
+    "observe stage drivers pdm world planner",
     "nets": "error config kernels inputs guidance sampling compute networks traffic",
 }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.jobs import Job, run_jobs
 from ccdiff_env.bench.planners import planner_jobs
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError, DatasetError
@@ -81,9 +81,9 @@ def test_a_killed_run_goes_on_where_it_stopped(tmp_path):
     log = tmp_path / "log"
     jobs = [Job(f"job-{x}", f"{__name__}:square", {"x": x, "log": str(log)}) for x in range(4)]
     run_jobs(jobs[:2], tmp_path / "raw", progress=False)
-    run_jobs(jobs, tmp_path / "raw", progress=False)
+    found = run_jobs(jobs, tmp_path / "raw", progress=False)
     assert log.read_text().split() == ["0", "1", "2", "3"]
-    assert results(jobs, tmp_path / "raw")["job-3"] == {"square": 9}
+    assert found == {f"job-{x}": {"square": x * x} for x in range(4)}
     assert not [p for p in (tmp_path / "raw").iterdir() if p.name.startswith(".")]
 
 
@@ -98,9 +98,8 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
         for i, n in enumerate(names)
     ]
     jobs += planner_jobs(VAL, ["pdm", "ego"], ["idm"])  # with digests of every bit
-    run_jobs(jobs, tmp_path / "one", progress=False)
-    run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
-    assert results(jobs, tmp_path / "one") == results(jobs, tmp_path / "two")
+    one = run_jobs(jobs, tmp_path / "one", progress=False)
+    assert one == run_jobs(jobs, tmp_path / "two", workers=2, progress=False)
 
 
 def test_damaged_results_and_doubled_names_are_refused(tmp_path):
@@ -111,4 +110,4 @@ def test_damaged_results_and_doubled_names_are_refused(tmp_path):
         run_jobs([job], tmp_path, workers=0, progress=False)
     (tmp_path / "job.json").write_text("{", encoding="utf-8")
     with pytest.raises(DatasetError, match=r"job\.json"):
-        results([job], tmp_path)
+        run_jobs([job], tmp_path, progress=False)

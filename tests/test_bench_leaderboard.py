@@ -6,7 +6,6 @@ import pytest
 from planner_run import raw, write_run
 
 from ccdiff_env.bench import leaderboard as module
-from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
 from ccdiff_env.errors import DatasetError
@@ -90,32 +89,20 @@ def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_
     assert set(order(table)[0]) == {MARKED, "PDM-Closed"}
 
 
-def test_runs_of_one_name_or_of_one_folder_name_are_all_there(tmp_path):
-    made = raw("idm", "replay", TEN)
-    runs = [write_run(tmp_path / parent / "run", made) for parent in "abc"]
+def test_runs_of_one_name_are_all_there_wherever_the_data_lies(tmp_path):
+    runs = []
+    for name in "abc":
+        made = raw("idm", "replay", TEN)
+        made["arguments"]["source"] = f"nuscenes:/{name}@v1.0-mini/all"
+        runs.append(write_run(tmp_path / name / "run", made))
     (table,) = leaderboard(*runs).values()
     assert order(table)[0] == [f"{IDM} (run) †", f"{IDM} (run) #2 †", f"{IDM} (run) #3 †"]
 
 
-def test_where_the_data_lies_does_not_matter(tmp_path):
-    runs = []
-    for name in "ab":
-        made = raw("idm", "replay", TEN)
-        made["arguments"]["source"] = f"nuscenes:/{name}@v1.0-mini/all"
-        runs.append(write_run(tmp_path / name, made))
-    (table,) = leaderboard(*runs).values()
-    assert order(table)[0] == [f"{IDM} (a) †", f"{IDM} (b) †"]
-
-
-def test_privileged_planners_are_marked_and_scenes_that_the_log_fails_left_out_beside(tmp_path):
-    hard = [raw("mine:Ego", "replay", [0.0] + [0.5] * 10, source="a", privileged=True)]
-    hard[0]["result"][0]["log_fails"] = True
-    (table,) = leaderboard(write_run(tmp_path / "a", *hard)).values()
+def test_privileged_planners_are_marked(tmp_path):
+    made = raw("mine:Ego", "replay", TEN, source="a", privileged=True)
+    (table,) = leaderboard(write_run(tmp_path / "a", made)).values()
     assert order(table)[0] == ["mine:Ego (no code) †"]
-    assert order(table)[1][-3:] == ["mean", "worst", "mean, log can"]
-    row = next(line for line in table.splitlines() if line.startswith("| mine:Ego"))
-    assert [cell.split()[0] for cell in row.split("|")[3:6]] == ["0.45", "0.45", "0.50"]
-    assert "scores 0 (scene-00)" in table
 
 
 def test_two_states_of_a_planner_are_not_mixed(tmp_path):
@@ -123,14 +110,6 @@ def test_two_states_of_a_planner_are_not_mixed(tmp_path):
     new = raw("mine:Ego", "idm", [0.9] * 10, source="new")
     tables = leaderboard(write_run(tmp_path / "a", old, new))
     assert [order(table)[1][1:-2] for table in tables.values()] == [["Log replay"], ["IDM"]]
-
-
-def test_below_ten_scenes_there_is_no_interval_and_no_verdict(tmp_path):
-    made = [raw("idm", "replay", [0.5] * 9), raw("pdm", "replay", [1.0] * 9)]
-    (table,) = leaderboard(write_run(tmp_path / "a", *made)).values()
-    assert FEW in table
-    assert "[" not in table
-    assert "best" not in table
 
 
 def test_runs_that_are_unfinished_or_in_no_known_traffic_are_refused(tmp_path):

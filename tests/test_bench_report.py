@@ -120,17 +120,17 @@ def test_axe_finds_nothing_serious_in_a_report(planners, browser, axe, theme):
     assert [(v["id"], v["nodes"][0]["failureSummary"]) for v in serious] == []
 
 
-def test_a_click_on_a_head_sorts_by_number(browser, tmp_path):
-    text = "| planner | score |\n|---|---|\n| a | 0.50 [0, 1] |\n| b | 10.0 |\n| c | **9.0** |\n"
+def test_a_click_on_a_head_sorts_by_number_and_rows_keep_the_name_above_them(browser, tmp_path):
+    text = "| planner | score |\n|---|---|\n| a | 0.50 [0, 1] |\n| | 9.0 |\n| c | **10.0** |\n"
     write_report_page(tmp_path / "r.html", title="t", line="", plots=[], parts={"T": text})
     page = browser.new_page()
     page.goto((tmp_path / "r.html").as_uri())
     names = page.locator("tbody th")
     page.click("thead th:nth-child(2) button")
-    assert names.all_inner_texts() == ["b", "c", "a"]
+    assert names.all_inner_texts() == ["c", "a", "a"]
     assert page.get_attribute("thead th:nth-child(2)", "aria-sort") == "descending"
     page.click("thead th:nth-child(2) button")
-    assert names.all_inner_texts() == ["a", "c", "b"]
+    assert names.all_inner_texts() == ["a", "a", "c"]
     page.close()
 
 
@@ -153,16 +153,14 @@ def test_the_verdict_names_the_best_and_what_breaks():
         idm__replay=[0.9, 0.9], idm__idm=[0.8, 0.8],
         pdm__replay=[0.5, 0.5], pdm__idm=[0.0, 0.2],
     )  # fmt: skip
-    text = verdict(found, ["idm", "pdm"], ["replay", "idm"])
+    text = verdict(found)
     assert text.startswith("IDM on the log's path is best over all (0.85), first in all traffic. ")
     assert "PDM-Closed breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
     assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
-    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(
-        near, ["idm", "pdm"], ["replay"]
-    )
+    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(near)
     few = {key: rows[:9] for key, rows in found.items()}
-    assert verdict(few, ["idm", "pdm"], ["replay", "idm"]) == FEW
+    assert verdict(few) == FEW
 
 
 def test_the_worst_come_first_once_each_and_close_calls_break_ties():
@@ -185,21 +183,9 @@ def test_reports_of_scenarios_link_to_replays(tmp_path):
     scenarios = ["bench", "scenarios", "--out", str(tmp_path / "s"), "--generators", "idm", *few]
     assert cli.main([*scenarios, "--planners", "idm,replay"]) == 0
     links = replays(tmp_path / "s")
-    assert len(links) >= 2  # one of the set, one of a cell at least
+    assert links
     for link in links:
         assert (tmp_path / "s" / link.partition("#")[0]).exists()
-
-
-def test_sorted_rows_keep_the_name_that_stood_above_them(browser, tmp_path):
-    path = tmp_path / "report.html"
-    table = "| method | FDE |\n|---|---|\n| A | 2 |\n| | 5 |\n| B | 3 |\n"
-    write_report_page(path, title="t", line="l", plots=[], parts={"T": table})
-    page = browser.new_page()
-    page.goto(path.as_uri())
-    page.click("thead th:nth-child(2) button")
-    rows = page.evaluate("[...document.querySelectorAll('tbody tr')].map((r) => r.innerText)")
-    page.close()
-    assert [row.split() for row in rows] == [["A", "5"], ["B", "3"], ["A", "2"]]
 
 
 def test_without_matplotlib_a_plot_is_left_out_and_said(tmp_path, monkeypatch, capsys):

@@ -21,7 +21,7 @@ from ccdiff_env.bench.scenarios import (
     set_folders,
 )
 from ccdiff_env.bench.scenarios_report import cross_rows, figures_table, sets_table, tables
-from ccdiff_env.bench.scenes import scene_names, scenes_of
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, UnknownNameError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
 from ccdiff_env.system.table import document
@@ -53,10 +53,6 @@ def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
     assert rows == play(scenes, "idm", TRAFFIC["ccdiff-1"])
 
 
-def test_the_same_set_is_made_twice(tmp_path, made):
-    assert make(tmp_path) == made[1]
-
-
 def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(tmp_path):
     for generator in ("idm", "replay", "pdm"):
         rows = make(tmp_path / generator, generator)
@@ -81,22 +77,6 @@ def test_sets_hold_collisions_that_can_and_that_cannot_be_avoided(made):
         assert 0.0 < row["realism_cost"] < 1.0
         assert row["fde_m"] > 0.0
         assert (row["time_s"] is None) == (not row["collision"])
-
-
-def test_in_a_scene_of_a_set_the_others_do_as_recorded_and_the_ego_has_its_log(made):
-    rollout = Rollout.load(made[0] / made[1][0]["file"])
-    scene = as_scene(rollout)
-    logged, tracks = rollout.scene.tracks(), scene.tracks()
-    span = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
-    for row, name in enumerate(scene.agent_ids):
-        agent = rollout.agent_ids.index(name)
-        wanted = (
-            logged["position"][agent, span] if name == "ego" else rollout.position[agent]
-        ) * rollout.valid[agent][:, None]
-        there = tracks["valid"][row, span]
-        np.testing.assert_array_equal(there, rollout.valid[agent])
-        np.testing.assert_array_equal(tracks["position"][row, span][there], wanted[there])
-    assert scene.name == rollout.scene.name
 
 
 def test_collisions_after_the_goal_do_not_count():
@@ -173,13 +153,6 @@ def test_the_matrix_leaves_out_what_could_not_be_avoided(tmp_path):
     assert sets_table(sets).rows == [figures]
     text = document(*tables(sets, crossed, "what"))
     assert "| IDM on the log's path | 3 | 2 | 0 | 1 | 0.50 | 1.50 | 1.0 |" in text
-
-
-def test_a_limit_takes_the_first_scenes():
-    few = "embedded/val?limit=2"
-    assert scene_names(few) == scene_names(VAL)[:2]
-    with pytest.raises(ConfigError, match="limit"):
-        scene_names("embedded/val?limit=0")
 
 
 def test_the_command_makes_sets_and_crosses_them_and_goes_on(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Measures, causal graph and rankings against networkx, shapely and the released lists."""
+"""Measures and rankings against networkx, shapely and the released lists."""
 
 import json
 import os
@@ -7,11 +7,8 @@ from pathlib import Path
 import networkx as nx
 import numpy as np
 import pytest
-from array_scenes import outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import affinity
-from shapely.geometry import MultiPoint
 
 from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, UnknownNameError
 from ccdiff_env.metrics import causal
@@ -110,32 +107,6 @@ def test_the_weights_of_absent_agents_do_not_count():
 CAR = [4.5, 2.0]
 
 
-@settings(max_examples=150, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_oriented_ttc_is_where_the_swept_box_first_touches(seed):
-    rng = np.random.default_rng(seed)
-    p, h = rng.uniform(-30, 30, (2, 2)), rng.uniform(-np.pi, np.pi, 2)
-    v, size = rng.uniform(-3, 15, 2), rng.uniform([3, 1.5], [12, 3], (2, 2))
-    both = causal.ttc(p, h, v, size, normalised=False)
-    t = float(both[0, 1])
-    assert both[1, 0] == pytest.approx(t, abs=1e-3)
-    velocity = v[:, None] * np.stack([np.cos(h), np.sin(h)], 1)
-    relative = velocity[0] - velocity[1]
-    target = outline(*p[1], h[1], size[1])
-
-    def swept(until):
-        a = outline(*p[0], h[0], size[0])
-        b = affinity.translate(a, *(relative * until))
-        return MultiPoint([*a.exterior.coords, *b.exterior.coords]).convex_hull
-
-    if t < 20:
-        assert swept(t + 0.01).intersects(target)
-        if t > 0.02:
-            assert not swept(t - 0.01).intersects(target.buffer(-1e-3))
-    else:
-        assert not swept(19.9).intersects(target.buffer(-1e-3))
-
-
 def test_agents_that_are_absent_or_have_no_position_meet_nobody():
     p = [[0, 0], [5, 0], [np.nan, 0]]
     got = causal.ttc(p, [0, 0, 0], [10, 0, 0], [CAR] * 3, [True, False, True])
@@ -145,16 +116,6 @@ def test_agents_that_are_absent_or_have_no_position_meet_nobody():
     assert d[0, 1] == 5
     assert np.isinf(d[2]).all()
     assert causal.distance(p, normalised=True)[0].tolist() == [1.0, 0.75, 0.0]
-
-
-def test_graph_joins_within_both_thresholds_and_always_self():
-    ttc_s = np.array([[0, 3.0, 1], [3.1, 0, 20], [1, 20, 0]])
-    metres = np.array([[0, 50, 51], [50, 0, 5], [51, 5, np.inf]])
-    g = causal.graph(ttc_s, metres)
-    assert g.adjacency.tolist() == [[True, True, False], [False, True, False], [False, False, True]]
-    assert g.sparsity == pytest.approx(5 / 6)
-    assert causal.graph(ttc_s, metres, symmetric=True).adjacency[1, 0]
-    assert causal.graph(ttc_s, metres, max_ttc_s=20, max_distance_m=100).sparsity == 0
 
 
 def greedy_reference(weights):
@@ -219,8 +180,6 @@ def test_bad_input_is_refused_with_the_offending_part():
         cliques(np.full((1, 2, 2), 20.0))
     with pytest.raises(ShapeError):
         cliques(np.zeros((1, 2, 3)))
-    with pytest.raises(ConfigError, match=r"graph\.ttc_s"):
-        causal.graph(np.zeros((2, 2)), np.zeros((2, 2)), max_ttc_s=-1)
     with pytest.raises(UnknownNameError, match="agent"):
         causal.rank("listed", top_k=1, valid=[True], agents=[1])
     assert issubclass(ShapeError, CcdiffError)

@@ -1,11 +1,14 @@
-"""Forks that go another way, and the search for a way out."""
+"""Forks that go another way, the search for a way out, banks of critical traffic."""
 
 import numpy as np
 import pytest
 from array_scenes import agent, array_scene, wide_road
 
-from ccdiff_env import EgoEnv, embedded_scenes
-from ccdiff_env.errors import ConfigError, ResetNeededError
+import ccdiff_env
+from ccdiff_env import EgoEnv, embedded_scenes, record_bank
+from ccdiff_env.bench.planners import Traffic, drive
+from ccdiff_env.errors import ConfigError, DatasetNotFoundError, ResetNeededError
+from ccdiff_env.record.bank import load_bank
 from ccdiff_env.record.counterfactual import (
     STEADY,
     EgoPlan,
@@ -17,6 +20,7 @@ from ccdiff_env.record.counterfactual import (
 )
 
 STEPS = 131
+NUM_SCENES = 3  #: Of a bank.
 
 
 def road(others, *, width=20.0):
@@ -62,7 +66,6 @@ def test_swerving_is_found_where_braking_does_not_do():
     assert ego_plans(7)[4].acceleration_mps2 == (-8.0, -8.0)
     assert not avoidability(env, num_samples=7).avoidable, "braking alone"
     assert not avoidability(narrow, num_samples=200).avoidable, "off the road"
-    assert avoidability(narrow, num_samples=400, stay_on_road=False).avoidable
 
 
 def test_a_found_plan_is_free_of_collisions_when_driven():
@@ -92,7 +95,7 @@ def test_steady_plans_end_and_the_ego_drives_on():
         assert found.plan == (EgoPlan((-6, -6), 0.0, 0) if possible else None)
         assert found.num_safe == (3 if possible else 0), "at the three distances from the route"
         assert found.num_tried == 15
-    careful = avoidability(started(env.scene, traffic="idm"), reactive=True, ego="idm", horizon_s=9)
+    careful = avoidability(started(env.scene, traffic="idm"), reactive=True, ego="idm")
     assert careful.unchanged == 0.0
     far = started(road(wall(40.0, width=20.0)), traffic="idm")
     careful = avoidability(far, reactive=True)
@@ -195,3 +198,61 @@ def test_mistakes_are_named():
     for wrong in ({"draws": 0}, {"ego": "replay"}, {"ego": "nobody"}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             avoidability(started(scene, traffic="idm"), reactive=True, **wrong)
+
+
+@pytest.fixture(scope="module")
+def folder(scenes, tmp_path_factory):
+    target = tmp_path_factory.mktemp("bank")
+    record_bank(scenes, target, ego="idm", criticality=1.0, draws=2, seed=5)
+    return target
+
+
+def test_the_others_do_as_they_did(scenes, folder):
+    """Agents of the bank are where they were in the episode that was recorded."""
+    bank = load_bank(folder)
+    assert len(bank) == 6
+    settings = {"criticality": 1.0, "num_samples": 1}
+    options = {"terminate_at_goal": False}
+    _, rollouts = drive(
+        scenes, "idm", Traffic("", "ccdiff", settings), seed=6, options=options, record=scenes.names
+    )
+    for scene in scenes:
+        (recorded,) = [s for s in bank if s.name.startswith(scene.name) and s.name.endswith("-1")]
+        rollout, tracks = rollouts[scene.name], recorded.tracks()
+        window = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
+        for row, name in enumerate(rollout.agent_ids):
+            there = rollout.valid[row]
+            if name == "ego" or not there.any():
+                continue
+            found = tracks["position"][recorded.agent_ids.index(name), window]
+            np.testing.assert_allclose(found[there], rollout.position[row][there], atol=1e-4)
+
+
+def test_a_bank_plays_beside_its_logs(scenes, folder):
+    both = ccdiff_env.SceneSet([*scenes, *load_bank(folder)])
+    env = ccdiff_env.make_vec(9, scenes=both, traffic="replay", scene_order="sequential")
+    _, infos = env.reset(seed=0)
+    assert set(infos["scene"]) == set(both.names)
+    for _ in range(5):
+        env.step(np.zeros((9, 2), np.float32))
+
+
+def test_a_call_that_was_stopped_goes_on(scenes, folder):
+    """Pieces that are there stay; those that lack come out as they were."""
+    pieces = {path: path.read_bytes() for path in folder.glob("*.scenes")}
+    lost, kept = sorted(pieces)
+    lost.unlink()
+    before = kept.stat().st_mtime_ns
+    again = record_bank(scenes, folder, ego="idm", criticality=1.0, draws=2, seed=5)
+    assert len(again) == 6
+    assert lost.read_bytes() == pieces[lost]
+    assert kept.stat().st_mtime_ns == before
+
+
+def test_other_settings_need_another_folder(scenes, folder, tmp_path):
+    with pytest.raises(DatasetNotFoundError, match="no bank"):
+        load_bank(tmp_path)
+    with pytest.raises(ConfigError, match=r"criticality 1\.0, now 2\.0"):
+        record_bank(scenes, folder, ego="idm", criticality=2.0, seed=5)
+    with pytest.raises(ConfigError, match="draws"):
+        record_bank(scenes, folder, draws=0)

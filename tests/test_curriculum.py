@@ -83,8 +83,6 @@ def test_mistakes_are_named(scenes):
     ):
         with pytest.raises(ConfigError):
             Curriculum(bad)
-    with pytest.raises(ConfigError, match="ccdiff"):
-        EgoEnv(scenes=scenes, traffic="idm", criticality=1.0)
     with pytest.raises(ConfigError, match="criticality"):
         EgoEnv(scenes=scenes).set_progress(0.5)
     with pytest.raises(ConfigError, match="0 to 1"):

@@ -1,8 +1,10 @@
 """Actions held for several steps, against loops over single steps; assisted ones."""
 
+import itertools
+
 import numpy as np
 import pytest
-from array_scenes import GOES_ON
+from array_scenes import GOES_ON, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder
@@ -101,18 +103,6 @@ def test_each_agent_sees_its_own_end(scenes):
     assert early > 0
 
 
-def test_snapshots_go_between_paces(scenes):
-    """The state of a world does not depend on how often its driver is asked."""
-    slow = EgoEnv(scenes=scenes, traffic="idm", decision_steps=5)
-    fast = EgoEnv(scenes=scenes, traffic="idm")
-    slow.reset(seed=3)
-    slow.step(np.zeros(2, np.float32))
-    obs = fast.restore(slow.snapshot())
-    assert np.array_equal(obs, slow.observation())
-    assert fast.worlds.native.digest(0) == slow.worlds.native.digest(0)
-    assert slow.worlds.native.status(0).elapsed_steps == 5
-
-
 def test_what_counts_steps_refuses_decisions(scenes):
     with pytest.raises(ConfigError, match="decision_steps is 3, expected 1"):
         Recorder(EgoEnv(scenes=scenes, decision_steps=3))
@@ -122,19 +112,10 @@ def test_what_counts_steps_refuses_decisions(scenes):
         EgoEnv(scenes=scenes, decision_steps=0)
 
 
-def test_max_cycles_counts_decisions(scenes):
-    game = ccdiff_env.parallel_env(scenes=scenes, agents=2, max_cycles=4, decision_steps=5)
-    assert (game.max_cycles, game.worlds.config.horizon_steps) == (4, 20)
-
-
-def driven(env, action, steps=60):
-    """Info columns of the steps of an episode [T], by name."""
-    rows = []
-    for _ in range(steps):
-        _, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
-        rows.append(info)
-        if terminated or truncated:
-            break
+def driven(env, scene, action=(0, 0), steps=60):
+    """Info columns of the first steps of an episode [T], by name."""
+    episode = played(env, np.float32(action), seed=scene, options={"scene": scene})
+    rows = [info for *_, info in itertools.islice(episode, steps)]
     return {name: np.array([row[name] for row in rows]) for name in env.worlds.column_names}
 
 
@@ -145,9 +126,7 @@ def test_zero_is_idm_on_the_route(traffic, scenes):
     idm = EgoEnv(driver="idm", **options)
     apart = []
     for i in range(len(scenes)):
-        assisted.reset(seed=i, options={"scene": i})
-        idm.reset(seed=i, options={"scene": i})
-        ours, theirs = driven(assisted, [0, 0]), driven(idm, [0, 0])
+        ours, theirs = driven(assisted, i), driven(idm, i)
         steps = min(len(ours["speed"]), len(theirs["speed"]))
         # the release of the brake is softer than IDM's
         apart += np.abs(ours["speed"][:steps] - theirs["speed"][:steps]).tolist()
@@ -161,8 +140,7 @@ def test_the_second_column_is_a_distance_from_the_route(scenes):
     reached = 0
     for i in range(len(scenes)):
         for side in (-1.0, 1.0):
-            env.reset(seed=i, options={"scene": i})
-            figures = driven(env, [0, side])
+            figures = driven(env, i, [0, side])
             if len(figures["speed"]) < 50 or figures["speed"].min() < 3.0:
                 continue
             reached += 1
@@ -175,12 +153,10 @@ def test_the_first_column_changes_idms_acceleration_within_the_jerk(scenes):
     env = EgoEnv(scenes=scenes, dynamics="assisted", on_collision="ignore")
     braked = 0
     for i in range(len(scenes)):
-        env.reset(seed=i, options={"scene": i})
-        figures = driven(env, [-0.5, 0], 12)
+        figures = driven(env, i, [-0.5, 0], 12)
         moving = figures["speed"] > 0.0
         braked += figures["acceleration"][moving].min(initial=0.0) < -1.4
-        env.reset(seed=i, options={"scene": i})
-        faster = driven(env, [1, 0], 40)
+        faster = driven(env, i, [1, 0], 40)
         assert faster["acceleration"].max() <= 2.4 + 1e-3
         rolling = faster["speed"] > 0.1  # a stop ends the braking at once
         assert faster["jerk"][rolling].max(initial=0.0) <= 8.0 + 0.1
@@ -192,11 +168,8 @@ def test_the_bases_jerk_is_held_outside_emergencies(base, scenes):
     asked = {"scenes": scenes, "traffic": "idm", "on_collision": "ignore"}
 
     def accelerations(action=0.0, **limits):
-        env, driven_scenes = EgoEnv(dynamics={"assisted": {"base": base} | limits}, **asked), []
-        for i in range(len(scenes)):
-            env.reset(seed=i, options={"scene": i})
-            driven_scenes.append(driven(env, [action, 0]))
-        return driven_scenes
+        env = EgoEnv(dynamics={"assisted": {"base": base} | limits}, **asked)
+        return [driven(env, i, [action, 0]) for i in range(len(scenes))]
 
     def changes(episode, added_mps2=0.0):
         """Per step of 0.1 s, while rolling, but for emergencies: the base brakes by 4.05 m/s²."""

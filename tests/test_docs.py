@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from PIL import Image
 
 import ccdiff_env
 import ccdiff_env_cli
@@ -184,32 +183,15 @@ def test_help_of_every_option_says_what_it_does_and_its_default(verb):
             assert "default: " in text, (verb, action.option_strings, text)
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_help_lists_the_names_that_an_option_takes(verb):
-    parser = VERBS[verb]
-    listed = {
-        "--methods": "ccdiff_unguided",
-        "--planners": "pdm",
-        "--traffic": {"view": "constant_velocity", "train-ego": "bank"}.get(verb, "ccdiff-1"),
-        "--driver": "ego_replay",
-        "--ego": "ego_replay",
-        "--split": "mini_val",
-        "--train-split": "train_val",
-        "--model": "trafficsim",
-        "--dynamics": "assisted" if verb == "train-ego" else "delta_pose",
-    }
-    for option in listed.keys() & parser._option_string_actions.keys():
-        text = parser._get_formatter()._expand_help(parser._option_string_actions[option])
-        assert listed[option] in text.partition("default: ")[0].partition(" of: ")[2], option
-
-
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
 def test_tables_are_those_of_results_and_schemas(page):
     text = page.read_text(encoding="utf-8")
     assert rendered(text) == text, "python -m tools.pages"
+    typed = re.sub(r"(?s)<!-- (results|table): .*?<!-- end -->", "", text)
+    assert not re.findall(r"^\|.*\d \[[-+]?\d.*", typed, re.MULTILINE), "figures of no result"
 
 
-@pytest.mark.parametrize("name", ["realism", "speed", "learning", "dial"])
+@pytest.mark.parametrize("name", ["realism", "learning", "dial"])
 def test_charts_are_those_of_the_results_that_were_kept(name):
     from tools.charts import CHARTS, MADE
 
@@ -338,14 +320,6 @@ def test_scenes_that_trained_or_chose_never_report(path):
     used = [splits for name, splits in USED_FOR.items() if name in named]
     for splits in [*used, *(kept[key] for key in ("trained_on", "chosen_on") if key in kept)]:
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
-
-
-@pytest.mark.parametrize("name", ["hero", "task_ego", "task_multi_agent", "task_selection"])
-def test_images_move_and_load_fast(name):
-    path = ROOT / "docs" / f"{name}.gif"
-    assert path.stat().st_size < 500_000
-    with Image.open(path) as video:
-        assert video.n_frames > 10
 
 
 def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):

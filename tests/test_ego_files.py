@@ -1,30 +1,38 @@
-"""Ego policies of files: what they say, what they refuse, what they drive."""
+"""Ego policies of files: what they say, what they refuse, what they drive, in traffic, too."""
 
 import numpy as np
 import pytest
 import torch
 from array_scenes import GOES_ON
+from traffic_play import Play
 
 import ccdiff_env
 from ccdiff_env import WorldConfig, planners
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.config import AssistedLimits
+from ccdiff_env.config import AssistedLimits, EgosConfig
 from ccdiff_env.envs import ego_network
-from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, ShapeError
 from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.planners.ego import save_ego
+from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.worlds import Worlds
 
 OPTIONS = {"dynamics": "assisted", "decision_steps": 3}
 
 
+def agent_of(layout):
+    """A network of random weights."""
+    torch.manual_seed(0)
+    made = ego_network.Agent(layout, (0.5, 0.5))
+    torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
+    return made
+
+
 @pytest.fixture(scope="module")
 def agent(scenes):
-    """A network of random weights that has seen some observations."""
-    torch.manual_seed(0)
+    """A network that has seen some observations."""
     env = ccdiff_env.make_vec(8, scenes=scenes, config=WorldConfig().with_options(**OPTIONS))
-    made = ego_network.Agent(env.worlds.layout, (0.5, 0.5))
-    torch.nn.init.normal_(made.policy[-1].weight, std=0.1)
+    made = agent_of(env.worlds.layout)
     made.see(torch.from_numpy(env.reset(seed=0)[0]))
     return made
 
@@ -99,27 +107,17 @@ def test_observations_of_another_width_are_refused(path):
 
 
 def test_planners_hold_actions_as_in_training(path, scenes):
-    """A benchmark of single steps gives the episodes of worlds that hold actions themselves."""
+    """Single steps give the states of worlds that hold actions themselves."""
     policy = planners.load(path)
-    rows, _ = drive(scenes, str(path), TRAFFIC["idm"], seed=3)
-    options = {**GOES_ON, "on_collision": "stop", "autoreset": "disabled", "traffic": "idm"}
-    config = policy.config.with_options(**options)
-    worlds = Worlds(scenes, config, num_worlds=len(scenes))
-    act, out = Seat(policy, "policy"), worlds.arrays()
-    everyone = list(range(len(scenes)))
-    worlds.native.reset([3] * len(scenes), everyone, None, out)
-    metrics = [None] * len(scenes)
-    while any(m is None for m in metrics):
-        worlds.native.step(act(out.obs[:, 0])[:, None], out)
-        for i in np.flatnonzero(out.done):
-            if metrics[i] is None:
-                metrics[i] = worlds.native.ended_metrics([int(i)])[0, 0]
-        if out.done.any():
-            worlds.native.reset([3] * len(scenes), everyone, out.done.tolist(), out)
-    names = worlds.metric_names
-    for row, found in zip(rows, metrics, strict=True):
-        assert row["success"] == found[names.index("is_success")]
-        assert row["min_ttc_s"] == found[names.index("min_ttc")]
+    held = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", **policy.env_options, **GOES_ON)
+    single = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", driver=str(path), **GOES_ON)
+    obs, _ = held.reset(seed=3)
+    single.reset(seed=3)
+    for _ in range(20):
+        obs, *_ = held.step(policy.act(obs[None])[0])
+        for _ in range(3):
+            single.step(np.zeros(2, np.float32))
+        assert single.worlds.native.digest(0) == held.worlds.native.digest(0)
 
 
 def test_the_shipped_egos_drive_unseen_scenes(scenes):
@@ -128,3 +126,58 @@ def test_the_shipped_egos_drive_unseen_scenes(scenes):
         rows, _ = drive(scenes, name, TRAFFIC["idm"], seed=0)
         assert np.mean([row["success"] for row in rows]) > 0.6
         assert planners.load(name).about
+
+
+def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(scenes, tmp_path):
+    """A policy that decides at every step, and does not know how far its goal is."""
+    layout = ccdiff_env.EgoEnv(scenes=scenes).worlds.layout
+    tensors = {name: part.numpy().copy() for name, part in agent_of(layout).state_dict().items()}
+    (ego,) = (entry for entry in layout.entries if entry.name == "ego")
+    tensors["policy.0.weight"][:, ego.offset + ego.columns.index("route_remaining")] = 0.0
+    path = tmp_path / "unicycle.safetensors"
+    save_ego(path, tensors, {}, {})
+    policy, compared = planners.load(path), 0
+    own = {"egos": EgosConfig(policy=str(path))}
+    for scene in scenes:
+        log, vehicle = scene.tracks(), np.array(scene.agent_types) == "vehicle"
+        moves = np.ptp(log["position"], axis=1).max(axis=1) > 15.0
+        fit = np.flatnonzero(moves & vehicle & log["valid"][:, :50].all(axis=1))
+        if len(fit) < 2:
+            continue
+        agent, name = fit[1], scene.agent_ids[fit[1]]  # the first is the ego
+        seat, traffic = (
+            Play([scene], "replay", horizon_steps=60, on_traffic_collision="ignore", **options)
+            for options in (
+                {"controlled": [name], "driver": "external"},
+                {"drivers": {name: "egos"}, "named_drivers": own},
+            )
+        )
+        for _ in range(30):
+            seat.native.step(policy.act(seat.out.obs[:, 0])[:, None], seat.out)
+            traffic.step()
+            places = [play.states()["position"][agent] for play in (seat, traffic)]
+            np.testing.assert_allclose(*places, atol=2e-3)
+            compared += 1
+    assert compared > 100
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"policy": "nobody"}, ConfigError, "nobody"),
+        ({"policy": "nobody.safetensors"}, DatasetNotFoundError, "nobody.safetensors"),
+        ({"named_drivers": "ego"}, ConfigError, "named_drivers"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(options, error, message, scenes):
+    with pytest.raises(error, match=message):
+        ccdiff_env.make_vec(1, scenes=scenes, traffic="egos", egos=options)
+
+
+def test_weights_that_are_not_finite_or_have_other_shapes_are_refused(scenes, tmp_path):
+    tensors, metadata = read_tensors(planners.SHIPPED["ego"])
+    path = tmp_path / "bad.safetensors"
+    for change in ({"mean": np.zeros(3, np.float32)}, {"policy.0.bias": np.zeros(3, np.float32)}):
+        write_tensors(path, {**tensors, **change}, metadata)
+        with pytest.raises((ConfigError, DatasetError), match=r"mean|policy\.0"):
+            ccdiff_env.make_vec(1, scenes=scenes, traffic="egos", egos={"policy": str(path)})

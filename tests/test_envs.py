@@ -5,12 +5,14 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from array_scenes import played
 from gymnasium.utils.env_checker import check_env
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, embedded_scenes
+from ccdiff_env.config import BevConfig, ObservationConfig, WorldConfig
 from ccdiff_env.errors import (
     ActionError,
     CcdiffError,
@@ -19,6 +21,7 @@ from ccdiff_env.errors import (
     ShapeError,
     UnknownNameError,
 )
+from ccdiff_env.scenes.map_queries import road_distance
 
 ID = "ccdiff_env/Ego-v0"
 FORMS = [
@@ -55,22 +58,6 @@ def test_make_gives_the_env_and_its_spec_makes_another():
     again = gymnasium.make(env.spec)
     assert again.unwrapped.config == env.unwrapped.config
     assert env.unwrapped.scenes.names == embedded_scenes("train").names
-
-
-@pytest.mark.nuscenes
-def test_observations_of_real_scenes_lie_in_their_space(data_root):
-    scenes = ccdiff_env.load_nuscenes(data_root / "nuscenes", "v1.0-mini", cache=False)
-    env = EgoEnv(scenes=scenes, traffic="idm", on_collision="ignore", on_off_road="ignore")
-    env.action_space.seed(0)
-    for name in scenes.names:
-        obs, info = env.reset(seed=1, options={"scene": name})
-        assert info["scene"] == name
-        done = False
-        while not done:
-            assert obs in env.observation_space
-            obs, reward, terminated, truncated, _ = env.step(env.action_space.sample())
-            assert np.isfinite(reward)
-            done = terminated or truncated
 
 
 def test_dict_and_flat_observations_hold_the_same_numbers(scenes):
@@ -137,18 +124,12 @@ def test_scenes_come_as_set_list_single_scene_or_split(scenes):
 
 def test_metrics_at_the_end_sum_up_the_steps(scenes):
     env = EgoEnv(scenes=scenes, on_off_road="ignore", on_collision="ignore")
-    env.reset(seed=2, options={"scene": 0})
-    rewards, infos = [], []
-    done = False
-    while not done:
-        _, reward, terminated, truncated, info = env.step(np.array([0.1, 0.0], np.float32))
-        rewards.append(reward)
-        infos.append(info)
-        done = terminated or truncated
-        assert ("metrics" in info) == done
+    action = np.array([0.1, 0.0], np.float32)
+    infos = [info for *_, info in played(env, action, seed=2, options={"scene": 0})]
+    assert ["metrics" in info for info in infos] == [False] * (len(infos) - 1) + [True]
     metrics = infos[-1]["metrics"]
-    assert metrics["length"] == len(rewards)
-    assert metrics["return"] == pytest.approx(sum(rewards))
+    assert metrics["length"] == len(infos)
+    assert metrics["return"] == pytest.approx(sum(info["reward"] for info in infos))
     assert metrics["min_ttc"] == min(i["ttc"] for i in infos)
     assert metrics["mean_speed"] == pytest.approx(np.mean([i["speed"] for i in infos]))
     for name in ("collision", "off_road", "wrong_way"):
@@ -283,3 +264,51 @@ def test_human_mode_opens_a_window(scenes, monkeypatch):
     assert env.render() is None
     env.close()
     env.close()
+
+
+SMALL = {"size_px": 48, "metres_per_px": 0.75}
+DRIVABLE = 0  #: Channel of the raster.
+
+
+def test_forms_and_spaces_of_rasters(scenes):
+    alone = EgoEnv(scenes=scenes, observation="bev")
+    assert alone.observation_space == gymnasium.spaces.Box(0, 255, (5, 84, 84), np.uint8)
+    both = EgoEnv(scenes=scenes, observation="dict", bev=SMALL)
+    assert both.observation_space["bev"].shape == (5, 48, 48)
+    assert both.worlds.layout.channels == ("drivable", "lines", "route", "agents", "ego")
+    obs, _ = both.reset(seed=0)
+    assert obs in both.observation_space
+    assert np.array_equal(obs["bev"], both.observation()["bev"])
+    config = WorldConfig(observation=ObservationConfig(bev=BevConfig(size_px=48)))
+    assert EgoEnv(config=config, observation="bev").observation_space.shape == (5, 48, 48)
+    assert "bev" not in EgoEnv(scenes=scenes, observation="dict").observation_space.spaces
+    for unseen in (EgoEnv, ccdiff_env.parallel_env):
+        with pytest.raises(ConfigError, match="rasters are shown by"):
+            unseen(scenes=scenes, bev={})
+    with pytest.raises(ConfigError, match="size_px"):
+        EgoEnv(scenes=scenes, observation="bev", bev={"size_px": 3})
+    with pytest.raises(ConfigError, match="size"):
+        EgoEnv(scenes=scenes, observation="bev", bev={"size": 64})
+
+
+@pytest.mark.parametrize("name", ["left-turn-04", "hard-brake-03", "merge-in-03"])
+def test_drivable_pixels_are_those_whose_centres_are_on_the_road(name, scenes):
+    env = EgoEnv(scenes=scenes, observation="bev", bev={"size_px": 100, "metres_per_px": 0.4})
+    env.reset(seed=0, options={"scene": name})
+    rows, columns = np.mgrid[:100, :100]
+    ahead, left = (75 - rows - 0.5) * 0.4, (50 - columns - 0.5) * 0.4
+    for _ in range(12):
+        obs = env.step(env.expert_action())[0]
+        states = env.worlds.native.states(0)
+        ego = env.scene.agent_ids.index("ego")
+        (x, y), heading = states["position"][ego].astype(float), float(states["heading"][ego])
+        x, y = (
+            x + ahead * np.cos(heading) - left * np.sin(heading),
+            y + ahead * np.sin(heading) + left * np.cos(heading),
+        )
+        inside_m = road_distance(env.scene, np.stack([x, y], -1))
+        # the ground has pixels half as wide: no centre is farther off than half their diagonal
+        sure = np.abs(inside_m) > 0.1 * np.sqrt(2.0) + 0.01
+        assert sure.mean() > 0.9
+        assert 0.1 < (inside_m > 0.0).mean() < 0.99
+        assert np.array_equal(obs[DRIVABLE][sure] == 255, inside_m[sure] > 0.0)

@@ -5,36 +5,19 @@ import copy
 import gymnasium
 import numpy as np
 import pytest
+from array_scenes import played
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
+from stable_baselines3 import DQN, PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecNormalize
 
 import ccdiff_env
 from ccdiff_env import AdversarySelectionVectorEnv, AgentVectorEnv, EgoEnv
 from ccdiff_env.envs.sb3 import AgentSB3VecEnv, SB3VecEnv, SelectionSB3VecEnv
 from ccdiff_env.errors import ConfigError, ResetNeededError, UnknownNameError
 from ccdiff_env.planners.built_in import ego_driver
-from ccdiff_env.worlds.fit import ATTRIBUTE
 
 NUM_SCENES = 2
-
-
-def test_vector_environments_answer_as_gymnasiums_own(scenes):
-    env = ccdiff_env.make_vec(
-        3, scenes=scenes, autoreset_mode="same_step", criticality=(0, 1), traffic="ccdiff"
-    )
-    assert env.autoreset_mode is AutoresetMode.SAME_STEP
-    assert env.call("set_progress", 0.5) == (None, None, None)
-    assert env.get_attr("num_envs") == (3, 3, 3)
-    env.set_attr("note", "mine")
-    env.set_attr("note", ["ours"] * 3)
-    assert env.get_attr("note") == ("ours",) * 3
-    for values in (["a", "b", "c"], ["a"]):
-        with pytest.raises(ConfigError, match="share their attributes"):
-            env.set_attr("note", values)
-    with pytest.raises(AttributeError):
-        env.call("fly")
 
 
 def test_a_learner_chooses_when_worlds_begin_anew(scenes):
@@ -124,18 +107,6 @@ def spoil(space):
         space.low[:], space.high[:] = -3.0, 3.0
     elif isinstance(space, spaces.MultiBinary):
         space.n, space._shape = 1, (1,)
-
-
-def test_statistics_and_stacks_change_the_wrappers_space_alone(scenes):
-    env, flat = (ccdiff_env.make_vec(2, scenes=scenes, **form) for form in (RASTER, {}))
-    before, vec = copy.deepcopy((own(env), own(flat))), SB3VecEnv(env)
-    norm = VecNormalize(vec, norm_obs_keys=["bev", "ego"])
-    norm.reset()
-    assert norm.observation_space["bev"].dtype == np.float32
-    stacked = VecFrameStack(SB3VecEnv(flat), 3)
-    assert stacked.reset().shape == (2, 3 * flat.single_observation_space.shape[0])
-    assert (own(env), own(flat)) == before
-    assert getattr(env.single_observation_space, ATTRIBUTE)
 
 
 def test_worlds_go_on_whatever_is_done_to_a_space_that_was_handed_out(scenes):
@@ -306,3 +277,42 @@ def test_drivers_are_told_to_all_worlds_or_to_each(scenes):
     for door in (env, rows, AdversarySelectionVectorEnv(2, scenes=scenes)):
         with pytest.raises(UnknownNameError, match="no scene has an agent 'nobody'"):
             door.reset(seed=0, options={"drivers": {"nobody": "idm"}})
+
+
+def test_processes_of_stable_baselines3_give_the_bits_of_one_process(scenes):
+    def make():
+        return EgoEnv(scenes=scenes[:2], traffic="ccdiff", criticality=1.0, horizon_steps=12)
+
+    seen = []
+    for form in (DummyVecEnv, SubprocVecEnv):
+        env = form([make] * 2)
+        env.seed(3)
+        steps = [env.reset()]
+        for t in range(15):  # over the end of an episode
+            steps += env.step(np.full((2, 2), 0.1 * (t % 3), np.float32))[:3]
+        env.close()
+        seen.append(steps)
+    for one, other in zip(*seen, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_a_collision_terminates_and_the_horizon_truncates():
+    crash = EgoEnv(scenes="val", traffic="idm", on_off_road="ignore", horizon_steps=150)
+    endings = set()
+    for seed in range(12):
+        *_, (_, _, info) = played(crash, np.array([1.0, 0.0], np.float32), seed=seed)
+        caused = bool(info["collision"] or info["goal_reached"])
+        assert (info["terminated"], info["truncated"]) == (caused, bool(info["time_limit"]))
+        assert caused != info["truncated"]
+        endings.add(caused)
+    assert True in endings
+
+
+@pytest.mark.parametrize(
+    ("learner", "options"), [(SAC, {"dynamics": "bicycle"}), (DQN, {"discrete": True})]
+)
+def test_learners_with_a_memory_learn_on_it(learner, options, scenes):
+    env = EgoEnv(scenes=scenes, traffic="idm", horizon_steps=20, **options)
+    settings = {"learning_starts": 50, "batch_size": 32, "policy_kwargs": {"net_arch": [16]}}
+    model = learner("MlpPolicy", env, seed=0, **settings).learn(200)
+    assert len(model.ep_info_buffer) > 0

@@ -351,7 +351,7 @@ def test_a_draw_is_not_known_beforehand_and_can_be_repeated(tmp_path, members, c
     seed = caught.index(True)
     capsys.readouterr()
     assert cli.main(["bench", "verify", str(path), "--episodes", "1", "--seed", str(seed)]) == 1
-    assert f"2 of 12 were played (--seed {seed})" in capsys.readouterr().out
+    assert f"2 of 12 were replayed (--seed {seed})" in capsys.readouterr().out
     assert verify(Record.read(path)).differing
 
 

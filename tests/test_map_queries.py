@@ -12,10 +12,7 @@ import ccdiff_env
 from ccdiff_env.errors import ConfigError, SceneError, ShapeError, UnknownNameError
 from ccdiff_env.scenes import map_queries
 
-
-@pytest.fixture(scope="module")
-def scenes():
-    return list(ccdiff_env.embedded_scenes("val"))[:5]
+NUM_SCENES = 5
 
 
 @pytest.fixture(scope="module", params=["town", pytest.param("real", marks=pytest.mark.nuscenes)])

@@ -184,27 +184,12 @@ def test_what_own_kernels_lack_is_named(tmp_path):
         _native.load_network(path)
 
 
-def test_hostile_weights_are_refused_by_name(tmp_path):
-    def renamed(header, _):
-        header["strange"] = header.pop("out.weight")
-
+def test_tensors_of_other_shapes_are_refused_by_name(tmp_path):
     def transposed(header, _):
         header["out.weight"]["shape"].reverse()
 
-    def wider(_, own_header):
-        own_header["model"]["width"] = 4096
-
-    def enormous(header, _):
-        header["out.weight"]["shape"] = [2**40, 2**40]
-
-    for change, message in [
-        (renamed, r"out\.weight is missing"),
-        (transposed, r"out\.weight is \[64, 2\], expected \[2, 64\]"),
-        (wider, r"expected \[4096"),
-        (enormous, "safetensors"),
-    ]:
-        with pytest.raises(CheckpointError, match=message):
-            _native.load_network(changed(tmp_path, change))
+    with pytest.raises(CheckpointError, match=r"out\.weight is \[64, 2\], expected \[2, 64\]"):
+        _native.load_network(changed(tmp_path, transposed))
     assert _native.load_network(changed(tmp_path, lambda *_: None)).num_parameters > 0
     with pytest.raises(OSError, match=r"nowhere\.safetensors"):
         _native.load_network("nowhere.safetensors")

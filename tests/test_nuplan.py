@@ -275,7 +275,7 @@ def test_a_map_answers_as_shapely_does(scenes):
         ("mine_of_nuplan.Straight", "missing a required argument: 'speed_mps'; it takes speed_mps"),
         ("mine_of_nuplan.Sees?speed_mps=1", "observes Sensors, expected DetectionsTracks"),
         ("mine_of_nuplan.Oracle?speed_mps=1", "asks for nuPlan's scenario"),
-        ("mine_of_nuplan.moved", "no class of nuPlan's AbstractPlanner"),
+        ("mine_of_nuplan.moved", "not a subclass of nuPlan's AbstractPlanner"),
     ],
 )
 def test_planners_that_scenes_cannot_feed_are_refused(mine, name, says):

@@ -1,19 +1,29 @@
-"""Custom traffic: Python models, mixes, styles of a kind, drivers of single vehicles."""
+"""Custom traffic: Python models and their batches, mixes, styles, drivers of single vehicles."""
 
 import math
 
 import numpy as np
 import pytest
-from array_scenes import GOES_ON
+import shapely
+from array_scenes import GOES_ON, played, rebuilt
+from traffic_play import Play
 
 import ccdiff_env
-from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError, UnknownNameError
+from ccdiff_env.errors import (
+    CcdiffError,
+    ConfigError,
+    PolicyError,
+    SceneError,
+    ShapeError,
+    UnknownNameError,
+)
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.traffic import KINDS, IdmConfig, PythonTraffic, TrafficBatch
+from ccdiff_env.traffic import IdmConfig, PythonTraffic, TrafficBatch
+from ccdiff_env.traffic.python import ROUTE_SPACING_M
 
+NUM_SCENES = 6
 STEPS = 8
 
 
@@ -38,6 +48,12 @@ def straight_on(batch: TrafficBatch) -> np.ndarray:
     x = now[:, :1] + way * np.cos(heading)[:, None]
     y = now[:, 1:] + way * np.sin(heading)[:, None]
     return np.stack([x, y, np.repeat(heading[:, None], STEPS, 1)], axis=-1)
+
+
+def watching(**options):
+    """Traffic that neither accelerates nor turns, and the batches that it is told."""
+    seen: list[TrafficBatch] = []
+    return PythonTraffic(lambda batch: seen.append(batch) or coast(batch), **options), seen
 
 
 class Model:
@@ -75,13 +91,8 @@ def test_a_model_that_keeps_speed_and_heading_drives_as_constant_velocity(model)
 
 
 def test_a_model_is_called_once_for_all_worlds_that_are_due():
-    seen: list[TrafficBatch] = []
-
-    def look(batch):
-        seen.append(batch)
-        return coast(batch)
-
-    env = env_of(PythonTraffic(look, replan_steps=4, history_states=11), num_envs=3)
+    traffic, seen = watching(replan_steps=4, history_states=11)
+    env = env_of(traffic, num_envs=3)
     env.reset(seed=1)
     walk(env, 9)
     assert [batch.elapsed_steps.tolist() for batch in seen] == [[0] * 3, [4] * 3, [8] * 3]
@@ -186,14 +197,10 @@ def test_single_vehicles_have_drivers_of_their_own():
     env.reset(seed=0, options={"scene": "cut-in-03"})
     ids = env.scene.agent_ids
     other = next(i for i, kind in enumerate(env.scene.agent_types) if kind == "vehicle" and i)
-    env.reset(seed=0, options={"scene": "cut-in-03", "drivers": {ids[other]: "replay"}})
+    options = {"scene": "cut-in-03", "drivers": {ids[other]: "replay"}}
+    assert len(list(played(env, options=options))) > 10
     names = env.worlds.native.drivers(0)
-    assert names[other] == "replay"
-    assert names[0] == "idm"
-    done = False
-    while not done:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        done = terminated or truncated
+    assert (names[0], names[other]) == ("idm", "replay")
     # what the reset chose is part of the certificate
     assert ccdiff_env.replay(env.certificate()).rewards.size
     env.reset(seed=0, options={"scene": "cut-in-03"})
@@ -212,22 +219,15 @@ def test_single_vehicles_have_drivers_of_their_own():
         ccdiff_env.EgoEnv(scenes="val", drivers={"nobody": "idm"})
 
 
-def test_kinds_are_those_of_rust_and_weights_of_another_kind_are_refused():
-    titles = [name for name, *_ in _native.drivers()]
-    assert set(KINDS) <= set(titles)
+def test_weights_of_another_kind_are_refused():
     with pytest.raises(ConfigError, match='expected those of "simnet"'):
         env_of("simnet", simnet={"weights": str(shipped_weights("ccdiff"))})
 
 
 def test_a_model_is_told_the_ego_who_is_parked_and_how_critical_it_shall_be():
-    told = []
-
-    def look(batch):
-        told.append(batch)
-        return coast(batch)
-
+    traffic, told = watching()
     scenes = ccdiff_env.embedded_scenes("val")[:3]
-    env = ccdiff_env.make_vec(3, scenes=scenes, traffic=PythonTraffic(look), criticality=(1.0, 3.0))
+    env = ccdiff_env.make_vec(3, scenes=scenes, traffic=traffic, criticality=(1.0, 3.0))
     _, info = env.reset(seed=0)
     env.step(np.zeros(env.action_space.shape, np.float32))
     batch = told[0]
@@ -242,7 +242,121 @@ def test_a_model_is_told_the_ego_who_is_parked_and_how_critical_it_shall_be():
         speeds = np.where(valid, np.linalg.norm(scene.tracks()["velocity"], axis=-1), 0.0).max(1)
         parked = (reach <= 1.0) | (speeds <= 0.5)
         assert np.array_equal(batch.is_parked[rows], parked[batch.agent[rows]])
-    env.close()
     logged, _ = TrafficBatch.from_log(scenes, [30] * 3, future_steps=1)
     assert (logged.criticality == 0.0).all()
     assert np.array_equal(logged.is_ego, logged.agent == 0)
+
+
+STATES, POINTS = 11, 24
+#: Arrays by agent; the others are of worlds.
+BY_AGENT = (
+    "position_m", "heading_rad", "speed_mps", "valid", "size_m", "kind", "agent", "world",
+    "route_m", "route_valid",
+)  # fmt: skip
+
+
+def equal(batch: TrafficBatch, other: TrafficBatch, names=BY_AGENT) -> None:
+    for name in names:
+        mine, theirs = getattr(batch, name), getattr(other, name)
+        assert mine.dtype == theirs.dtype, name
+        assert mine.tobytes() == theirs.tobytes(), name
+
+
+def from_log(scenes, steps, **options):
+    options = {"history_states": STATES, "route_points": POINTS, "future_steps": 8, **options}
+    return TrafficBatch.from_log(scenes, steps, **options)
+
+
+@pytest.mark.parametrize("start", [0, 4, 10, 55])
+def test_a_batch_of_a_log_is_that_of_an_episode_which_starts_there(scenes, start):
+    traffic, batches = watching(history_states=STATES, route_points=POINTS)
+    env = ccdiff_env.make_vec(
+        len(scenes), scenes=scenes, traffic=traffic, driver="python", history_steps=start,
+        autoreset_mode="disabled", scene_order="sequential", **GOES_ON,
+    )  # fmt: skip
+    env.reset(seed=3)
+    env.step(np.zeros(env.action_space.shape, np.float32))
+    (told,) = batches
+    batch, _ = from_log(scenes, [start] * len(scenes))
+    # late arrivals apart, whom an episode has not yet
+    equal(batch, told, (*BY_AGENT, "drives", "elapsed_steps", "scene_idx"))
+    assert batch.scenes == told.scenes
+    assert batch.dt_s == told.dt_s
+    assert batch.route_valid[batch.drives, 0].all()
+    assert not batch.route_valid[~batch.drives].any()
+
+
+def test_the_future_is_that_of_the_tracks(scenes):
+    steps = [40, 0, 33, 120, 10, 60]
+    batch, future = from_log(scenes, steps, future_steps=30)
+    assert future.position_m.shape == (len(batch.kind), 30, 2)
+    for row, (world, agent) in enumerate(zip(batch.world, batch.agent, strict=True)):
+        log = scenes[world].tracks()
+        after = slice(steps[world] + 1, steps[world] + 31)
+        valid = np.zeros(30, bool)
+        logged = log["valid"][agent, after]
+        valid[: len(logged)] = logged
+        np.testing.assert_array_equal(future.valid[row], valid)
+        here = np.flatnonzero(valid)
+        position, heading = log["position"][agent, after], log["heading"][agent, after]
+        np.testing.assert_array_equal(future.position_m[row, here], position[here])
+        np.testing.assert_array_equal(future.heading_rad[row, here], heading[here])
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        speed = (log["velocity"][agent, after] * ahead).sum(axis=-1)
+        np.testing.assert_allclose(future.speed_mps[row, here], speed[here], atol=1e-5)
+        assert not future.position_m[row, ~valid].any()
+
+
+def test_routes_are_the_worlds_own_from_where_the_vehicles_are(scenes):
+    vehicles = [scene.agent_types.count("vehicle") for scene in scenes]
+    options = {"controlled": "vehicles", "num_slots": max(vehicles), "driver": "idm"}
+    native = Play(scenes, "replay", **options).native
+    batch, _ = from_log(scenes, [30] * len(scenes))
+    compared = 0
+    for row in np.flatnonzero(batch.drives):
+        world, agent = int(batch.world[row]), int(batch.agent[row])
+        slot = native.slot_agents(world).index(agent)
+        path = shapely.LineString(native.route(world, slot)[0])
+        start = path.project(shapely.Point(batch.position_m[row, -1]))
+        for k in range(POINTS):
+            s_m = start + k * ROUTE_SPACING_M
+            if abs(s_m - path.length) > 0.01:
+                assert batch.route_valid[row, k] == (s_m < path.length)
+            if batch.route_valid[row, k]:
+                expected = path.interpolate(s_m)
+                gap = np.hypot(*(batch.route_m[row, k] - (expected.x, expected.y)))
+                assert gap < 0.01, (world, agent, k)
+                compared += 1
+    assert compared > 800
+    # where the vehicles go then is on their routes
+    batch, future = from_log(scenes, [30] * len(scenes), route_points=60, future_steps=40)
+    for row in np.flatnonzero(batch.drives & (batch.speed_mps[:, -1] > 2.0)):
+        line = shapely.LineString(batch.route_m[row][batch.route_valid[row]])
+        for at in future.position_m[row][future.valid[row]]:
+            assert line.distance(shapely.Point(at)) < 0.5
+
+
+def test_seeds_differ_between_worlds_and_by_the_seed_alone(scenes):
+    first, _ = from_log(scenes, [30] * len(scenes), seed=1)
+    again, _ = from_log(scenes, [30] * len(scenes), seed=1)
+    other, _ = from_log(scenes, [30] * len(scenes), seed=-2)
+    assert len(set(first.seed.tolist())) == len(scenes)
+    np.testing.assert_array_equal(first.seed, again.seed)
+    assert not set(first.seed.tolist()) & set(other.seed.tolist())
+
+
+def test_what_makes_no_batch_is_refused(scenes):
+    for arguments, options, error, match in (
+        (([], []), {}, ConfigError, "scenes: empty"),
+        ((scenes[:2], [3]), {}, ShapeError, "expected 2, one for each scene"),
+        ((scenes[:1], [10**6]), {}, ConfigError, scenes[0].name),
+        ((scenes[:1], [-1]), {}, ConfigError, "at least 0"),
+        ((scenes[:1], [1.5]), {}, ConfigError, "integers"),
+        ((scenes[:1], [3]), {"history_states": 0}, ConfigError, "history_states"),
+        ((scenes[:1], [3]), {"route_points": -1}, ConfigError, "route_points"),
+        ((scenes[:1], [3]), {"future_steps": 10**9}, ConfigError, "future_steps"),
+    ):
+        with pytest.raises(error, match=match):
+            from_log(*arguments, **options)
+    with pytest.raises(SceneError, match="fast"):
+        from_log([scenes[0], rebuilt(scenes[0], "fast", dt=0.05)], [3, 3])

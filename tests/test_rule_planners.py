@@ -56,22 +56,6 @@ def test_pdm_drives_better_than_constant_velocity_and_keeps_to_its_lanes(val):
     assert all(row["on_road"] == row["right_way"] == 1.0 for row in rows["pdm"])
 
 
-def test_idm_on_lanes_accelerates_as_its_formula_says_on_a_free_road(val):
-    scenes = [scene for scene in val if scene.name.startswith("free-curve")]
-    worlds, out = begun(scenes)
-    seat = ego_driver("lane_idm")[1]
-    seat.begin(worlds)
-    idm = worlds.config.idm
-    ego = worlds.native.slot_agents(0)[0]
-    speed = float(worlds.native.states(0)["speed"][ego])
-    wanted = seat(out.obs[:, 0])[0, 0]
-    low, high = (bound for bound in (-8.0, 4.0))
-    acceleration = wanted * (high if wanted > 0 else -low)
-    free = idm.acceleration_mps2 * (1 - (speed / worlds.config.speed_limit_mps) ** idm.exponent)
-    assert acceleration <= free + 1e-4  # curves and leaders slow it, nothing else does
-    assert acceleration >= -idm.max_braking_mps2
-
-
 def test_planners_take_the_bicycle_and_refuse_assisted_dynamics(val):
     action = ActionConfig(dynamics=BicycleLimits())
     assert np.abs(driven(val[:1], "pdm", action=action) - driven(val[:1], "pdm")).max() < 0.5
@@ -148,35 +132,28 @@ def test_a_trajectory_that_begins_elsewhere_names_its_world_and_the_frames(val):
     ids = [worlds.native.slot_agents(i)[0] for i in range(4)]
     places = [worlds.native.states(i)["position"][agent] for i, agent in enumerate(ids)]
 
-    def seat(poses, **attributes):
+    def decided(poses, due=None, **attributes):
         def plan(obs):
-            return np.asarray(poses, np.float64)
+            return poses
 
         vars(plan).update(attributes)
         made = Seat(plan, "mine")
         made.begin(worlds)
-        return made
+        return made(out.obs[:, 0], due)
 
-    here = np.column_stack([places, np.zeros(4)])[:, None]
-    for away, fine in ((20.0, False), (2.0, True)):
-        moved = np.add(here, [away, 0.0, 0.0])
-        at = np.add(np.zeros((4, 1, 3)), [away, 0.0, 0.0])
-        for made in (seat(moved), seat(moved, frame="scene"), seat(at, frame="ego")):
-            if fine:
-                assert made(out.obs[:, 0]).shape == (4, 2)
-                continue
-            with pytest.raises(
-                ActionError, match=r"mine .*world 0 \(\S+, step 0\): .* 20\.0 m from"
-            ):
-                made(out.obs[:, 0])
+    here, origin = np.column_stack([places, np.zeros(4)])[:, None], np.zeros((4, 1, 3))
+    near = np.array([2.0, 0.0, 0.0])
+    for poses, frame in ((here, {}), (here, {"frame": "scene"}), (origin, {"frame": "ego"})):
+        assert decided(poses + near, **frame).shape == (4, 2)
+        with pytest.raises(ActionError, match=r"mine .*world 0 \(\S+, step 0\): .* 20\.0 m from"):
+            decided(poses + 10 * near, **frame)
     # of its own frame, which it does not say
-    far = np.array([np.hypot(*place) > 20.0 for place in places])
+    far = np.hypot(*np.transpose(places)) > 20.0
     assert far.any()
-    silent = seat(np.zeros((4, 1, 3)))
     with pytest.raises(
         ActionError, match=r"'scene'; expected at most .* \(the default\) or \"ego\""
     ):
-        silent(out.obs[:, 0])
-    silent(out.obs[:, 0], ~far)  # those that do not go on mean nothing
+        decided(origin)
+    decided(origin, ~far)  # those that do not go on mean nothing
     with pytest.raises(ConfigError, match="frame is 'world', expected 'scene' or 'ego'"):
-        seat(here, frame="world")
+        decided(here, frame="world")

@@ -234,6 +234,24 @@ def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path, 
     assert sum(played[0]["mean_shift_sigmas"]) > 0.0
 
 
+def test_candidates_are_scored_alike_wherever_they_stand(policy):
+    model, _ = policy
+    env = model.get_env()
+    obs, masks = env.reset(), get_action_masks(env)
+
+    def shares(obs, masks):
+        tensors, _ = model.policy.obs_to_tensor(obs)
+        found = model.policy.get_distribution(tensors, action_masks=masks)
+        return found.distribution.probs.detach().numpy()
+
+    before = shares(obs, masks)
+    assert (before[masks == 0] == 0.0).all()
+    order = np.random.default_rng(0).permutation(8)
+    moves = np.append((3 * order[:, None] + np.arange(3)).ravel(), 24)
+    after = shares(obs[:, order], masks[:, moves])
+    np.testing.assert_allclose(after, before[:, moves], atol=1e-6)
+
+
 def test_damaged_policy_files_are_refused(tmp_path, policy):
     for change, named in (
         (lambda t, h: t.pop("row.0.bias"), "row.0.bias"),

@@ -20,10 +20,9 @@ from ccdiff_env.scenes.arguments import (
     add_scene_arguments,
     other_place,
     place_from,
-    scenes_from,
 )
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
-from ccdiff_env.scenes.sources import SOURCES, Place, Source, coverage, parse, settled, title
+from ccdiff_env.scenes.sources import SOURCES, Source, coverage, parse, settled, title
 from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
 
@@ -137,6 +136,7 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert place.version == MINI  # the only one that is there
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
         scenes = ccdiff_env.load(place)
+    assert len(scenes.report.missing) == 149
     said = coverage(place, len(scenes))
     assert said == "1 of 150 scenes of val"
     assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"
@@ -195,7 +195,7 @@ def test_short_forms_and_texts_name_the_same(words, played, trained):
     [
         (["--scenes", "embedded", "--dataroot", "/a"], "--dataroot is a part of --scenes"),
         (["--scenes", "embedded", "--split", "val"], "--split is a part of --scenes"),
-        (["--version", MINI], "--version is of --dataroot"),
+        (["--version", MINI], "--version is a part of --dataroot"),
         (["--split", "vla"], "no split 'vla'"),
         (["--limit", "0"], "limit is 0"),
         (["--scenes", "scenarionet:/a"], "scenarionet:/a has no split to train on"),
@@ -264,19 +264,3 @@ def test_a_load_without_roads_warns_once(tmp_path):
     with pytest.warns(UserWarning, match="2 of 2 scenes have no road") as caught:
         ccdiff_env.load(f"scenarionet:{tmp_path}")
     assert len([w for w in caught if w.category is UserWarning]) == 1
-
-
-@pytest.mark.nuscenes
-def test_texts_open_what_load_nuscenes_opens(data_root):
-    folder = data_root / "nuscenes"
-    expected = ccdiff_env.load_nuscenes(folder, MINI, "mini_val")
-    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val") == expected
-    args = arguments(["--dataroot", str(folder), "--version", MINI])
-    assert scenes_from(args) == expected
-    found = ccdiff_env.load(Place("nuscenes", str(folder), MINI), names=["scene-0103"])
-    assert found.names == ("scene-0103",)
-    vehicles = ccdiff_env.load_nuscenes(folder, MINI, "mini_val", kinds=["vehicle"])
-    assert ccdiff_env.load(f"nuscenes:{folder}@{MINI}/mini_val", kinds=["vehicle"]) == vehicles
-    with pytest.warns(UserWarning, match="93 of the 150"):
-        scenes = ccdiff_env.load(f"nuscenes:{folder}@v1.0-trainval/val")
-    assert coverage(parse(f"nuscenes:{folder}/val"), len(scenes)) == "93 of 150 scenes of val"

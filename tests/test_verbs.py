@@ -2,7 +2,6 @@
 
 import argparse
 import csv
-import json
 import math
 import subprocess
 import sys
@@ -96,27 +95,23 @@ def test_vehicles_starts_and_differences_are_drawn_but_the_ego_of_a_bank_stays(t
 
     ccdiff_env.record_bank(ccdiff_env.embedded_scenes("val")[:2], tmp_path, ego="replay")
     words = ["--worlds", "48", "--traffic", "replay", "styles", "bank", "--bank", str(tmp_path)]
-    parser, found = argparse.ArgumentParser(), {}
+    parser = argparse.ArgumentParser()
     train_ego.add_arguments(parser)
     config = ccdiff_env.WorldConfig().with_options(start_spread_steps=50)
     for drawn in ("--any-ego", "--differences 0.1"):
         worlds = Worlds(parser.parse_args([*words, *drawn.split()]), config, seed=0)
         for name, env in zip(("replay", "styles", "bank"), worlds.envs, strict=True):
-            native = env.worlds.native
+            native, scenes = env.worlds.native, env.worlds.scenes
             status = [native.status(i) for i in range(16)]
-            found[drawn, name] = [
-                env.worlds.scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status
-            ]
-            found[name] = {driver for i in range(16) for driver in native.drivers(i)}
+            egos = {scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status}
+            assert (egos == {"ego"}) == (name == "bank" or drawn != "--any-ego")
+            drivers = {driver for i in range(16) for driver in native.drivers(i)}
+            assert (drivers >= {"calm", "idm", "hasty"}) == ("idm" in drivers) == (name == "styles")
             differ = [native.drawn(i)[0] for i in range(16)]
             for gain in ("acceleration_gain", "yaw_gain", "size"):
                 off = [abs(one[gain] - 1.0) for one in differ]
                 assert (0.05 < max(off) <= 0.1) if drawn != "--any-ego" else not any(off)
             assert {one["delay_steps"] for one in differ} <= {0, 1, 2}
-    others = {key for key, ids in found.items() if isinstance(key, tuple) and set(ids) != {"ego"}}
-    assert others == {("--any-ego", "replay"), ("--any-ego", "styles")}
-    assert found["styles"] >= {"calm", "idm", "hasty"}
-    assert "idm" not in found["replay"] | found["bank"]
 
 
 def test_training_begins_with_a_policy_and_stays_near_an_anchor():
@@ -165,6 +160,8 @@ def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
         "",
         "Means.",
     ]
+    wide = "| a | b |\n|---|---|\n| a long name | **0.50 [0.45, 0.55]** |\n"
+    assert align(wide, 30).splitlines()[2] == "a long name  0.50 *"
     # tables without rows and empty cells stay
     assert align("| a | b |\n|---|---|\n") == "a  b\n─  ─\n"
     assert align("| a | b |\n|---|---|\n| x | |\n").splitlines()[2] == "x"
@@ -178,60 +175,6 @@ def test_output_that_nobody_reads_on_ends_without_a_word():
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 1
-
-
-WIDE = (
-    "Idm is best over all, and this sentence is so long that it would leave a window of eighty.\n\n"
-    "| score | Log replay | CCDiff, no guidance | CCDiff, criticality 1 | mean | worst of all |\n"
-    "|---|---:|---:|---:|---:|---:|\n"
-    "| IDM on the log's path | **0.90 [0.85, 0.95]** | 0.8 [0.75, 0.85] | 0.7 [0.6, 0.8] "
-    "| 0.8 [0.7, 0.9] | 0.7 [0.6, 0.8] |\n"
-    "| constant velocity | 0.50 [0.45, 0.55] | 0.4 [0.3, 0.5] | 0.3 [0.2, 0.4] | 0.4 | 0.3 |\n"
-)
-
-
-def test_no_line_is_wider_than_the_window_and_no_figure_is_lost():
-    for width in (80, 60, 40):
-        text = align(WIDE, width=width)
-        assert max(map(len, text.splitlines())) <= width
-        assert [text.count(word) for word in ("0.90 *", "0.8", "0.3")] == [1, 2, 2]
-        assert "[" not in text
-    assert "[0.85, 0.95] *" in align(WIDE)
-    # a terminal shows bold and keeps the columns
-    bold = align(WIDE, width=80, bold=True)
-    bare = bold.replace("\033[1m0.90\033[0m", "0.90 *")
-    assert bare.split() == align(WIDE, width=80).split()
-    assert bare != bold
-
-
-SHORT = "--limit 1 --quiet --out"
-#: What verbs that print tables are called with; a run folder of the one before where it says RUN.
-VERBS = {
-    "scenes": "scenes",
-    "doctor": "doctor",
-    "planners": "bench planners --planners idm,constant_velocity --traffic replay,idm,ccdiff,"
-    f"ccdiff-1 --seeds 0 {SHORT}",
-    "verify": "bench verify RUN/planners --episodes 1",
-    "leaderboard": "bench leaderboard RUN/planners --out",
-    "traffic": f"bench traffic --methods constant_velocity,idm --k 1,2,3,4,5,10,Full {SHORT}",
-    "scenarios": f"bench scenarios --generators idm --planners idm,replay --plans 8 {SHORT}",
-    "realism": f"bench realism --methods replay,constant_velocity,idm --samples 2 {SHORT}",
-}
-
-
-@pytest.mark.timeout(300)
-def test_no_verb_prints_lines_wider_than_a_window_of_eighty(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "80")
-    for name, words in VERBS.items():
-        folder = [str(tmp_path / name)] if words.endswith("--out") else []
-        command = words.replace("RUN", str(tmp_path)).split() + folder
-        assert main(command) == 0, name
-        out, err = capsys.readouterr()
-        lines = out.replace(str(tmp_path), "").splitlines()
-        assert len(lines) > 1, name
-        assert [line for line in lines if len(line) > 80] == []
-        assert "\r" not in err
-        assert " 1 scenes" not in out
 
 
 NAN = math.nan
@@ -291,24 +234,16 @@ def test_the_highest_as_shown_are_emphasised():
     assert document("First.", "", Table(["a"], []), "Last.") == "First.\n\nLast.\n"
 
 
-@pytest.mark.nuscenes
-def test_training_on_the_mini_scenes_writes_weights_and_resumes(data_root, tmp_path, capsys):
-    command = ["train", "--dataroot", str(data_root / "nuscenes"), "--version", "v1.0-mini",
-               "--split", "mini_train", "--out", str(tmp_path), "--batch-scenes", "2", "--quiet",
-               "--hold-out-every", "4"]  # fmt: skip
-    assert main([*command, "--steps", "2"]) == 0
-    assert main([*command, "--steps", "3"]) == 0
+def test_training_resumes_and_begins_with_weights_that_are_told_routes(tmp_path, capsys):
+    command = ["train", "--scenes", "embedded/train?limit=8", "--batch-scenes", "1", "--quiet"]
+    command += ["--hold-out-every", "4", "--out"]
+    for steps in ("1", "2"):
+        assert main([*command, str(tmp_path / "first"), "--steps", steps]) == 0
     path = Path(capsys.readouterr().out.splitlines()[-1])
     header = TrajectoryModel(path).header
-    assert header["step"] == 3
-    # two of the eight are validation scenes of the full set, one is held out
-    assert header["notes"]["num_scenes"] == 5
-    assert header["model"]["normalisation"]["trajectory_std"][0] > 1.0
-    # on from there, told routes
+    assert (header["step"], header["notes"]["num_scenes"]) == (2, 6)
     more = tmp_path / "routes"
-    start = ["--start", str(path), "--routes", "--steps", "1"]
-    at = command.index("--out") + 1
-    assert main([*command[:at], str(more), *command[at + 1 :], *start]) == 0
+    assert main([*command, str(more), "--start", str(path), "--routes", "--steps", "1"]) == 0
     told = TrajectoryModel(more / "weights.safetensors").header
     assert told["model"]["route_points_m"][0] == 5.0
     assert told["model"]["normalisation"] == header["model"]["normalisation"]
@@ -330,23 +265,17 @@ def test_what_cannot_train_is_an_error_in_one_line(words, said, tmp_path, capsys
     assert "Traceback" not in message
 
 
-def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path):
-    from tools.train_all import main as train_all
+def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path, monkeypatch):
+    from tools import train_all
 
     short = ["--batch-scenes", "1", "--hold-out-every", "4", "--limit", "8", "--steps", "1"]
-    trainings = [
-        {"name": "refused", "arguments": ["--model", "nobody", *short]},
-        {"name": "short", "arguments": ["--model", "simnet", *short]},
-    ]
-    listed = tmp_path / "trainings.json"
-    listed.write_text(json.dumps(trainings))
-    command = ["--list", str(listed), "--out", str(tmp_path / "runs"), "--scenes", "embedded/train"]
-    assert train_all(command) == 1
-    assert "nobody" in (tmp_path / "runs/refused/log.txt").read_text()
-    weights = tmp_path / "runs/short/weights.safetensors"
+    refused, simnet = ["--model", "nobody", *short], ["--model", "simnet", *short]
+    monkeypatch.setattr(train_all, "TRAININGS", {"refused": refused, "short": simnet})
+    command = ["--out", str(tmp_path), "--scenes", "embedded/train"]
+    assert train_all.main(command) == 1
+    assert "nobody" in (tmp_path / "refused/log.txt").read_text()
+    weights = tmp_path / "short/weights.safetensors"
     assert TrajectoryModel(weights).header["step"] == 1
     written = weights.stat().st_mtime_ns
-    assert train_all([*command, "--only", "short"]) == 0
+    assert train_all.main([*command, "--only", "short"]) == 0
     assert weights.stat().st_mtime_ns == written
-    with pytest.raises(SystemExit):
-        train_all([*command, "--only", "long"])

@@ -15,31 +15,19 @@ from ccdiff_env import cli, embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
-from ccdiff_env.scenes import with_tracks
 from ccdiff_env.view import find_rollout, log_rollout, page_html, write_page
-from ccdiff_env.view.contacts import contacts
-from ccdiff_env.view.outcome import happenings
+from ccdiff_env.view.pack import contacts
 from ccdiff_env.view.video import Video
 
 
 def unpacked(text: str) -> tuple[dict, dict[str, np.ndarray]]:
     """Header and values of a data element, read by the rules that pack.py writes down."""
-    raw = zlib.decompress(base64.b64decode(text))
-    length = int.from_bytes(raw[:4], "little")
-    header = json.loads(raw[4 : 4 + length])
-    at, arrays = -(-(4 + length) // 4) * 4, {}
-    for entry in header["arrays"]:
-        dtype = np.dtype(f"<{entry['type']}")
-        count = int(np.prod(entry["shape"]))
-        values = np.frombuffer(raw, dtype, count, at).reshape(entry["shape"])
-        at += -(-values.nbytes // 4) * 4
-        if entry.get("delta"):
-            values = np.cumsum(values, axis=-1, dtype=dtype)
-        if "step" in entry:
-            values = entry["base"] + entry["step"] * values.astype(float)
-        arrays[entry["name"]] = values
-    assert at == len(raw)
-    return header, arrays
+    header = json.loads(zlib.decompress(base64.b64decode(text)))
+    return header, {name: values_of(array) for name, array in header["arrays"].items()}
+
+
+def values_of(array: dict) -> np.ndarray:
+    return array["step"] * np.cumsum(np.reshape(array["deltas"], (-1, array["row"])), axis=-1)
 
 
 def elements(text: str) -> list[str]:
@@ -68,19 +56,19 @@ def test_a_page_holds_the_states_to_a_centimetre():
 
 def test_a_page_holds_plans_chosen_sample_first_and_edges_by_cause():
     run = planned_rollout()
-    header, arrays = unpacked(elements(page_html(run))[0])
+    header, _ = unpacked(elements(page_html(run))[0])
     plan = header["plans"][2]
     assert (plan["made_at"], plan["agents"], plan["guided"]) == (20, [1, 2], [0, 1])
     assert plan["edges"] == [[2, 1]]  # entry (0, 1) of the graph: the second influences the first
     for row, (agent, chosen) in enumerate([(1, 1), (2, 3)]):
         points = run.plans[2].samples[chosen, row, [3, 7, 11, 15, 19], 0]
         expected = [run.position[agent, 20, 0], *points]
-        np.testing.assert_allclose(arrays["plan2x"][0, row], expected, atol=0.03)
+        np.testing.assert_allclose(values_of(plan["x"])[row], expected, atol=0.03)
 
 
 def test_pairs_are_those_that_the_core_says_will_meet():
     run = planned_rollout()
-    for step, (a, b, seconds) in enumerate(contacts(run)):
+    for step, pairs in enumerate(contacts(run)):
         if step % 16:
             continue
         expected = causal.ttc(
@@ -91,11 +79,11 @@ def test_pairs_are_those_that_the_core_says_will_meet():
             run.valid[:, step],
             normalised=False,
         )
-        np.testing.assert_array_equal(expected[a, b], seconds)
+        assert all(abs(expected[a, b] - seconds) < 0.0051 for a, b, seconds in pairs)
         kinds = np.array(run.scene.agent_types)
         alike = kinds[:, None] == kinds[None, :]
         near = (expected <= 10.0) & ~(alike & np.isin(kinds, ("static", "pedestrian")))
-        assert len(a) == np.count_nonzero(np.triu(near, 1))
+        assert len(pairs) == np.count_nonzero(np.triu(near, 1))
 
 
 def shown_events(run: Rollout) -> list[dict]:
@@ -122,36 +110,11 @@ def test_collisions_are_told_once_in_the_lane_of_who_is_driven(events, expected)
     assert told == expected
 
 
-def off_road_flags(run: Rollout, *events: tuple[int, int]) -> list[tuple[int, int]]:
-    """Agents and steps of the off-road events that are shown among those given."""
-    listed = tuple(RolloutEvent(step, run.agent_ids[i], None, "off_road") for i, step in events)
-    shown = [h for h in happenings(replace(run, events=listed)) if h.kind == "off_road"]
-    return [(h.agent, h.step) for h in shown]
-
-
-def test_only_vehicles_that_leave_the_road_anew_are_flagged():
+def test_only_the_ego_and_guided_vehicles_off_the_road_are_flagged():
     run = planned_rollout()
-    scene = run.scene
-    tracks = scene.tracks()
-    vehicles = [i for i, kind in enumerate(scene.agent_types) if kind == "vehicle" and i]
-    speed = np.linalg.norm(tracks["velocity"], axis=-1).max(axis=1)
-    moving = next(i for i in vehicles if speed[i] > 2.0 and run.valid[i, 15:].all())
-    assert off_road_flags(run, (moving, 20), (0, 20)) == [(0, 20), (moving, 20)]
-    # parked in the log
-    still = {name: values.copy() for name, values in tracks.items()}
-    still["velocity"][moving] = 0.0
-    parked = replace(run, scene=with_tracks(scene, still))
-    assert off_road_flags(parked, (moving, 20), (0, 20)) == [(0, 20)]
-    # appears at this moment
-    valid = run.valid.copy()
-    valid[moving, :20] = False
-    appearing = replace(run, valid=valid)
-    assert off_road_flags(appearing, (moving, 20), (moving, 30)) == [(moving, 30)]
-    # the log leaves the road here, too: half a kilometre away nothing is drivable
-    away = {name: values.copy() for name, values in tracks.items()}
-    away["position"][moving, 18:25] += 500.0
-    outside = replace(run, scene=with_tracks(scene, away))
-    assert off_road_flags(outside, (moving, 20), (moving, 60)) == [(moving, 60)]
+    events = tuple(RolloutEvent(20, run.agent_ids[i], None, "off_road") for i in (1, 2, 0))
+    shown = shown_events(replace(run, events=events))
+    assert [(e["kind"], e["agent"]) for e in shown] == [("off_road", 0), ("off_road", 2)]
 
 
 def test_names_cannot_break_out_of_the_page():
@@ -179,11 +142,10 @@ def test_several_runs_keep_their_titles_and_a_title_too_few_is_an_error():
     ],
 )
 def test_runs_are_shown_beside_each_other_by_what_differs(options, titles, tmp_path):
-    words = ["view", "left-turn-00", *options.split(), "--samples", "1"]
+    words = ["view", "left-turn-00", *options.split()]
     assert cli.main([*words, "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert [unpacked(e)[0]["run"]["title"] for e in elements(text)] == titles
-    assert "--compare" in options or "CCDiff · criticality 0 | criticality 1</p>" in text
 
 
 def test_pages_need_nothing_from_outside():
@@ -219,7 +181,7 @@ def test_the_suffix_says_what_is_written(tmp_path, capsys):
         ("two.html", ["--compare", "log"], b"<!DO"),
         ("grid.html", [str(tmp_path / "again.npz"), str(tmp_path / "run.npz")], b"<!DO"),
         ("moment.svg", [], b"<svg"),
-        ("step.png", ["--step", "30", "--graph"], b"\x89PNG"),
+        ("step.png", ["--step", "30"], b"\x89PNG"),
         ("video.gif", ["--size", "160", "--speed", "4"], b"GIF8"),
     ):
         out = tmp_path / name
@@ -282,7 +244,7 @@ def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):
     assert cli.main(["view", "left-turn-00", "-o", str(out), *options]) == 0
     video = imageio.get_reader(out).get_meta_data()
     seconds = (embedded_scenes()["left-turn-00"].num_steps - 1) * 0.1 + 1.6
-    assert video["fps"] == 30
+    assert video["fps"] == 10
     assert video["duration"] == pytest.approx(seconds, abs=0.2)
     assert video["size"] == (160, 160)
 
@@ -320,7 +282,6 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
         ("left-turn-00 --criticality 1", "a", "--criticality plays a scene: give --traffic"),
         ("left-turn-00 --driver idm", "a", "--driver plays a scene: give --traffic"),
         ("left-turn-00 --span 40", "a", "--span goes with an image"),
-        ("left-turn-00 --traffic idm --samples 3", "a", "--samples is for networks"),
         ("left-turn-00 --traffic idm --criticality 1", "a", "guides networks"),
         ("left-turn-00 --traffic ccdiff --criticality 5", "a", "expected 0 to 2"),
         ("left-turn-00 --traffic idm --driver external", "a", "'external'; there are"),

@@ -97,9 +97,6 @@ def test_keys_do_what_the_help_says(visit):
     page.keyboard.press("Home")
     page.keyboard.press("g")
     assert page.state("layers.graph") is True
-    page.keyboard.press(".")
-    page.frames()
-    assert page.time() == pytest.approx(1.0)  # two seconds before the collision
     page.select_option("#follow", planned_rollout().agent_ids[1])
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("e")

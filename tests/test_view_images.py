@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from browser_page import Page
 from test_view import elements, shown_events, unpacked
-from view_rollouts import NUM_STEPS, plan_of, planned_rollout
+from view_rollouts import NUM_STEPS, planned_rollout
 
-from ccdiff_env import _native, embedded_scenes
+from ccdiff_env import _native
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import with_tracks
 from ccdiff_env.view import log_rollout, page_html, render, write_page
@@ -112,45 +112,13 @@ def test_a_collision_is_marked_half_way_between_those_that_met():
     assert share[1].mean() > 0.7
 
 
-def test_arrows_lead_to_the_agent_in_the_middle_within_two_hops(monkeypatch):
-    run = planned_rollout()
-    graph = np.zeros((4, 4), bool)  # row i, column j: j influences i
-    graph[0, 1] = graph[1, 2] = graph[2, 3] = graph[1, 0] = (
-        True  # 3 to 2 to 1, 0 and 1 to each other
-    )
-    samples = np.zeros((1, 4, 5, 3), np.float32)
-    plan = plan_of(0, [0, 1, 2, 3], samples[..., :2], graph=graph)
-    seen = {}
+def test_the_caption_has_the_verdict_from_the_contact_on(monkeypatch):
+    run, seen = planned_rollout(), {}
     monkeypatch.setattr(_native, "render_arrays", lambda *_, **options: seen.update(options))
-    for follow, expected in (
-        (0, {(1, 0): 1.0, (2, 1): 0.4}),
-        (1, {(0, 1): 1.0, (2, 1): 1.0, (3, 2): 0.4}),
-        (3, {}),
-    ):
-        valid = np.ones_like(run.valid)
-        planned = replace(run, plans=(plan,), valid=valid)
-        Video(planned, follow=run.agent_ids[follow], graph=True).frame(0)
-        assert {(j, i): weight for j, i, weight in seen["arrows"]} == expected
-
-
-def test_between_two_steps_agents_are_between_their_poses(monkeypatch):
-    run = planned_rollout()
-    seen = {}
-
-    def note(at, *_, **options):
-        seen.update(options, at=at)
-
-    monkeypatch.setattr(_native, "render_arrays", note)
-    Video(run).frame(20.25)
-    there = run.valid[:, 20]
-    both = there & run.valid[:, 21]
-    expected = run.position[:, 20] + 0.25 * (run.position[:, 21] - run.position[:, 20])
-    np.testing.assert_allclose(seen["at"][both[there]], expected[both], atol=1e-4)
-    assert seen["caption"] == "left-turn-00  2.0 s"
     Video(run, title="other").frame(run.num_steps - 1)
     assert seen["caption"].startswith("other  8.0 s  ego drove into 1")
     Video(run).frame(29)
-    assert "drove" not in seen["caption"]  # not before the contact
+    assert seen["caption"] == "left-turn-00  2.9 s"
 
 
 def test_an_ego_at_its_goal_is_drawn_where_it_left_the_scene(monkeypatch):
@@ -268,12 +236,6 @@ def test_the_frame_shows_a_canvas(browser, tmp_path):
     page.wait_for_timeout(700)  # the address that it may not change
     assert faults == []
     page.close()
-
-
-def test_a_scene_is_an_image():
-    text = embedded_scenes()["left-turn-00"]._repr_html_()
-    assert text.startswith('<img src="data:image/png;base64,')
-    assert "left-turn-00" in text
 
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "examples/notebooks").glob("*.ipynb"))

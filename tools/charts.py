@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import io
 import math
@@ -16,9 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ccdiff_env.bench.plots import name_ends, new_plot
-from ccdiff_env.view.render import data_address, pillow
-from ccdiff_env.view.sources import find_scene, play_scene
-from ccdiff_env.view.video import Video
 from tools.pages import ROOT, kept
 
 if TYPE_CHECKING:
@@ -64,8 +60,7 @@ def _svg(plot: Plot, alt: str) -> str:
     """Return a plot as SVG that has its colours by the reader's ground."""
     file = io.StringIO()
     plot.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    text = re.sub(r"data:image/png;base64,\s*([^\"]+)", _smaller, file.getvalue())
-    rules = ["", ""]
+    text, rules = file.getvalue(), ["", ""]
     for name, pair in COLOURS.items():
         text = text.replace(pair[0], f"var(--{name})")
         rules = [rule + f"--{name}:{tint};" for rule, tint in zip(rules, pair, strict=True)]
@@ -73,12 +68,6 @@ def _svg(plot: Plot, alt: str) -> str:
     style += f"@media(prefers-color-scheme:dark){{svg{{{rules[1]}}}}}"
     named = f'role="img" aria-label="{html.escape(alt)}"'
     return re.sub(r"<svg ([^>]*)>", rf"<svg {named} \1><style>{style}</style>", text, count=1)
-
-
-def _smaller(found: re.Match[str]) -> str:
-    """The address of an image with fewer colours."""
-    image = pillow().open(io.BytesIO(base64.b64decode(found[1]))).convert("RGB")
-    return data_address(np.asarray(image), 96)
 
 
 def _drawn(axes: Axes, look: Look, **options: Any) -> None:
@@ -94,64 +83,36 @@ def rows_chart(
     title: str,
     rows: Sequence[tuple[str, Figure, Look]],
     ticks: Sequence[float],
-    *,
-    line: tuple[float, str] | None = None,
-    log: bool = False,
-    form: str = "{:g}",
+    log: float,
 ) -> str:
     """Return a chart with a dot and a whisker in each row: name, figure, look.
 
-    The first and the last of ``ticks`` are the ends; ``line`` is a value to be marked, and its
-    name; ``form`` how figures are written.
+    The first and the last of ``ticks`` are the ends; ``log`` is the figure of the log.
     """
     plot, axes = new_plot(WIDTH, 0.9 + 0.38 * len(rows))
     _begun(title, axes)
     for y, (_, (value, low, high), look) in enumerate(rows):
         _drawn(axes, look, x=value, y=y, xerr=[[low - value], [high - value]])
-        axes.text(
-            1.02, y, form.format(value), transform=axes.get_yaxis_transform(), fontsize=13,
-            va="center",
-        )  # fmt: skip
+        beside = axes.get_yaxis_transform()
+        axes.text(1.02, y, f"{value:.3f}", transform=beside, fontsize=13, va="center")
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows], fontsize=13)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
-    if log:
-        axes.set_xscale("log")
-    axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
-    axes.minorticks_off()
+    axes.set_xticks(ticks)
     axes.set_xlim(ticks[0], ticks[-1])
-    if line:
-        axes.axvline(line[0], linestyle="--", color=COLOURS["grey"][0])
-        axes.text(
-            line[0], 1.0, line[1], transform=axes.get_xaxis_transform(), fontsize=11.5, ha="center"
-        )
-    said = "; ".join(f"{name} {form.format(figure[0])}" for name, figure, _ in rows)
+    axes.axvline(log, linestyle="--", color=COLOURS["grey"][0])
+    above = axes.get_xaxis_transform()
+    axes.text(log, 1.0, "log", transform=above, fontsize=11.5, ha="center")
+    said = "; ".join(f"{name} {figure[0]:.3f}" for name, figure, _ in rows)
     return _svg(plot, f"{title}: {said}")
 
 
-def lines_chart(
-    title: str,
-    across: str,
-    series: Sequence[Series],
-    ticks: Sequence[float],
-    *,
-    stills: Sequence[tuple[float, Any]] = (),
-) -> str:
-    """Return a chart of lines with whiskers, named at their ends, below images of some places.
+def lines_chart(title: str, across: str, series: Sequence[Series], ticks: Sequence[float]) -> str:
+    """Return a chart of lines with whiskers, named at their ends.
 
-    ``across`` is what places are; the first and the last of ``ticks`` are the ends of figures;
-    ``stills`` are place and image.
+    ``across`` is what places are; the first and the last of ``ticks`` are the ends of figures.
     """
-    plot, axes = new_plot(WIDTH, 3.8 + (1.8 if stills else 0.0))
-    axes.remove()
-    heights = [2, 3] if stills else [1]
-    grid = plot.add_gridspec(len(heights), len(stills) or 1, height_ratios=heights)
-    for i, (place, image) in enumerate(stills):
-        still = plot.add_subplot(grid[0, i])
-        still.imshow(image, interpolation="none")
-        still.set_axis_off()
-        still.set_title(f"{across.split()[0]} {place:g}", fontsize=11.5, y=-0.16)
-    axes = plot.add_subplot(grid[-1, :])
+    plot, axes = new_plot(WIDTH, 3.8)
     _begun(title, axes)
     wide = max(place for one in series for place in one.places)
     ends = []
@@ -165,8 +126,6 @@ def lines_chart(
     name_ends(axes, ends, gap=0.08 * ticks[-1], aside=0.03 * wide, fontsize=13)
     axes.set_yticks(ticks)
     axes.set_ylim(ticks[0], ticks[-1])
-    if stills:
-        axes.set_xticks(series[0].places)
     axes.set_xlabel(across, fontsize=11.5)
     written = {one.name: ", ".join(f"{f[0]:.0f}" for f in one.figures) for one in series}
     return _svg(plot, f"{title}: {'; '.join(map(' '.join, written.items()))}")
@@ -194,7 +153,6 @@ DIAL = {
     "ego": ("trained ego", ("blue", "o")),
 }
 LEVELS = {"ccdiff": 0.0, "ccdiff-0.5": 0.5, "ccdiff-1": 1.0, "ccdiff-1.5": 1.5, "ccdiff-2": 2.0}
-STILL_SCENE, STILL_SIZE = "double-left-00", (350, 300)
 
 
 def realism() -> str:
@@ -203,22 +161,9 @@ def realism() -> str:
     shown = [
         (title, _figure(rows[name], "realism"), look) for name, (title, look) in REALISM.items()
     ]
+    shown.sort(key=lambda row: -row[1][0])
     log = _figure(rows["replay"], "realism")[0]
-    return rows_chart(
-        "realism, 93 scenes", shown, (0.4, 0.5, 0.6, 0.7, 0.8), line=(log, "log"), form="{:.3f}"
-    )
-
-
-def speed() -> str:
-    """Return the chart of speed."""
-    rows = [
-        (row["what"], (row["steps_per_s"], math.nan, math.nan), (row["colour"], "o"))
-        for row in kept("speed")["rows"]
-    ]
-    ticks = (1_000, 10_000, 100_000, 1_000_000)
-    return rows_chart(
-        "steps a second on one core, 64 worlds", rows, ticks, log=True, form="{:,.0f}"
-    )
+    return rows_chart("realism, 93 scenes", shown, (0.4, 0.5, 0.6, 0.7, 0.8), log)
 
 
 def learning() -> str:
@@ -239,7 +184,7 @@ def learning() -> str:
 
 
 def dial() -> str:
-    """Return the chart of the dial, with stills of one crossing."""
+    """Return the chart of the dial."""
     run = kept("dial_planners")
     rows = {(row["planner"], row["traffic"]): row for row in run["rows"]}
     figures = {
@@ -249,24 +194,11 @@ def dial() -> str:
     series = [Series(*DIAL[name], [*LEVELS.values()], of) for name, of in figures.items()]
     title = f"collisions of the planner, % of {run['scenes'].split()[0]} scenes, 95 % intervals"
     across = "criticality of the CCDiff traffic"
-    return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50), stills=_stills())
-
-
-def _stills() -> list[tuple[float, Any]]:
-    """One moment of one crossing at criticality 0, 1 and 2."""
-    scene, found, moment = find_scene(STILL_SCENE), [], None
-    for level in (1.0, 0.0, 2.0):
-        run = play_scene(scene, driver="replay", ccdiff={"criticality": level})
-        if moment is None:
-            moment = Video(run).moment
-            centre_m = (float(run.position[0, moment, 0]), float(run.position[0, moment, 1]))
-        video = Video(run, size=STILL_SIZE, span_m=36.0, centre_m=centre_m, captions=False)
-        found.append((level, video.frame(min(moment, video.num_steps - 1))))
-    return sorted(found, key=lambda pair: pair[0])
+    return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50))
 
 
 #: Charts by name of their file.
-MADE = {"realism": realism, "speed": speed, "learning": learning, "dial": dial}
+MADE = {"realism": realism, "learning": learning, "dial": dial}
 
 
 def write() -> None:

@@ -3,7 +3,7 @@
 ``<!-- results: NAME -->`` and ``<!-- end -->`` hold what a run of ``tools.results`` kept in
 docs/results; ``<!-- results: NAME; A, B -->`` has the columns A and B alone, ``<!-- results: NAME;
 A, B; X, Y -->`` their rows of X and Y. ``<!-- table: NAME -->`` holds a table of
-``tools.task_tables`` or ``tools.expectations``.
+``tools.task_tables`` or ``tools.expectations``, or a file of docs/results that has ``heads``.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from ccdiff_env.system.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results"
@@ -33,6 +35,13 @@ def keep(name: str, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) 
     (DATA / f"{name}.json").write_text(text, encoding="utf-8")
 
 
+def _with_heads(run: Mapping[str, Any]) -> str:
+    """The rows of a run under ``heads``, which name keys of the rows."""
+    cells = [[row.get(key, "–") for key in run["heads"]] for row in run["rows"]]
+    written = [[f"{cell:,}" if isinstance(cell, int) else cell for cell in row] for row in cells]
+    return str(Table([*run["heads"].values()], written))
+
+
 def rendered(page: str) -> str:
     """Return a page with its tables."""
     # imported here: these keep their rows by this module
@@ -42,8 +51,11 @@ def rendered(page: str) -> str:
         mark, kind, name, columns, rows = found.groups()
         if kind == "results":
             return f"{mark}{results.render(name, columns, rows)}\n<!-- end -->"
-        made = task_tables.TABLES.get(name, lambda: expectations.table(kept(name)["rows"]))
-        return f"{mark}\n{made()}\n\n<!-- end -->"
+        if made := task_tables.TABLES.get(name):
+            return f"{mark}\n{made()}\n\n<!-- end -->"
+        run = kept(name)
+        table = _with_heads(run) if "heads" in run else expectations.table(run["rows"])
+        return f"{mark}\n{table}\n\n<!-- end -->"
 
     return _BLOCK.sub(block, page)
 

@@ -158,6 +158,11 @@ TABLES: dict[str, Made] = {
         ("planner", "traffic"),
         {"collides %": Column("collision", digits=1, factor=100.0)},
     ),
+    "swift": Made(
+        "bench planners --planners idm,pdm,ego --seeds 0,1,2 --traffic swift,swift-1,swift-2",
+        ("planner", "traffic"),
+        {"collides %": Column("collision", digits=1, factor=100.0)},
+    ),
     "matrix": Made(
         "bench scenarios --limit 40 --generators idm,lane_idm,constant_velocity,replay,pdm,"
         "ccdiff,ego --planners idm,lane_idm,constant_velocity,pdm,ego",

@@ -8,7 +8,6 @@ begins. Run it from a checkout and build of its own, so that work on another doe
 from __future__ import annotations
 
 import argparse
-import fcntl
 import json
 import os
 import subprocess
@@ -16,7 +15,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-TRAININGS = Path(__file__).with_name("trainings.json")
+#: Arguments by name.
+TRAININGS: dict[str, list[str]] = {
+    training["name"]: training["arguments"]
+    for training in json.loads(Path(__file__).with_name("trainings.json").read_text("utf-8"))
+}
 #: The command runs on one core.
 ONE_CORE = {"OMP_NUM_THREADS": "1", "RAYON_NUM_THREADS": "1"}
 
@@ -28,26 +31,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         epilog="Other options, such as --scenes, go to each ccdiff-env train.",
         allow_abbrev=False,
     )
-    parser.add_argument("--list", type=Path, default=TRAININGS, help="names and arguments, as JSON")
     parser.add_argument("--out", type=Path, default=Path("runs/trainings"), help="a folder per run")
-    parser.add_argument("--only", nargs="+", help="names of the trainings to run (default: all)")
+    parser.add_argument("--only", nargs="+", choices=TRAININGS, default=[*TRAININGS])
     args, scenes = parser.parse_known_args(argv)
-    trainings = {t["name"]: t["arguments"] for t in json.loads(args.list.read_text("utf-8"))}
-    names = args.only or list(trainings)
-    if unknown := [name for name in names if name not in trainings]:
-        known = ", ".join(trainings)
-        parser.error(f"{args.list} has no training {', '.join(unknown)}, only {known}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    lock = (args.out / "lock").open("w")  # one call at a time
-    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     failed = False
-    for name in names:
+    for name in args.only:
         folder: Path = args.out / name
         done = folder / "done.json"
         if not done.exists():
             folder.mkdir(parents=True, exist_ok=True)
             # what one training made, another may begin with
-            own = [argument.replace("{out}", str(args.out)) for argument in trainings[name]]
+            own = [argument.replace("{out}", str(args.out)) for argument in TRAININGS[name]]
             command = ["nice", "-n", "19", sys.executable, "-m", "ccdiff_env.cli", "train"]
             command += ["--quiet", "--out", str(folder), *scenes, *own]
             with (folder / "log.txt").open("a", encoding="utf-8") as log:

@@ -29,7 +29,9 @@ def add_run_arguments(parser: argparse.ArgumentParser, *, several_seeds: bool = 
     add_scene_arguments(parser, "test")
     parser.add_argument("--out", required=True, type=Path, help="run folder; resumes a run in it")
     if several_seeds:
-        parser.add_argument("--seeds", help="of the episodes, comma-separated (default: 0,1,2)")
+        parser.add_argument(
+            "--seeds", help="seeds of the episodes, comma-separated (default: 0,1,2)"
+        )
     else:
         parser.add_argument("--seed", type=int, default=0, help="seed of the episodes")
     parser.add_argument(
@@ -114,7 +116,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument(
         "--t-at",
         metavar="K",
-        help="only these K with all of --t, others with the first (default: every K)",
+        help="K for which every --t is run; others only with the first (default: every K)",
     )
     add_weights(parser)
     parser.set_defaults(run=_traffic)
@@ -163,10 +165,10 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--nuplan-score",
         action="store_true",
-        help="a column of nuPlan's own score, by the metrics of nuplan-devkit",
+        help="add nuPlan's own score, from the metrics of nuplan-devkit",
     )
     # without a default, so that the protocol can tell whether it was given
-    add_traffic(parser, None, "the others, comma-separated", f" (default: {_USUAL_TRAFFIC})")
+    add_traffic(parser, None, "traffic, comma-separated", f" (default: {_USUAL_TRAFFIC})")
     for name, what, usual in (
         ("history", "of the log before an episode", "30, or 10 in scenes of 9.1 s"),
         ("horizon", "that an episode lasts at most", "100, or 80 in scenes of 9.1 s"),
@@ -175,7 +177,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
     parser.add_argument(
         "--protocol",
-        help="what fixes scenes, traffic and seeds, planner-1.2 (default: the options choose them)",
+        help="fix scenes, traffic and seeds by planner-1.2 (default: the options choose them)",
     )
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
@@ -190,6 +192,7 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.planners import planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
+    from ccdiff_env.bench.provenance import scene_hashes
     from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
     fixed = PROTOCOL.fix(args)
@@ -209,7 +212,7 @@ def _planners(args: argparse.Namespace) -> int:
             source, planners, traffic, seed=seed, window=window, by_nuplan=args.nuplan_score
         )
     ]
-    scenes = {k: v for job in jobs for k, v in job.made_from["scenes"].items()}
+    scenes = scene_hashes(source)
     if fixed:
         PROTOCOL.check(args.level, scenes)
     title = f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic"
@@ -229,8 +232,8 @@ def _planners(args: argparse.Namespace) -> int:
     pages = run.replays(row for of in worst for _, row in of)
     privileged = {job.arguments["planner"] for job in jobs if job.made_from["privileged"]}
     scores = [
-        report.verdict(found, planners, traffic),
-        *report.summary(found, planners, traffic, privileged),
+        report.verdict(found),
+        *report.summary(found, privileged),
         *report.parts_tables(found),
     ]
     files = {"figures.csv": report.figures_table(found)}
@@ -245,7 +248,7 @@ def _planners(args: argparse.Namespace) -> int:
         title,
         {
             "Scores": scores,
-            "Planners against one another": report.comparison(found, planners, traffic),
+            "Planners against one another": report.comparison(found),
             "Worst scenes": report.worst_table(found, max(args.replays, 10), pages),
         },
         rows,
@@ -261,14 +264,14 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_run_arguments(parser)
     names = "idm,constant_velocity,replay,pdm"
     parser.add_argument(
-        "--generators", default=names, help="egos that sets are made against, as --planners"
+        "--generators", default=names, help="egos that sets are generated against, as --planners"
     )
     parser.add_argument("--planners", default=names, help=f"planners to test, {PLANNERS}")
-    add_traffic(parser, "ccdiff-1", "what makes the sets")
+    add_traffic(parser, "ccdiff-1", "traffic of the sets")
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
-    add_replays(parser, "first collisions of every set, and worst scenarios of every planner")
+    add_replays(parser, "worst scenarios of every planner")
     parser.set_defaults(run=_scenarios)
 
 
@@ -311,9 +314,6 @@ def _scenarios(args: argparse.Namespace) -> int:
             "Cross matrix": report.tables(sets, rows, what),
             "Worst scenarios that can be avoided": worst_table(
                 avoidable, max(args.replays, 10), pages, "made against"
-            ),
-            "Collisions in the sets": report.collisions_tables(
-                sets, folders, run.folder, args.replays
             ),
         },
         rows,
@@ -378,21 +378,19 @@ def _leaderboard(args: argparse.Namespace) -> int:
 
 
 def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("verify", help="play episodes of a run again, and compare every bit")
+    parser = kinds.add_parser("verify", help="replay the episodes of a run and compare every bit")
     parser.add_argument("record", type=Path, help="run folder of bench planners, or submission")
     parser.add_argument(
         "--episodes",
         type=int,
-        help="only so many, drawn by chance; proves nothing of the others (default: all)",
+        help="replay only a random sample of this size (default: all)",
     )
-    parser.add_argument(
-        "--seed", type=int, help="repeats a draw of --episodes (default: another every time)"
-    )
+    parser.add_argument("--seed", type=int, help="seed of the sample (default: a random one)")
     parser.add_argument(
         "--own-code",
         action="store_true",
-        help="run models of traffic that a run folder names by module or file; for runs of your "
-        "own, since code in them runs (default: refused)",
+        help="run custom traffic that a run folder names by module or file, and thus its code: for "
+        "your own runs only (default: refused)",
     )
     parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
     parser.add_argument(
@@ -427,8 +425,8 @@ def _verify(args: argparse.Namespace) -> int:
     print(f"{same} of {found.played} episodes come out the same, bit for bit")
     if found.played < found.there:
         print(
-            f"{found.played} of {found.there} were played (--seed {found.seed}): "
-            "cite a number after all"
+            f"{found.played} of {found.there} were replayed (--seed {found.seed}): "
+            "replay all of them before you cite the result"
         )
     return 1 if found.differing else 0
 
@@ -437,9 +435,9 @@ def _add_submit(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     parser = kinds.add_parser("submit", help="write the raw results of a run into one file")
     parser.add_argument("folder", type=Path, help="run folder of bench planners")
     parser.add_argument("--out", type=Path, default=Path("submission.zip"), help="file to write")
-    parser.add_argument("--code", help="address of the planner's code (default: none, marked so)")
+    parser.add_argument("--code", help="link to the planner's code (default: none)")
     parser.add_argument(
-        "--training-data", help="what it was trained on, in words (default: not said)"
+        "--training-data", help="what the planner was trained on (default: not stated)"
     )
     parser.set_defaults(run=_submit)
 

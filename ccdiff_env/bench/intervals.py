@@ -65,16 +65,17 @@ def mean_interval(rows: Rows, name: str) -> Figure:
 
     NaN for a figure that no row has, and for the interval of few scenes.
     """
-    return _mean(np.array(list(scene_means(rows, name).values())))
+    return mean_of(np.array(list(scene_means(rows, name).values())))
 
 
 def difference(pairs: F64) -> tuple[Figure, float]:
     """Return the mean of paired differences by scene [S] with its interval, and its p."""
     few = len(pairs) < LEAST_SCENES
-    return _mean(pairs), np.nan if few else permutation_p(pairs)
+    return mean_of(pairs), np.nan if few else permutation_p(pairs)
 
 
-def _mean(values: F64) -> Figure:
+def mean_of(values: F64) -> Figure:
+    """Return the mean of values by scene [S] and its interval, as :func:`mean_interval`."""
     if len(values) < LEAST_SCENES:
         return (float(values.mean()) if len(values) else np.nan), np.nan, np.nan
     rng = np.random.default_rng(0)

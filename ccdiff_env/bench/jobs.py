@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.scenes import chunks, scene_names
-from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
@@ -59,11 +59,6 @@ class Job:
         function: Callable[..., Any] = getattr(importlib.import_module(module), name)
         return function(**self.arguments, **more)
 
-    def run(self) -> Any:
-        """Do the work."""
-        found = self.call()
-        return found[0] if isinstance(found, tuple) else found
-
 
 def chunk_jobs(name: str, function: str, source: str, size: int, **arguments: Any) -> list[Job]:
     """Return a job for each chunk of the scenes of a source; it gets their ``names``."""
@@ -75,8 +70,9 @@ def chunk_jobs(name: str, function: str, source: str, size: int, **arguments: An
 
 def _run(job: Job) -> tuple[str, Any, float]:
     start = time.process_time()
-    found = job.run()
-    return job.name, found, time.process_time() - start
+    found = job.call()
+    result = found[0] if isinstance(found, tuple) else found
+    return job.name, result, time.process_time() - start
 
 
 def run_jobs(
@@ -85,65 +81,59 @@ def run_jobs(
     *,
     workers: int = 1,
     progress: bool = True,
-) -> None:
+) -> dict[str, Any]:
     """Do the jobs whose results are not in the folder yet, or were made from something else.
 
     Each result is written to ``<name>.json`` once it is there, so that a killed run resumes.
     Results do not depend on the number of ``workers``, which are processes; one works in this one.
     One line on stderr says what has changed since results were made.
+
+    Returns:
+        dict: The results of all jobs by name, as JSON has them.
+
+    Raises:
+        DatasetError: If a result in the folder is damaged.
     """
     if workers < 1:
         raise ConfigError(f"workers is {workers}, expected at least 1")
-    if len({job.name for job in jobs}) != len(jobs):
-        raise ConfigError("jobs: two of the same name")
-    folder.mkdir(parents=True, exist_ok=True)
-    stale = {job.name: changed for job in jobs if (changed := _changed(job, folder))}
-    if stale:
-        first, changed = next(iter(stale.items()))
-        are = "result is" if len(stale) == 1 else "results are"
-        print(f"{len(stale)} {are} made again, as of {first}: {changed}", file=sys.stderr)
-    done = {job.name for job in jobs if (folder / f"{job.name}.json").exists()} - set(stale)
-    open_jobs = [job for job in jobs if job.name not in done]
     by_name = {job.name: job for job in jobs}
-    found: Iterator[tuple[str, Any, float]] = map(_run, open_jobs)
+    if len(by_name) != len(jobs):
+        raise ConfigError("jobs: two have the same name")
+    folder.mkdir(parents=True, exist_ok=True)
+    done: dict[str, Any] = {}
+    stale: list[str] = []
+    for job in jobs:
+        path = folder / f"{job.name}.json"
+        if path.exists():
+            with reading("result", path):
+                known = parsed_object(read_text(path))
+                if changed := _changed(known, job.description()):
+                    stale.append(f"{job.name} because of: {changed}")
+                else:
+                    done[job.name] = known["result"]
+    if stale:
+        are = "result is" if len(stale) == 1 else "results are"
+        print(f"{len(stale)} {are} made again, {stale[0]}", file=sys.stderr)
+    open_jobs = [job for job in jobs if job.name not in done]
+    made: Iterator[tuple[str, Any, float]] = map(_run, open_jobs)
     if workers > 1:
-        found = results_of_processes(_run, open_jobs, workers)
+        made = results_of_processes(_run, open_jobs, workers)
     if progress:
-        found = shown(found, what="jobs", total=len(jobs), done=len(done))
-    for name, result, seconds in found:
+        made = shown(made, what="jobs", total=len(jobs), done=len(done))
+    for name, result, seconds in made:
         entry = {**by_name[name].description(), "result": result, "seconds": round(seconds, 3)}
-        write_aside(folder / f"{name}.json", json.dumps(entry, allow_nan=False))
+        text = json.dumps(entry, allow_nan=False)
+        write_aside(folder / f"{name}.json", text)
+        done[name] = json.loads(text)["result"]
+    return done
 
 
-def results(jobs: Sequence[Job], folder: Path) -> dict[str, Any]:
-    """Return the results of jobs by name.
-
-    Raises:
-        DatasetError: If one is missing or damaged, or was made from something else.
-    """
-    return {job.name: _result(job, folder) for job in jobs}
-
-
-def _result(job: Job, folder: Path) -> Any:
-    changed = _changed(job, folder)
-    if changed:
-        raise DatasetError(f"the result is of something else ({changed}): {folder / job.name}.json")
-    path = folder / f"{job.name}.json"
-    with reading("result", path):
-        return parsed_object(read_text(path))["result"]
-
-
-def _changed(job: Job, folder: Path) -> str | None:
-    """Say what has changed since the result of a job was made, if there is one."""
-    path = folder / f"{job.name}.json"
-    if not path.exists():
-        return None
-    with reading("result", path):
-        known = parsed_object(read_text(path))
-    then, now = _flat(known), _flat(job.description())
-    for name in dict.fromkeys([*now, *then]):
-        if then.get(name) != now.get(name):
-            return f"{name} was {_short(then.get(name))}, now {_short(now.get(name))}"
+def _changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """Say in what two descriptions of a job differ first."""
+    old, new = _flat(then), _flat(now)
+    for name in dict.fromkeys([*new, *old]):
+        if old.get(name) != new.get(name):
+            return f"{name} was {old.get(name)!s:.60}, now {new.get(name)!s:.60}"
     return None
 
 
@@ -152,15 +142,7 @@ def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
     found = {"function": entry.get("function")}
     for part in ("arguments", "made_from"):
         given = entry.get(part)
-        given = given if isinstance(given, dict) else {}  # of a damaged file
-        for name, value in given.items():
+        for name, value in given.items() if isinstance(given, dict) else ():  # damaged otherwise
             inner = value.items() if isinstance(value, dict) else [("", value)]
             found |= {f"{name} {key}".rstrip(): one for key, one in inner}
     return found
-
-
-def _short(value: Any) -> str:
-    text = value if isinstance(value, str) else json.dumps(value)
-    if len(text) in (32, 64) and not set(text) - set("0123456789abcdef"):
-        return text[:12]
-    return text if len(text) <= 60 else text[:57] + "..."

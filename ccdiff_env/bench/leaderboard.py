@@ -59,14 +59,13 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
         named[f"{name} #{number + 1}" if number else name] = result
     traffic = list(members[0][1].rows)
     found = {(name, t): result.rows[t] for name, result in named.items() for t in traffic}
-    planners = list(named)
     bases = [name for name, result in named.items() if result.planner in BASES]
     privileged = {name for name, result in named.items() if result.privileged}
-    blocks = [verdict(found, planners, traffic), *summary(found, planners, traffic, privileged)]
+    blocks = [verdict(found), *summary(found, privileged)]
     for record, result in members:
         if record.code and result.planner_source is not None:
             blocks.append(
                 f"{record.label(result)}: [{record.code}]({record.code}), source "
                 f"{result.planner_source[:8]}, trained on: {record.training_data or 'not said'}"
             )
-    return document(*blocks, *comparison(found, planners, traffic, bases))
+    return document(*blocks, *comparison(found, bases))

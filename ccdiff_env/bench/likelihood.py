@@ -87,14 +87,9 @@ RANK_BINS = 5
 def motion_features(
     position: npt.NDArray[Any], heading: npt.NDArray[Any], valid: npt.NDArray[np.bool_], dt_s: float
 ) -> dict[str, F64]:
-    """Return speed, its change, yaw rate and its change by central differences.
+    """Return speed, its change, yaw rate and its change [A, T] by central differences.
 
-    Args:
-        position, heading, valid: [A, T, 2] m, [A, T] rad, [A, T].
-        dt_s: Seconds between steps.
-
-    Returns:
-        dict: [A, T] each, NaN where a neighbouring step is missing.
+    NaN where a neighbouring step is missing. ``position`` is [A, T, 2], m, ``heading`` [A, T], rad.
     """
     x = np.where(valid[..., None], position, np.nan).astype(np.float64)
     yaw = np.where(valid, heading, np.nan).astype(np.float64)
@@ -118,8 +113,7 @@ def motion_features(
 def box_gaps(position: npt.NDArray[Any], heading: npt.NDArray[Any], sizes: npt.NDArray[Any]) -> F64:
     """Return the distances [A, A] of oriented boxes, m; 0 where they overlap, inf on the diagonal.
 
-    Args:
-        position, heading, sizes: [A, 2] m, [A] rad, [A, 2] m.
+    ``position`` and ``sizes`` are [A, 2], m, ``heading`` [A], rad.
     """
     position, heading, sizes = (np.asarray(a, np.float64) for a in (position, heading, sizes))
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)

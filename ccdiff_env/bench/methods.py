@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from ccdiff_env.errors import UnknownNameError
@@ -18,30 +17,23 @@ _T = TypeVar("_T")
 class Method:
     """A way to drive the vehicles of the control set.
 
-    Args:
-        label: Name in tables.
-        driver: Driver of the control set, as :class:`~ccdiff_env.config.WorldConfig` names them.
-        ranking: ``cliques``, ``distance_cliques``, ``first`` or ``random``: who is in the control
-            set. With ``greedy`` and ``gradient``, CCDiff finds the set itself, at its first plan.
-        ccdiff: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-        guidance: What differs from the preset that ``ccdiff`` names.
+    ``ranking`` says who is in the control set. With ``greedy`` and ``gradient``, CCDiff finds the
+    set itself, at its first plan.
     """
 
-    label: str
-    driver: str
+    label: str  #: Name in tables.
+    driver: str  #: As :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking: str = "cliques"
+    #: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
     ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    #: What differs from the preset that ``ccdiff`` names.
     guidance: Mapping[str, Any] = field(default_factory=dict)
 
     def with_weights(self, weights: Mapping[str, str]) -> Method:
-        """Return the method with weights of a file, where one is given for its network.
-
-        Args:
-            weights: Weight files by driver. A method that names its own weights keeps them.
-        """
+        """Return the method with a file of ``weights``, by driver, unless it names its own."""
         if self.driver not in weights or "weights" in self.ccdiff:
             return self
-        return dataclasses.replace(self, ccdiff={**self.ccdiff, "weights": weights[self.driver]})
+        return replace(self, ccdiff={**self.ccdiff, "weights": weights[self.driver]})
 
     def options(self) -> dict[str, Any]:
         """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
@@ -56,7 +48,7 @@ def on_device(drivers: _T, device: str) -> _T:
     found: Any = drivers
     if device == "cpu" or found.driver not in NETWORKS:
         return drivers
-    moved: _T = dataclasses.replace(found, ccdiff={**found.ccdiff, "device": device})
+    moved: _T = replace(found, ccdiff={**found.ccdiff, "device": device})
     return moved
 
 
@@ -87,38 +79,59 @@ class NamedDrivers(dict[str, _T]):
         return self._kind(name.partition(":")[2], name)
 
 
-_ROUTES, _ONE_STEP = {"follow_route": True}, {"denoising_steps": 1}
-#: CCDiff's methods: what is added to its name and title, and options.
-_CCDIFF: dict[str, tuple[str, dict[str, Any]]] = {
-    "": ("", _GUIDED),
-    "_unguided": (", no guidance", {"num_samples": 5}),
-    "_one_sample": (", no guidance, N=1", {}),
-    "_careful": (", careful, N=1", {"careful": True}),
-    "_routes": (" with routes", {**_GUIDED, **_ROUTES}),
-    "_routes_unguided": (" with routes, no guidance", {"num_samples": 5, **_ROUTES}),
-    "_routes_one_sample": (" with routes, no guidance, N=1", _ROUTES),
-    "_routes_careful": (" with routes, careful, N=1", {**_ROUTES, "careful": True}),
-    # likely speeds of the log: less sure than the network, and vehicles that stay what they are
-    "_routes_calibrated": (
-        " with routes, careful, calibrated, N=1",
-        {**_ROUTES, "careful": True, "keep_noise": True, "temperature": 1.2},
-    ),
-    "_one_step": (", one denoising step", {**_GUIDED, **_ONE_STEP}),
-    "_one_step_unguided": (", one denoising step, no guidance", {"num_samples": 5, **_ONE_STEP}),
-    "_one_step_one_sample": (", one denoising step, no guidance, N=1", _ONE_STEP),
-    "_routes_one_step_one_sample": (
-        " with routes, one denoising step, no guidance, N=1",
-        {**_ONE_STEP, **_ROUTES},
+#: What a name's middle adds to the title and the options of a network,
+_FORMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "": ("", {}),
+    "_routes": (" with routes", {"follow_route": True}),
+    "_one_step": (", one denoising step", {"denoising_steps": 1}),
+    "_routes_one_step": (
+        " with routes, one denoising step",
+        {"follow_route": True, "denoising_steps": 1},
     ),
 }
-#: Rankings of the guided one: name, title, ranking.
-_RANKINGS = (
-    ("distance", "ranking by distance", "distance_cliques"),
-    ("first", "scene's order", "first"),
-    ("random", "random ranking", "random"),
-    ("greedy", "greedy cliques on G", "greedy"),
-    ("gradient", "aligned gradients", "gradient"),
-)
+#: and what its end adds: whether plans are guided.
+_ENDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "": ("", _GUIDED),
+    "_unguided": (", no guidance", {"num_samples": 5}),
+    "_one_sample": (", no guidance, N=1", {"num_samples": 1}),
+    "_careful": (", careful, N=1", {"careful": True}),
+    # likely speeds of the log: less sure than the network, and vehicles that stay what they are
+    "_calibrated": (
+        ", careful, calibrated, N=1",
+        {"careful": True, "keep_noise": True, "temperature": 1.2},
+    ),
+}
+_TWO = ("", "_unguided")
+#: The networks of the paper's table, CTG++, and CCDiff trained as they were: name and title.
+_NETWORKS = {
+    **{
+        name: KINDS[name].title
+        for name in NETWORKS
+        if name not in ("ccdiff", "tokens") and not KINDS[name].distilled
+    },
+    "ccdiff_equal": "CCDiff, equal training",
+}
+
+
+def _network(
+    name: str,
+    title: str,
+    forms: Iterable[str] = ("",),
+    ends: Iterable[str] = ("",),
+    **own: Any,
+) -> dict[str, Method]:
+    """Return the methods of a network, whose name has its driver's first; ``own`` come last."""
+    driver = name if name in NETWORKS else "ccdiff"
+    return {
+        name + form + end: Method(
+            title + _FORMS[form][0] + _ENDS[end][0],
+            driver,
+            ccdiff={**_ENDS[end][1], **_FORMS[form][1], **own},
+        )
+        for form in forms
+        for end in ends
+    }
+
 
 #: The methods by name. More may be added: a driver is all that one needs.
 METHODS: dict[str, Method] = NamedDrivers(
@@ -128,61 +141,45 @@ METHODS: dict[str, Method] = NamedDrivers(
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
         "idm": Method(KINDS["idm"].title, "idm"),
-        **{
-            f"ccdiff{name}": Method(f"{KINDS['ccdiff'].title}{title}", "ccdiff", ccdiff=options)
-            for name, (title, options) in _CCDIFF.items()
-        },
-        **{
-            f"ccdiff_{name}": Method(f"CCDiff, {title}", "ccdiff", ranking, _GUIDED)
-            for name, title, ranking in _RANKINGS
-        },
-        "ccdiff_no_enc": Method(
-            "CCDiff, no causal graph", "ccdiff", ccdiff={**_GUIDED, "graph": "full"}
-        ),
-        "ccdiff_released": Method(
-            "CCDiff, released guidance", "ccdiff", ccdiff={**_GUIDED, "guidance": "released"}
-        ),
+        **_network("ccdiff", "CCDiff", _FORMS, _ENDS),
+        **_network("tokens", KINDS["tokens"].title, ("", "_routes"), _ENDS),
+        SWIFT: Method(KINDS[SWIFT].title, SWIFT),
     },
 )
-
+METHODS |= _network("ccdiff_no_enc", "CCDiff, no causal graph", graph="full")
+METHODS |= _network("ccdiff_released", "CCDiff, released guidance", guidance="released")
 # the same guidance, less and more of it: ``ccdiff`` has criticality 1
-for _strength in (0.25, 0.5, 0.75, 1.5, 2.0):
-    METHODS[f"ccdiff-{_strength:g}"] = Method(
-        f"CCDiff, criticality {_strength:g}", "ccdiff", ccdiff={**_GUIDED, "criticality": _strength}
-    )
-
+for _x in (0.25, 0.5, 0.75, 1.5, 2.0):
+    METHODS |= _network(f"ccdiff-{_x:g}", f"CCDiff, criticality {_x:g}", criticality=_x)
 # classifier-free guidance by the causal graph, from the paper's range of weights
-for _weight in (1.3, 1.6, 1.9):
-    _cfg = {"cfg_weight": _weight, "num_samples": 5}
-    _label = f"CCDiff, w = {_weight:g}"
-    METHODS[f"ccdiff_cfg-{_weight:g}"] = Method(_label, "ccdiff", ccdiff={**_GUIDED, **_cfg})
-    METHODS[f"ccdiff_cfg-{_weight:g}_unguided"] = Method(
-        f"{_label}, no guidance", "ccdiff", ccdiff=_cfg
-    )
-
-#: The networks of the paper's table, CTG++, and CCDiff trained as they were, by name.
-_NETWORKS = {
-    **{
-        name: KINDS[name].title
-        for name in NETWORKS
-        if name not in ("ccdiff", "tokens") and not KINDS[name].distilled
-    },
-    "ccdiff_equal": "CCDiff, equal training",
-}
-for _name, _label in _NETWORKS.items():
-    _driver = _name.removesuffix("_equal")
-    _one = KINDS[_driver].one_plan
-    _own: dict[str, Any] = {"num_samples": 1 if _one else 5}
-    if _driver != _name:
+for _x in (1.3, 1.6, 1.9):
+    METHODS |= _network(f"ccdiff_cfg-{_x:g}", f"CCDiff, w = {_x:g}", ends=_TWO, cfg_weight=_x)
+for _name, _title in _NETWORKS.items():
+    _ends: tuple[str, ...] = (*_TWO, "_one_sample")
+    _own: dict[str, Any] = {}
+    if _name == "ccdiff_equal":
         _own["weights"] = str(shipped_weights(_name))
-    METHODS[_name] = Method(_label, _driver, ccdiff={**_GUIDED, **_own})
-    METHODS[f"{_name}_unguided"] = Method(f"{_label}, no guidance", _driver, ccdiff=_own)
-    if not _one:
-        METHODS[f"{_name}_one_sample"] = Method(
-            f"{_label}, no guidance, N=1", _driver, ccdiff={**_own, "num_samples": 1}
-        )
+    elif KINDS[_name].one_plan:
+        _ends, _own = _TWO, {"num_samples": 1}
+    METHODS |= _network(_name, _title, ends=_ends, **_own)
 # BITS chooses among its plans and does not move them
-METHODS["bits"] = dataclasses.replace(METHODS["bits"], guidance={"gradient_steps": 0})
+METHODS["bits"] = replace(METHODS["bits"], guidance={"gradient_steps": 0})
+
+
+def _variant(name: str, end: str, title: str, **changes: Any) -> None:
+    """Add a method that differs from another one."""
+    old = METHODS[name]
+    METHODS[f"{name}_{end}"] = replace(old, label=f"{old.label}, {title}", **changes)
+
+
+for _end, _title, _ranking in (
+    ("distance", "ranking by distance", "distance_cliques"),
+    ("first", "scene's order", "first"),
+    ("random", "random ranking", "random"),
+    ("greedy", "greedy cliques on G", "greedy"),
+    ("gradient", "aligned gradients", "gradient"),
+):
+    _variant("ccdiff", _end, _title, ranking=_ranking)
 #: Gradient steps as the authors have them (docs/rivals.md), of which those that do not denoise make
 #: four times as many. SimNet's are those of all.
 _AUTHORS: dict[str, dict[str, Any]] = {
@@ -192,28 +189,10 @@ _AUTHORS: dict[str, dict[str, Any]] = {
     **{name: {"gradient_steps": 1} for name in ("ctg", "ctgpp", "ccdiff_equal")},
 }
 for _name, _settings in _AUTHORS.items():
-    METHODS[f"{_name}_authors"] = dataclasses.replace(
-        METHODS[_name], label=f"{METHODS[_name].label}, authors' effort", guidance=_settings
-    )
+    _variant(_name, "authors", "authors' effort", guidance=_settings)
 # who published a choice among samples without the signs of the weights
 for _name in ("strive", "ctg", "ctgpp", "ccdiff_equal"):
-    METHODS[f"{_name}_published"] = dataclasses.replace(
-        METHODS[_name],
-        label=f"{METHODS[_name].label}, published filter",
-        guidance={"filter_weights": "unweighted"},
-    )
-# next tokens: guided, one draw, careful, with routes told and without
-METHODS["tokens"] = Method(KINDS["tokens"].title, "tokens", ccdiff=_GUIDED)
-for _routes, _told in (("", {}), ("_routes", {"follow_route": True})):
-    _label = KINDS["tokens"].title + (" with routes" if _told else "")
-    METHODS[f"tokens{_routes}_one_sample"] = Method(
-        f"{_label}, no guidance, N=1", "tokens", ccdiff=_told
-    )
-    METHODS[f"tokens{_routes}_careful"] = Method(
-        f"{_label}, careful", "tokens", ccdiff={**_told, "careful": True}
-    )
-
-METHODS[SWIFT] = Method(KINDS[SWIFT].title, SWIFT)
+    _variant(_name, "published", "published filter", guidance={"filter_weights": "unweighted"})
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(
@@ -224,11 +203,7 @@ PAPER_METHODS: tuple[str, ...] = tuple(
 )
 
 #: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
-REORDERED = {
-    name
-    for name, method in METHODS.items()
-    if method.ccdiff is _GUIDED and method.ranking != "cliques"
-}
+REORDERED = {name for name, method in METHODS.items() if method.ranking != "cliques"}
 
 
 def label_of(method: str) -> str:

@@ -44,10 +44,9 @@ def nuplan_score(rollout: Rollout, expert_steps: int) -> dict[str, float]:
 
 
 def nuplan_metrics(rollout: Rollout, expert_steps: int) -> dict[str, Any]:
-    """Return nuPlan's results of an episode by name of the metric, ``MetricStatistics``.
+    """Return nuPlan's results of an episode by name of the metric, as :func:`nuplan_score`.
 
-    Bounds are those of the devkit's files of settings. Parameters and errors are those of
-    :func:`nuplan_score`.
+    Bounds are those of the devkit's files of settings.
     """
     find_devkit()
     history, expert = _history(rollout, expert_steps)

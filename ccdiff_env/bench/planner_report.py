@@ -18,6 +18,7 @@ from ccdiff_env.bench.intervals import (
     figures,
     interval,
     mean_interval,
+    mean_of,
     scene_means,
 )
 from ccdiff_env.bench.planners import TRAFFIC
@@ -72,58 +73,36 @@ def _scores(
     return np.array([list(scene_means(found[planner, t], name).values()) for t in traffic])
 
 
-def _mean_of(values: npt.NDArray[np.float64]) -> Figure:
-    return mean_interval([{"score": value} for value in values.tolist()], "score")
-
-
-def headlines(found: Results, planner: str, traffic: Sequence[str]) -> dict[str, Figure]:
-    """Return scores of a planner over traffic, with 95 % intervals; the scenes are the same in all.
-
-    ``mean`` and ``worst`` of the traffic; ``rest``: the mean without the scenes in which the logged
-    driver scores 0, where there are such.
-    """
-    table = _scores(found, planner, traffic)
-    fails = _log_fails(found[planner, traffic[0]])
-    count = table.shape[1]
-    resamples = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
-    drawn = table[:, resamples].mean(axis=2).min(axis=0)
-    low, high = (np.nan, np.nan) if are_few(found[planner, traffic[0]]) else interval(drawn)
-    heads = {
-        "mean": _mean_of(table.mean(axis=0)),
-        "worst": (float(table.mean(axis=1).min()), low, high),
-    }
-    if fails and len(fails) < count:
-        scenes = scene_means(found[planner, traffic[0]], "score")
-        kept = [scene not in fails for scene in scenes]
-        heads["rest"] = _mean_of(table.mean(axis=0)[kept])
+def headlines(found: Results) -> dict[str, dict[str, Figure]]:
+    """Return ``mean`` and ``worst`` of the traffic for each planner, with 95 % intervals."""
+    planners, traffic = _names(found)
+    heads: dict[str, dict[str, Figure]] = {}
+    for planner in planners:
+        table = _scores(found, planner, traffic)
+        count = table.shape[1]
+        resamples = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
+        drawn = table[:, resamples].mean(axis=2).min(axis=0)
+        ends = (np.nan, np.nan) if _few(found) else interval(drawn)
+        worst = (float(table.mean(axis=1).min()), *ends)
+        heads[planner] = {"mean": mean_of(table.mean(axis=0)), "worst": worst}
     return heads
-
-
-def _log_fails(rows: Sequence[Row]) -> list[str]:
-    """Scenes in which the logged driver scores 0."""
-    return sorted({row["scene"] for row in rows if row.get("log_fails")})
 
 
 def figures_table(found: Results) -> Table:
     """Return score and parts of every planner in every traffic; their mean and worst traffic."""
-    planners, traffic = _names(found)
-    parts = _parts(found)
-    rows = [row for of in found.values() for row in of]
-    table = figures(rows, ("planner", "traffic"), parts)
+    parts, (_, traffic) = _parts(found), _names(found)
+    table = figures((row for of in found.values() for row in of), ("planner", "traffic"), parts)
     ends: TableRows = []
-    for planner in planners:
-        heads, count = headlines(found, planner, traffic), len(_scores(found, planner, traffic)[0])
+    for planner, heads in headlines(found).items():
+        count = len(scene_means(found[planner, traffic[0]], "score"))
         for name in ("mean", "worst"):
             ends.append([planner, name, count, heads[name], *[None] * (len(parts) - 1)])
     return Table(table.heads, [*table.rows, *ends])
 
 
-def comparison(
-    found: Results, planners: Sequence[str], traffic: Sequence[str], bases: Sequence[str] = BASES
-) -> list[Block]:
-    """Return paired differences of planners: from ``bases``, both IDM, and from the best
-    other one.
-    """
+def comparison(found: Results, bases: Sequence[str] = BASES) -> list[Block]:
+    """Return paired differences of planners: from ``bases``, both IDM, and the best other one."""
+    planners, traffic = _names(found)
     if len(planners) < 2:
         return ["One planner alone."]
     if _few(found):
@@ -138,7 +117,7 @@ def comparison(
                 same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
                 rows.append([short_name(planner), short_name(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
-    count = len(next(iter(scene_means(found[planners[0], t], "score") for t in traffic)))
+    count = len(scores[planners[0]])
     return [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
@@ -156,7 +135,7 @@ def pairs_table(found: Results) -> Table:
     for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]:
         for name in (name for name in ("score", NUPLAN) if name in _parts(found)):
             scores = {p: _scores(found, p, some, name).mean(axis=0) for p in planners}
-            means = {p: _mean_of(values) for p, values in scores.items()}
+            means = {p: mean_of(values) for p, values in scores.items()}
             for one, other in permutations(planners, 2):
                 less = difference(scores[one] - scores[other])
                 rows.append([one, other, label, name, means[one], means[other], *less])
@@ -230,70 +209,55 @@ def _why(row: Row) -> str:
     return ", ".join(why)
 
 
-def verdict(found: Results, planners: Sequence[str], traffic: Sequence[str]) -> str:
+def verdict(found: Results) -> str:
     """Say in two sentences who is best, and where planners break."""
     if _few(found):
         return FEW
+    planners, traffic = _names(found)
     mean = {key: mean_interval(rows, "score") for key, rows in found.items()}
-    label = {name: TRAFFIC[name].label for name in traffic}
     sentences = []
     over_all = {p: float(np.mean([mean[p, t][0] for t in traffic])) for p in planners}
     best, *rest = sorted(planners, key=lambda p: -over_all[p])
     if rest:
         seen = {key: round(value[0], 2) for key, value in mean.items()}  # ties as tables have them
         first = [t for t in traffic if all(seen[best, t] >= seen[p, t] for p in rest)]
-        where = (
-            "in all traffic" if len(first) == len(traffic) else f"in {len(first)} of {len(traffic)}"
-        )
-        text = f"{short_name(best)} is best over all ({over_all[best]:.2f}), first {where}"
-        near = [
-            short_name(p) for p in rest if all(mean[p, t][2] >= mean[best, t][1] for t in traffic)
-        ]
+        of_all = f"{len(first)} of {len(traffic)}"
+        where = "all traffic" if len(first) == len(traffic) else of_all
+        text = f"{short_name(best)} is best over all ({over_all[best]:.2f}), first in {where}"
+        near = [p for p in rest if all(mean[p, t][2] >= mean[best, t][1] for t in traffic)]
         if near:
-            text += f"; the intervals overlap with those of {' and '.join(near)} everywhere"
+            others = " and ".join(map(short_name, near))
+            text += f"; the intervals overlap with those of {others} everywhere"
         sentences.append(text)
     drops = []
     for planner in planners:
-        top = max(traffic, key=lambda t: mean[planner, t][0])
-        low = min(traffic, key=lambda t: mean[planner, t][0])
-        drops.append((mean[planner, top][0] - mean[planner, low][0], planner, top, low))
-    drop, planner, top, low = max(drops)
+        worst_first = sorted((mean[planner, t][0], TRAFFIC[t].label) for t in traffic)
+        low, top = worst_first[0], worst_first[-1]
+        drops.append((top[0] - low[0], short_name(planner), top, low))
+    drop, name, top, low = max(drops)
     if drop >= 0.005:
-        sentences.append(
-            f"{short_name(planner)} breaks most: from {mean[planner, top][0]:.2f} ({label[top]}) "
-            f"to {mean[planner, low][0]:.2f} ({label[low]})"
-        )
+        ends = "from {:.2f} ({}) to {:.2f} ({})".format(*top, *low)
+        sentences.append(f"{name} breaks most: {ends}")
     count = len({row["scene"] for row in next(iter(found.values()))})
     return ". ".join([*sentences, counted(count, "scene")]) + "."
 
 
-def summary(
-    found: Results,
-    planners: Sequence[str],
-    traffic: Sequence[str],
-    privileged: Collection[str] = (),
-) -> list[Block]:
+def summary(found: Results, privileged: Collection[str] = ()) -> list[Block]:
     """Return a matrix of planners and traffic, the best of each bold, and its notes.
 
     Planners that use what a vehicle cannot know are marked.
     """
-    heads = {planner: headlines(found, planner, traffic) for planner in planners}
-    ends = {"mean": "mean", "worst": "worst", "rest": "mean, log can"}
-    ends = {name: title for name, title in ends.items() if name in heads[planners[0]]}
+    planners, traffic = _names(found)
+    heads = headlines(found)
     some = len(planners) > 1 and not _few(found)
     scores = [Column(t, TRAFFIC[t].label, best=some) for t in traffic]
     lines: TableRows = []
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
         cells = [mean_interval(found[planner, t], "score") for t in traffic]
         mark = " †" if planner in privileged else ""
-        lines.append([short_name(planner) + mark, *cells, *(heads[planner][n] for n in ends)])
-    columns = [*scores, *(Column(name, title) for name, title in ends.items())]
+        lines.append([short_name(planner) + mark, *cells, *heads[planner].values()])
+    columns = [*scores, Column("mean"), Column("worst")]
     blocks: list[Block] = [Table(["score", *columns], lines)]
     if privileged:
         blocks.append("† privileged: uses what a vehicle cannot know, as the log.")
-    if "rest" in ends:
-        fails = ", ".join(_log_fails(next(iter(found.values()))))
-        blocks.append(
-            f"*log can*: without the scenes in which the logged driver scores 0 ({fails})."
-        )
     return blocks

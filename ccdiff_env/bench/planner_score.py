@@ -33,12 +33,7 @@ _DIGITS = 8  #: nuPlan rounds smoothed figures to so many digits.
 
 
 class Judge:
-    """Follows one world of a batch while it is driven, and scores the episode.
-
-    Args:
-        worlds: Worlds at the beginning of their episodes.
-        world_idx: Which of them; judged is the agent of its first slot.
-    """
+    """Follows the first slot of one world of a batch while it is driven, and scores the episode."""
 
     def __init__(self, worlds: Worlds, world_idx: int) -> None:
         self._worlds, self._world_idx = worlds, world_idx
@@ -85,9 +80,6 @@ class Judge:
 
         Without a road ``on_road`` is ``None``, and no part of the score. ``comfort_share`` is the
         share of the steps within all limits of comfort; ``comfort`` is 1 where all are.
-
-        Args:
-            metrics: Metrics of the episode by name.
         """
         dt_s = self._worlds.config.dt_s
         columns = dict(zip(self._at, np.array(self._columns, np.float64).T, strict=True))

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.bench.jobs import Job
+from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import NamedDrivers, on_device
 from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import Judge
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import scene_hashes, source_digest
-from ccdiff_env.bench.scenes import chunks, scene_names, scenes_of
+from ccdiff_env.bench.provenance import source_digest
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import Ego, ego_driver
@@ -54,34 +53,25 @@ _TITLES = driver_titles()
 
 
 #: Options of CCDiff that have names of their own, and their titles.
-_FORMS: dict[str, tuple[dict[str, Any], str]] = {
-    "avoidable": ({"avoidable_only": True}, "avoidable only"),
-    "one-step": ({"denoising_steps": 1}, "one step"),
-    "routes": ({"follow_route": True}, "routes"),
-    "routes-one-step": ({"follow_route": True, "denoising_steps": 1}, "routes, one step"),
+_FORMS: dict[str, tuple[str, dict[str, Any]]] = {
+    "avoidable": (", avoidable only", {"avoidable_only": True}),
+    "one-step": (", one step", {"denoising_steps": 1}),
+    "routes": (", routes", {"follow_route": True}),
+    "routes-one-step": (", routes, one step", {"follow_route": True, "denoising_steps": 1}),
 }
 
 
-def _critical(level: float, driver: str = "ccdiff", form: str | None = None) -> Traffic:
-    options = {"criticality": level, "num_samples": 1}
-    label = f"{_TITLES[driver]}, criticality {level:g}"
-    if form is None:
-        return Traffic(label, driver, options)
-    chosen, title = _FORMS[form]
-    return Traffic(f"{label}, {title}", driver, {**options, **chosen})
+def _critical(level: float, driver: str = "ccdiff", title: str = "", **options: Any) -> Traffic:
+    label = f"{_TITLES[driver]}, criticality {level:g}{title}"
+    return Traffic(label, driver, {"criticality": level, "num_samples": 1, **options})
 
 
 def _named(label: str, name: str) -> Traffic:
-    kind, _, path = name.partition(":")
+    kind, _, policy = name.partition(":")
     if kind != "adversary":
         return Traffic(label, name)
-    return _chosen_by(path)
-
-
-def _chosen_by(policy: str) -> Traffic:
-    pace = {"criticality": 1.0, "num_samples": 1, "replan_steps": 20, "denoising_steps": 1}
-    options: dict[str, Any] = {**pace, "adversary_policy": policy}
-    return Traffic(f"CCDiff, chosen by {Path(policy).stem}", "ccdiff", options)
+    pace: dict[str, Any] = {"replan_steps": 20, "denoising_steps": 1, "adversary_policy": policy}
+    return replace(_critical(1.0, **pace), label=f"CCDiff, chosen by {Path(policy).stem}")
 
 
 TRAFFIC: dict[str, Traffic] = NamedDrivers(
@@ -100,11 +90,13 @@ TRAFFIC: dict[str, Traffic] = NamedDrivers(
         **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.5)},
         **{f"{name}-{c:g}": _critical(c, name) for c in (1.0, 2.0) for name in NETWORKS},
         **{
-            f"ccdiff-{level:g}-{form}": _critical(level, form=form)
+            f"ccdiff-{level:g}-{form}": _critical(level, "ccdiff", title, **options)
             for level in (1.0, 2.0)
-            for form in _FORMS
+            for form, (title, options) in _FORMS.items()
         },
-        "ccdiff-1-learned": replace(_chosen_by(LEARNED), label="CCDiff, a learned adversary"),
+        "ccdiff-1-learned": replace(
+            _named("", f"adversary:{LEARNED}"), label="CCDiff, a learned adversary"
+        ),
     },
 )
 for _name, _own in PROTOCOL.fields["traffic"].items():
@@ -164,33 +156,21 @@ def planner_jobs(
         TRAFFIC[name]  # refuses a name that does not exist
     for planner in planners:
         PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
-    privileged = {planner: is_privileged(planner) for planner in planners}
-    parts = chunks(scene_names(source), CHUNK)
-    drives = {(p, t): _sources(p, t) for p in planners for t in traffic}
+    given: dict[str, Any] = {"window": dict(window)} if window else {}
+    given |= {"by_nuplan": True} if by_nuplan else {}
+    made_from = {
+        planner: {"protocol": PROTOCOL.sha256, "privileged": is_privileged(planner)}
+        for planner in planners
+    }
     return [
-        Job(
-            f"{file_name(planner)}-{file_name(name)}-{seed}-{i:03d}",
-            f"{__name__}:evaluate",
-            {
-                "source": source,
-                "names": names,
-                "planner": planner,
-                "traffic": name,
-                "seed": seed,
-                "sources": drives[planner, name],
-                **({"window": dict(window)} if window else {}),
-                **({"by_nuplan": True} if by_nuplan else {}),
-            },
-            {
-                "protocol": PROTOCOL.sha256,
-                "scenes": scene_hashes(source, names),
-                "privileged": privileged[planner],
-            },
-        )
+        replace(job, made_from=made_from[planner])
         for planner in planners
         for name in traffic
-        for i, names in enumerate(parts)
-    ]
+        for job in chunk_jobs(
+            f"{file_name(planner)}-{file_name(name)}-{seed}", f"{__name__}:evaluate", source, CHUNK,
+            planner=planner, traffic=name, seed=seed, sources=_sources(planner, name), **given,
+        )
+    ]  # fmt: skip
 
 
 def is_privileged(planner: str) -> bool:
@@ -202,25 +182,6 @@ def is_privileged(planner: str) -> bool:
 def _sources(planner: str, traffic: str) -> dict[str, str | None]:
     """Digests of what drives, where it is no part of the package."""
     return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
-
-
-def with_log(
-    rows: Sequence[dict[str, Any]],
-    source: str,
-    names: Sequence[str],
-    window: Mapping[str, int] | None = None,
-) -> list[dict[str, Any]]:
-    """Return rows that say whether the logged driver scores 0 in the scene: ``log_fails``."""
-    fails = _log_fails(source, tuple(names), tuple((window or {}).items()))
-    return [{**row, "log_fails": row["scene"] in fails} for row in rows]
-
-
-@lru_cache(maxsize=64)
-def _log_fails(
-    source: str, names: tuple[str, ...], window: tuple[tuple[str, int], ...]
-) -> frozenset[str]:
-    rows = play(scenes_of(source, names), "replay", TRAFFIC["replay"], options=dict(window))
-    return frozenset(row["scene"] for row in rows if row["score"] == 0.0)
 
 
 def evaluate(
@@ -259,7 +220,7 @@ def evaluate(
         for row in rows:
             row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
     chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
-    return with_log(rows, source, names, window), chosen
+    return rows, chosen
 
 
 def play(

@@ -25,11 +25,7 @@ _FIXED = ("traffic", "seeds", "scenes", "split", "limit")
 
 @dataclass(frozen=True)
 class Protocol:
-    """What the file of a protocol says, and the file's hash.
-
-    Levels (scenes and seeds), size of a batch of scenes, panel of traffic, hashes of weights,
-    options of the world, score, statistics.
-    """
+    """What the file of a protocol says, and the file's hash."""
 
     fields: Mapping[str, Any]
     sha256: str
@@ -56,25 +52,15 @@ class Protocol:
         return tuple(self.fields["levels"])
 
     def world(self, seat: Seat | None, who: str, dt_s: float) -> WorldConfig:
-        """Return the world of an episode: what is fixed, and what a planner chooses.
-
-        ``seat`` is the planner, ``None`` for a driver of the world; ``who`` is what errors call it.
-
-        Raises:
-            ConfigError: If the planner asks for anything else; names it.
-        """
+        """Return the world of an episode, see :func:`.world_of_seat`."""
         world = WorldConfig.from_json(json.dumps(self.fields["world"]))
         return world_of_seat(world, seat, who, fixed_by=self.name, dt_s=dt_s)
 
     def fix(self, args: argparse.Namespace) -> dict[str, Any]:
         """Fill in the arguments that a level fixes, where ``--protocol`` is given.
 
-        Returns:
-            dict: Settings of the run: ``protocol``, its name, and ``level``.
-
-        Raises:
-            UnknownNameError: If there is no such protocol or level.
-            ConfigError: If an argument was given that is fixed, or the data is another.
+        Returns settings of the run: ``protocol``, its name, and ``level``. Refuses an argument that
+        is fixed, and other data.
         """
         if args.protocol is None:
             if args.level is not None:
@@ -102,11 +88,7 @@ class Protocol:
         return {"protocol": self.name, "level": args.level}
 
     def check(self, level: str, hashes: Mapping[str, str]) -> None:
-        """Refuse scenes, by their content hashes, or weights that are not those of a level.
-
-        Raises:
-            DatasetError: Names the scene or the network.
-        """
+        """Refuse scenes, by their content hashes, or weights that are not those of a level."""
         expected = self.fields["levels"][level].get("hashes")
         if expected is not None:
             for name in dict.fromkeys([*expected, *hashes]):

@@ -104,12 +104,8 @@ def source_digest(name: str) -> str | None:
 
     Of a file that is its bytes. Of ``module:name``, and of a planner of nuPlan, it is the source of
     the module, of all that it imports from outside of installed packages, and the bytes of the
-    files that its optional attribute ``files``, or an option, names.
-
-    Raises:
-        DatasetNotFoundError: If a file is missing.
-        ConfigError: If the source has changed since this process first saw it: what is imported
-            stays as it was.
+    files that its optional attribute ``files``, or an option, names. A :class:`ConfigError` refuses
+    a source that has changed since this process first saw it: what is imported stays as it was.
     """
     path = name.partition("?")[0]
     kind, _, rest = path.partition(":")

@@ -39,6 +39,7 @@ MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
 MOST_STEPS = 100_000  #: Steps that an episode may last, or begin after.
 _MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
 _MARKS = frozenset("|[]")  #: Letters that mean something in tables of Markdown.
+_FORMER = ("log_fails",)  #: Figures that rows of this protocol had once.
 _VERSION = re.compile(r"[\w.+-]{1,40}", re.ASCII)
 
 
@@ -103,11 +104,7 @@ class Record:
                 raise ConfigError(f"a run of {kind!a:.40}, expected planners")
             if declared and (made := declared.get("format")) != FORMAT:
                 raise DatasetError(f"format {made!a:.40}, this release reads {FORMAT!r}")
-            entries = [
-                _entry(fields, str(path / name))
-                for name, fields in parsed.items()
-                if fields.get("function") == FUNCTION or not name.startswith("raw/replay-")
-            ]
+            entries = [_entry(fields, str(path / name)) for name, fields in parsed.items()]
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")
             code, trained = _declared(declared.get("code"), declared.get("training_data"))
@@ -195,7 +192,7 @@ def _of_file(path: Path) -> Iterator[tuple[str, str]]:
         members = [info for info in file.infolist() if not info.is_dir()]
         names = [info.filename for info in members]
         if len(set(names)) < len(names):
-            raise DatasetError("two members of one name")
+            raise DatasetError("two members have the same name")
         if sum(info.file_size for info in members) > MOST_BYTES:
             raise DatasetError(f"more than {MOST_BYTES} bytes, unpacked")
         for info in members:
@@ -283,13 +280,11 @@ def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, An
             continue
         if type(row[part]) not in (float, int) or not 0.0 <= row[part] <= 1.0:
             raise ValueError(f"{part} {row[part]!a:.80}, expected 0 to 1")
-    if type(row["log_fails"]) is not bool:
-        raise ValueError(f"log_fails {row['log_fails']!r}")
     made = score_of(row)
     if made != row["score"]:
         raise ValueError(f"score of {row['scene']} is {row['score']}, its parts make {made}")
     # no check plays nuPlan's metrics again, and no leaderboard shows them
-    return {name: value for name, value in row.items() if name != NUPLAN}
+    return {name: value for name, value in row.items() if name not in (NUPLAN, *_FORMER)}
 
 
 def submit(

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.jobs import Job, results, run_jobs
+from ccdiff_env.bench.jobs import Job, run_jobs
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import Pages, make_replays
@@ -36,16 +36,10 @@ _HIDDEN = ("job", "actions", "action")
 class Run:
     """A run folder of a resumable benchmark.
 
-    Args:
-        args: Arguments of :func:`~ccdiff_env.bench.cli.add_run_arguments`.
-        benchmark: Its name.
-        **settings: What else decides the results, ``seeds`` where there are several; a folder
-            belongs to one choice of all of it, and to the scenes, the seed, and custom weights.
-            Results that another package, other weights or another file of a planner made are made
-            again.
-
-    Raises:
-        ConfigError: If the folder holds a run with other settings.
+    ``args`` are those of :func:`~ccdiff_env.bench.cli.add_run_arguments`, ``settings`` what else
+    decides the results, ``seeds`` where there are several. A folder belongs to one choice of all of
+    it: a :class:`ConfigError` refuses others. Results that another package, other weights or
+    another file of a planner made are made again.
     """
 
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
@@ -60,7 +54,7 @@ class Run:
         self._options = {"workers": args.workers, "progress": not args.quiet}
         self._device: str = args.device
         self._open = bool(args.open)
-        self._start, self._num_jobs = time.perf_counter(), 0
+        self._start = time.perf_counter()
         #: Weight files by network, in place of the shipped ones.
         self.own_weights = _weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
@@ -120,22 +114,16 @@ class Run:
             self._digests[name] = source_digest(name)
         return self._digests[name]
 
-    def results(self, jobs: Sequence[Job]) -> dict[str, Any]:
-        """Do the jobs whose results are not there yet; return the results of all by name."""
-        jobs = [self._dated(job) for job in jobs]
-        self._begin()
-        run_jobs(jobs, self.folder / "raw", **self._options)
-        self._num_jobs += len(jobs)
-        return results(jobs, self.folder / "raw")
-
     def episodes(self, jobs: Sequence[Job], *keys: str, **names: str) -> list[dict[str, Any]]:
         """Do the jobs, whose results are lists of episodes; return all of them in one list.
 
         Each episode gets its ``job``, whose arguments ``keys``, and further ones by other names.
         """
-        self._jobs |= {job.name: job for job in jobs}
+        dated = [self._dated(job) for job in jobs]
+        self._begin()
+        self._jobs |= {job.name: job for job in dated}
         given = {**{key: key for key in keys}, **names}
-        by_name, found = self.results(jobs), []
+        by_name, found = run_jobs(dated, self.folder / "raw", **self._options), []
         for job in jobs:
             rows = by_name[job.name]
             with reading("result", self.folder / "raw" / f"{job.name}.json"):
@@ -148,8 +136,7 @@ class Run:
 
     def replays(self, rows: Iterable[Mapping[str, Any]]) -> Pages:
         """Write replay pages of episodes; return their addresses from the run folder."""
-        dated = {name: self._dated(job) for name, job in self._jobs.items()}
-        return make_replays(((dated[r["job"]], r["scene"]) for r in rows), self.folder)
+        return make_replays(((self._jobs[r["job"]], r["scene"]) for r in rows), self.folder)
 
     def report(
         self,
@@ -159,11 +146,9 @@ class Run:
         files: Mapping[str, Table],
         *plots: Path | None,
     ) -> int:
-        """Write the report, say its first part, and return the exit status.
+        """Write all files of the report, say its first part, and return the exit status.
 
-        ``report.html`` and ``table.md`` have all parts, ``table.tex`` their tables,
-        ``episodes.csv`` a row per episode; ``files`` are further tables by file name. The first
-        part is what was found.
+        ``files`` are further tables by file name.
         """
         if not self._begun:
             self._begin()
@@ -196,7 +181,7 @@ class Run:
         if more:
             print(f"figure by figure: {self.folder / 'table.md'}")
         seconds = time.perf_counter() - self._start
-        print(f"{counted(self._num_jobs, 'job')} in {seconds:.0f} s; report:")
+        print(f"{counted(len(self._jobs), 'job')} in {seconds:.0f} s; report:")
         say_page(page, open_it=self._open)
         return 0
 

@@ -21,7 +21,7 @@ from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
 from ccdiff_env.bench.provenance import sha256_of
 from ccdiff_env.bench.scenes import chunks, scenes_of
-from ccdiff_env.bench.traffic import motion_of
+from ccdiff_env.bench.traffic import guidance_cost, motions
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
@@ -36,11 +36,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def set_folders(generators: Sequence[str], folder: Path) -> dict[str, Path]:
-    """Return the folder of the set of each generator.
-
-    Raises:
-        ConfigError: If two generators would share one.
-    """
+    """Return the folder of each generator's set; refuses two generators of one name."""
     stems = [Path(g).stem if g.endswith(".zip") else g for g in generators]
     names = [re.sub(r"[^\w.-]+", "-", stem) for stem in stems]
     if len(set(names)) != len(names):
@@ -56,10 +52,7 @@ def generation_jobs(
     seed: int = 0,
     num_plans: int = 128,
 ) -> list[Job]:
-    """Return the jobs that make scenario sets: generators x chunks of the scenes.
-
-    ``folders`` are those of the generators' sets, on a disc that all workers see.
-    """
+    """Return the jobs that make sets: generators, with their folders, x chunks of the scenes."""
     given = {"traffic": traffic, "seed": seed, "num_plans": num_plans}
     TRAFFIC[traffic]  # refuses a name that does not exist
     if window_of(source) is not None:
@@ -88,14 +81,9 @@ def generate(
 ) -> list[dict[str, Any]]:
     """Record episodes of a generator and save them: a row per scene.
 
-    ``num_plans`` ego plans are tried to avoid a collision.
-
-    Returns:
-        list of dict: Scene and the hash of its content; file of the episode in the folder, its
-            SHA-256, and that of who was where, which does not depend on who compressed it. Whether
-            the generator collides before its goal; side, partner, time and fault of that collision;
-            whether some plan avoids it, the others doing as recorded. Mean distance from the log of
-            the vehicles that follow plans, and what guidance cost, see :func:`realism`.
+    A row has the hash of the scene, the SHA-256 of the file and that of who was where, which does
+    not depend on who compressed it; the first collision before the goal, and whether one of
+    ``num_plans`` ego plans avoids it, the others doing as recorded; and :func:`realism`.
     """
     drivers, scenes = on_device(TRAFFIC[traffic], device), scenes_of(source, names)
     _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
@@ -116,8 +104,6 @@ def generate(
                 "file": file,
                 "sha256": sha256_of(place / file),
                 "collision": bool(hits),
-                "kind": first and first.kind,
-                "partner": first and first.partner_id,
                 "time_s": first and round(first.step * rollout.dt_s, 3),
                 "at_fault": any(event.at_fault for event in hits),
                 "avoidable": verdict is None or verdict.avoidable,
@@ -141,33 +127,17 @@ def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
 def realism(rollout: Rollout) -> dict[str, float | None]:
     """Return how far the vehicles that follow plans are from the log, and what guidance cost.
 
-    ``realism_cost``: mean total variation of the guided plans, the paper's C(tau); ``shift_sigmas``
-    the same in standard deviations; ``fde_m``: mean distance from the log at the last common step.
+    ``fde_m``: mean distance from the log at the last common step; see :func:`.guidance_cost`.
     """
     moved = {int(agent) for plan in rollout.plans for agent in plan.agents[plan.follows_plan]}
     agents = np.array([i for i in sorted(moved) if rollout.agent_ids[i] != "ego"], np.int64)
-    guided = [plan for plan in rollout.plans if plan.guided.any()]
-
-    def mean(name: str) -> float | None:
-        values = [getattr(plan, name)[plan.guided] for plan in guided]
-        found = np.concatenate(values).mean() if values else np.nan
-        return float(found) if np.isfinite(found) else None
-
-    scene, start = rollout.scene, rollout.start_step
-    log = motion_of(scene, scene.tracks(), agents, slice(start, start + rollout.num_steps))
-    fde = motion_of(scene, rollout.tracks(), agents).displacement(log).mean()[1]
-    return {
-        "realism_cost": mean("realism_cost"),
-        "shift_sigmas": mean("shift_sigmas"),
-        "fde_m": fde if np.isfinite(fde) else None,
-    }
+    motion, log = motions(rollout, agents)
+    fde = motion.displacement(log).mean()[1]
+    return {**guidance_cost(rollout.plans), "fde_m": fde if np.isfinite(fde) else None}
 
 
 def set_digest(made: Job, rows: Rows) -> str:
-    """Return the SHA-256 of settings and episodes: that of equal sets, on any machine.
-
-    ``made`` is one of the :func:`generation_jobs` of the set, ``rows`` what all of them returned.
-    """
+    """Return the SHA-256 of settings and episodes, which no machine changes."""
     given = made.arguments
     settings = {
         "ccdiff": dict(TRAFFIC[given["traffic"]].ccdiff),
@@ -183,8 +153,7 @@ def cross_jobs(
 ) -> list[Job]:
     """Return the jobs that drive every planner in every set and in traffic that reacts to it.
 
-    ``sets`` are what the jobs ``made``, of which one per generator is enough, returned. Traffic
-    that reacts is played by :func:`~ccdiff_env.bench.planners.planner_jobs`.
+    ``sets`` are what the jobs ``made``, of which one per generator is enough, returned.
     """
     recorded = [
         Job(
@@ -218,19 +187,10 @@ def evaluate_in_set(
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
-    """Drive scenarios of a set with a planner, and record some.
+    """Drive scenarios of a set with a planner, as :func:`.drive`; ``files`` have their SHA-256.
 
     The ego's own log stays in the scenes, so that route, goal and progress are the same in every
-    set.
-
-    Args:
-        folder, files, generator: Folder of the set, SHA-256 of its episodes by file, the ego that
-            it was made against.
-        planner, seed, record: As in :func:`ccdiff_env.bench.planners.drive`, whose results follow.
-        device: Not used, as no network drives; benchmarks pass it to all jobs.
-
-    Raises:
-        DatasetError, DatasetNotFoundError: If an episode is missing or has changed.
+    set. A :class:`DatasetError` refuses episodes that are missing or have changed.
     """
     scenes = []
     for file, sha256 in files.items():

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ccdiff_env.bench.intervals import LEAST_SCENES, figures, grouped, mean_interval
 from ccdiff_env.bench.planner_report import short_name
-from ccdiff_env.bench.replays import write_replay
-from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.system.files import file_name
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
 Row = Mapping[str, Any]
@@ -111,28 +107,3 @@ def _matrix(part: Sequence[Row], name: str, title: str) -> Table:
         lines.append(["mean, own set left out", "", *means])
     heads = (Column(planner, short_name(planner)) for planner in planners)
     return Table(["made against", "scenarios", *heads], lines, title)
-
-
-def collisions_tables(
-    sets: Sets, folders: Mapping[str, Path], folder: Path, replays: int
-) -> list[Block]:
-    """Return the collisions of the egos that the sets, in ``folders``, were made against.
-
-    The first ``replays`` of each set get a replay page in the run ``folder``.
-    """
-    heads = ("scene", "hit", "time s", "at fault", "avoidable")
-    found: list[Block] = []
-    for generator, made in sets.items():
-        rows: TableRows = []
-        for i, s in enumerate(s for s in made if s["collision"]):
-            scene, place = s["scene"], folders[generator]
-            if i < replays:
-                page = file_name(f"set-{place.name}-{scene}", ".html")
-                address = write_replay(Rollout.load(place / s["file"]), folder / "replays" / page)
-                scene = f"[{scene}]({address})"
-            verdicts = ["yes" if s[name] else "no" for name in ("at_fault", "avoidable")]
-            kind = s["kind"].removeprefix("collision_")
-            figures = (s[c.name] for c in _REALISM)
-            rows.append([scene, kind, f"{s['time_s']:.1f}", *verdicts, *figures])
-        found.append(Table([*heads, *_REALISM], rows, f"Made against {short_name(generator)}"))
-    return found

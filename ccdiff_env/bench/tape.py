@@ -25,12 +25,7 @@ class Tape:
     """Takes down one world of a batch while it is driven.
 
     The digest is over the scene's hash, the seed, and of every step the action, the columns of
-    ``info``, and the states of all agents.
-
-    Args:
-        worlds: Worlds at the beginning of their episodes.
-        world_idx: Which of them.
-        driver: Who drives the ego; actions are kept where it is driven from outside.
+    ``info``, and the states of all agents. Actions are kept where the ego's ``driver`` is external.
     """
 
     def __init__(self, worlds: Worlds, world_idx: int, driver: str) -> None:

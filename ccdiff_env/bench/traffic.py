@@ -25,7 +25,8 @@ from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, o
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
-from ccdiff_env.record.episode import begin, play
+from ccdiff_env.record.episode import begin, play, recorders_of
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
@@ -51,18 +52,10 @@ def traffic_jobs(
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
-    The floor, K = 0, is always among them. What cannot differ is not played twice: other periods of
-    methods that do not plan, and all vehicles by another ranking than that of ``ccdiff``, where
-    that one is asked for.
-
-    Args:
-        num_controlled: Numbers of controlled vehicles K; ``None`` is all.
-        replan_controlled: Those K at which all periods are played, the first one alone at the
-            others; all K for ``None``.
-        weights: Weight files by driver, in place of the shipped ones.
-
-    Raises:
-        UnknownNameError: For a method that does not exist.
+    The floor, K = 0, is always among them; K = ``None`` is all vehicles. All periods are played at
+    the K of ``replan_controlled`` (all by default), the first one alone at the others. What cannot
+    differ is not played twice: other periods of methods that do not plan, and all vehicles by
+    another ranking than that of ``ccdiff``, where that one is asked for.
     """
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     for method in (m for m in methods if m != "replay"):
@@ -128,13 +121,11 @@ def episodes(
     num_controlled: int | None,
     replan_steps: int = 5,
     seed: int = 0,
-    explain: bool = False,
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
     K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
-    ``replan_steps``. ``explain``, whether guided plans say how their gradients agree, does not
-    change the episodes.
+    ``replan_steps``.
     """
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
@@ -149,8 +140,6 @@ def episodes(
     if own:
         ccdiff |= {"ranking": method.ranking, "num_guided": num_controlled}
         ccdiff["background_driver"] = "replay"
-    # only guidance has gradients to tell of
-    ccdiff["explain"] = explain and ccdiff["criticality"] > 0.0
     if method.driver == SWIFT:
         ccdiff = method.options()
     config = WorldConfig().with_options(
@@ -181,40 +170,14 @@ def episodes(
             native.assign(i, chosen[i], driver)
         if method.driver in NETWORKS and not own:
             native.override_plan(i, guided=chosen[i], criticality=None)
-    states = [[native.states(i)] for i in everyone]
-    plans: list[list[TrafficPlan]] = [[] for _ in everyone]
-    for step, (_, _, out) in enumerate(play(worlds, most=HORIZON_STEPS)):
-        for i in everyone:
-            states[i].append(native.states(i))
-            due = method.driver in NETWORKS and step % config.ccdiff.replan_steps == 0
-            plan = worlds.explain(i) if due else None
-            if plan is not None and plan.made_at == step:
-                plans[i].append(plan)
-        if out.done.any():
-            break
+    recorders = recorders_of(worlds, scenes.names)
+    for _ in play(worlds, recorders=recorders, most=HORIZON_STEPS):
+        pass
+    rollouts = [recorder.rollout() for recorder in recorders.values()]
     if own:
-        chosen = [p[0].agents[p[0].follows_plan].tolist() if p else [] for p in plans]
-    return [_episode(scenes[i], chosen[i], states[i], plans[i]) for i in everyone]
-
-
-def _episode(
-    scene: Scene, chosen: Sequence[int], states: Sequence[Any], plans: list[TrafficPlan]
-) -> Episode:
-    agents = _vehicles(scene)
-    tracks = {
-        {"active": "valid"}.get(name, name): np.stack([s[name] for s in states], axis=1)
-        for name in ("position", "heading", "active", "elevation_m")
-        if name in states[0]
-    }
-    return Episode(
-        scene=scene,
-        agents=agents,
-        chosen=list(chosen),
-        controlled=np.isin(agents, chosen),
-        motion=motion_of(scene, tracks, agents),
-        log=motion_of(scene, scene.tracks(), agents, slice(START_STEP, START_STEP + len(states))),
-        plans=plans,
-    )
+        first = (rollout.plans[:1] for rollout in rollouts)
+        chosen = [plan[0].agents[plan[0].follows_plan].tolist() if plan else [] for plan in first]
+    return [Episode.of(rollout, some) for rollout, some in zip(rollouts, chosen, strict=True)]
 
 
 def evaluate(
@@ -235,7 +198,6 @@ def evaluate(
         num_controlled=num_controlled,
         replan_steps=replan_steps,
         seed=seed,
-        explain=True,
     )
     return [measure(episode, replan_steps) for episode in played]
 
@@ -262,7 +224,7 @@ def relations(
     )
 
 
-@dataclass
+@dataclass(frozen=True)
 class Episode:
     """What happened in one scene: vehicles that were there at the start, A of them."""
 
@@ -272,7 +234,21 @@ class Episode:
     controlled: npt.NDArray[np.bool_]  #: Whether each of the A vehicles is in it.
     motion: Motion
     log: Motion
-    plans: list[TrafficPlan]
+    plans: tuple[TrafficPlan, ...]
+
+    @classmethod
+    def of(cls, rollout: Rollout, chosen: list[int]) -> Episode:
+        """Return what a recording shows of a control set."""
+        agents = _vehicles(rollout.scene)
+        both = motions(rollout, agents)
+        return cls(rollout.scene, agents, chosen, np.isin(agents, chosen), *both, rollout.plans)
+
+
+def motions(rollout: Rollout, agents: npt.NDArray[np.int64]) -> tuple[Motion, Motion]:
+    """Return the motion of agents in a recording, and that of the log at the same steps."""
+    scene, start = rollout.scene, rollout.start_step
+    log = motion_of(scene, scene.tracks(), agents, slice(start, start + rollout.num_steps))
+    return motion_of(scene, rollout.tracks(), agents), log
 
 
 def motion_of(
@@ -315,10 +291,6 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
     known = bool(np.isfinite(limit))
-    cost, shift = (
-        [getattr(p, name)[p.guided] for p in episode.plans if p.guided.any()]
-        for name in ("realism_cost", "shift_sigmas")
-    )
     return {
         "scene": episode.scene.name,
         "num_agents": len(episode.agents),
@@ -337,23 +309,22 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "comfort_reference_impl": motion.comfort(axes="reference_impl").tolist(),
         "sor": known and bool(motion.over_speed(limit, counted=controlled).any()),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
-        "realism_cost": _number(np.concatenate(cost).mean() if cost else np.nan),
-        "shift_sigmas": _number(np.concatenate(shift).mean() if shift else np.nan),
-        "conflict_share": _number(_conflict_share(episode.plans)),
+        **guidance_cost(episode.plans),
     }
 
 
-def _conflict_share(plans: list[TrafficPlan]) -> float:
-    """Share of the denoising steps and samples in which the gradients of realism and guidance
-    oppose, mean over guided vehicles that have a gradient and over plans; NaN without any.
+def guidance_cost(plans: Sequence[TrafficPlan]) -> dict[str, float | None]:
+    """Return what guidance cost, means over the guided plans of vehicles; ``None`` without any.
+
+    ``realism_cost``: total variation, the paper's C(tau); ``shift_sigmas``: the same in standard
+    deviations.
     """
-    shares = [
-        p.conflict_share[p.guided & (p.realism_cosine != 0.0)]
-        for p in plans
-        if p.realism_cosine is not None and p.conflict_share is not None
-    ]
-    found = np.concatenate(shares) if shares else np.zeros(0)
-    return float(found.mean()) if found.size else np.nan
+    guided = [plan for plan in plans if plan.guided.any()]
+    found: dict[str, float | None] = {}
+    for name in ("realism_cost", "shift_sigmas"):
+        values = [getattr(plan, name)[plan.guided] for plan in guided]
+        found[name] = _number(np.concatenate(values).mean() if values else np.nan)
+    return found
 
 
 def _number(value: Any) -> float | None:

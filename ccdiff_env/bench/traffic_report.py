@@ -26,7 +26,7 @@ Rows = Sequence[Mapping[str, Any]]
 #: Figures of an episode whose means over scenes are reported; docs/evaluation.md defines them.
 _MEANS = (
     "scr", "scr_new", "scr_controlled", "collision_rate", "orr", "orr_box", "orr_reference_impl",
-    "fde", "fde_controlled", "sor", "realism_cost", "shift_sigmas", "conflict_share",
+    "fde", "fde_controlled", "sor", "realism_cost", "shift_sigmas",
 )  # fmt: skip
 #: Comfort distances, of histograms that are summed over scenes, x 100.
 _COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
@@ -128,7 +128,6 @@ _SHOWN = (
     Column("sor", "SOR"),
     Column("realism_cost", "C(tau)"),
     Column("shift_sigmas", "shift sigmas"),
-    Column("conflict_share", "gradients in conflict"),
 )
 
 
@@ -155,11 +154,7 @@ def tables(played: Played, found: Found) -> list[Block]:
 # methods against one another
 
 #: Figures that are compared.
-COMPARED = [
-    replace(column, sign="+")
-    for column in _SHOWN
-    if column.name not in ("sor", "shift_sigmas", "conflict_share")
-]
+COMPARED = [replace(c, sign="+") for c in _SHOWN if c.name not in ("sor", "shift_sigmas")]
 
 
 def difference(one: Rows, other: Rows, log: Rows, name: str) -> Figure:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planners import TRAFFIC, drive, with_log
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import scene_hashes
 from ccdiff_env.bench.record import Entry, Record
@@ -74,8 +74,8 @@ def verify(
     for entry in shown(chosen, what="episodes"):
         if ":" in entry.traffic and (record.path.is_file() or not own_code):
             raise ConfigError(
-                f"{entry.where}: traffic {entry.traffic!r} is code or a file of its own, which is "
-                "run from a run folder alone, with --own-code: trust whoever made it"
+                f"{entry.where}: custom traffic {entry.traffic!r} is only replayed from a run "
+                "folder, with --own-code: trust whoever made it"
             )
         differing += _differences(entry, record.path, dataroot)
     played, there = (sum(len(e.rows) for e in part) for part in (chosen, record.entries))
@@ -90,7 +90,7 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
         place = replace(place, path=dataroot)
     source = str(place)
     if entry.made_from["protocol"] != PROTOCOL.sha256:
-        raise DatasetError(f"{entry.where}: of another protocol than this release's")
+        raise DatasetError(f"{entry.where}: another protocol than that of this release")
     hashes = scene_hashes(source)
     wrong = [name for name in entry.names if hashes.get(name) != entry.made_from["scenes"][name]]
     if wrong:
@@ -105,7 +105,6 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
         planner = Recorded(entry.rows)
     scenes = scenes_of(source, entry.names)
     rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed, options=entry.window)
-    rows = with_log(rows, source, entry.names, entry.window)
     return [
         f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
         for then, now in zip(entry.rows, rows, strict=True)

@@ -81,7 +81,7 @@ class AgentSelection:
                 ranked = scene.ranked_vehicles(min(first, scene.num_steps - 1), ranking)
                 chosen = [scene.agent_ids[i] for i in ranked[: count or MAX_SLOTS]]
             if not chosen:
-                raise ConfigError(f"agents: nobody to control in scene {scene.name!r}")
+                raise ConfigError(f"agents: scene {scene.name!r} has no vehicle to control")
             ids.append(tuple(chosen))
         if drawn:
             num_slots = min(most, count or most, MAX_SLOTS)

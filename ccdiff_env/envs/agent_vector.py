@@ -168,10 +168,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
 
 
 def _last(out: StepArrays, ended: Bool) -> tuple[F32, U8 | None]:
-    """Observations of rows [N, ...] and rasters of this step, before any world restarted.
-
-    They are zero in rows whose vehicle did not end.
-    """
+    """Observations and rasters [N, ...] before any world restarted, zero where nobody ended."""
 
     def rows(now: npt.NDArray[Any], final: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
         assert final is not None

@@ -21,7 +21,7 @@ Info = dict[str, Any]
 
 
 class AsVector(VectorEnv[Any, Any, Any]):
-    """Besides: ``call``, ``get_attr``, ``set_attr``, as ``SyncVectorEnv`` has them."""
+    """Spaces, seeds and options of resets, and infos."""
 
     #: Options that a reset takes for all worlds, or for each.
     reset_option_names: ClassVar[tuple[str, ...]]
@@ -52,32 +52,6 @@ class AsVector(VectorEnv[Any, Any, Any]):
         mode: AutoresetMode = self.metadata["autoreset_mode"]
         return mode
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of the environment once, or get an attribute; one entry per world."""
-        found = getattr(self, name)
-        result = found(*args, **kwargs) if callable(found) else found
-        if name == "render" and result is not None:
-            return tuple(result)
-        return (result,) * self.num_envs
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute, once per world: the worlds share it."""
-        return self.call(name)
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute: a value, or one per world, all of which are the same.
-
-        Raises:
-            ConfigError: If the values differ: the worlds share their attributes.
-        """
-        listed = values if isinstance(values, (list, tuple)) else [values] * self.num_envs
-        if len(listed) != self.num_envs or any(value != listed[0] for value in listed[1:]):
-            raise ConfigError(
-                f"set_attr: {name} is {values!r}, expected one value, or {self.num_envs} that are "
-                "the same: the worlds share their attributes"
-            )
-        setattr(self, name, listed[0])
-
     def render(self) -> tuple[Image, ...] | None:
         """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
@@ -89,10 +63,7 @@ class AsVector(VectorEnv[Any, Any, Any]):
         """Do nothing: the worlds go with the environment."""
 
     def _per_world(self, name: str, value: Any) -> list[Any]:
-        """Return what a reset is given, world by world: one for all, or one per world or row.
-
-        More, fewer, and different ones for rows of one world are a :class:`ConfigError`.
-        """
+        """Return what a reset is given, world by world; refuse what differs within a world."""
         found = []
         for rows in self._rows(name, value):
             said = [one for one in rows if one is not None]

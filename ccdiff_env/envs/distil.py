@@ -79,12 +79,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--teacher",
         type=json.loads,
         default=TEACHER,
-        help="options of CCDiff as JSON; up to its criticality strengths are drawn",
+        help="options of CCDiff as JSON; criticality is sampled from 0 to the one given",
     )
-    parser.add_argument("--rounds", type=int, default=4, help="the first is the teacher's alone")
-    parser.add_argument("--episodes", type=int, default=960, help="of each round")
-    parser.add_argument("--updates", type=int, default=8000, help="gradient steps of a training")
-    parser.add_argument("--seeds", type=int, default=3, help="trainings, of which one is kept")
+    parser.add_argument(
+        "--rounds", type=int, default=4, help="rounds of data; the first is the teacher's"
+    )
+    parser.add_argument("--episodes", type=int, default=960, help="episodes per round")
+    parser.add_argument("--updates", type=int, default=8000, help="gradient steps per network")
+    parser.add_argument("--seeds", type=int, default=3, help="networks trained; the best is kept")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -44,7 +44,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         names: ``"token"``: agents are named by their instance tokens, and ``possible_agents`` are
             those of all scenes; ``"slot"``: ``ego_0``, ``vehicle_1``, ``vehicle_2`` ... by rank,
             the same few names in every scene.
-        max_cycles: Steps of an episode at most; ``horizon_steps`` by another name.
         **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 
     Notes:
@@ -69,7 +68,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         names: Names = "token",
-        max_cycles: int | None = None,
         observation: Form = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
@@ -78,15 +76,11 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         **options: Any,
     ) -> None:
         shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
-        if max_cycles is not None:
-            held = options.get("decision_steps", (config or WorldConfig()).decision_steps)
-            options = {"horizon_steps": max_cycles * held, **options}
         self._take_agents(
             shared, options, adversary_shaping,
             agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
         self._by_token = names == "token"
-        self.max_cycles = -(-self.config.horizon_steps // self.config.decision_steps)
         self.possible_agents: list[str] = list(self._selection.names(names))
         self.agents: list[str] = []
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
@@ -185,7 +179,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         if not self.agents:
             if self._slots and not actions:  # wrappers of PettingZoo and SuperSuit do that
                 return {}, {}, {}, {}, {}
-            raise ResetNeededError("step: nobody is left, reset comes first")
+            raise ResetNeededError("step: no agent is left: call reset() first")
         checked, out = self._actions(actions), self.worlds.arrays()
         self.worlds.native.step(checked, out)
         slots = {name: self._slots[name] for name in self.agents}

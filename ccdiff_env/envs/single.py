@@ -97,7 +97,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         self._take_ego(shared, options)
         self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(observation)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
-        self._actions: list[bytes] | None = []
+        self._actions: bytearray | None = bytearray()
 
     @property
     def scenes(self) -> SceneSet:
@@ -134,7 +134,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
             self._seat.reset([0])
             self._seat.see(out)
         self.worlds.assign(0, assigned)
-        self._actions = []
+        self._actions = bytearray()
         self._show()
         return self._observation(out.obs, out.bev), self.worlds.reset_info(0, self._info)
 
@@ -160,7 +160,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         if self._seat is not None:
             self._seat.see(out)
         if self._actions is not None:
-            self._actions.append(checked.tobytes())
+            self._actions += checked.tobytes()
         self._show()
         return (
             self._observation(out.obs, out.bev),
@@ -184,7 +184,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
 
     def snapshot(self) -> bytes:
         """Return everything that the environment's future depends on."""
-        actions = None if self._actions is None else b"".join(self._actions)
+        actions = None if self._actions is None else bytes(self._actions)
         return Snapshot.of(self.worlds, 0, actions).to_bytes()
 
     def restore(self, snapshot: bytes, *, seed: int | None = None) -> Any:
@@ -205,15 +205,11 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
             ResetNeededError: With a seed, if the snapshot was taken before the first reset.
         """
         saved = Snapshot.from_bytes(snapshot)
-        row_bytes = 4 * self.worlds.native.action_width
-        actions: list[bytes] | None = None
-        if saved.actions is not None:
-            if len(saved.actions) % row_bytes:
-                raise SnapshotError("snapshot: actions do not fit")
-            starts = range(0, len(saved.actions), row_bytes)
-            actions = [saved.actions[i : i + row_bytes] for i in starts]
+        if len(saved.actions or b"") % (4 * self.worlds.native.action_width):
+            raise SnapshotError("snapshot: actions do not fit")
         saved.put(self.worlds, 0, seed)
-        self._actions = actions if seed is None else None
+        known = seed is None and saved.actions is not None
+        self._actions = bytearray(saved.actions or b"") if known else None
         if self._seat is not None:
             self._seat.reset([0])
         return self.observation() if self.worlds.native.begun(0) else None
@@ -227,7 +223,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         """
         plan = self.worlds.explain(0)
         if plan is None:
-            raise ResetNeededError("explain: traffic plans in the first step: call step() before")
+            raise ResetNeededError("explain: there is no plan before the first step: call step()")
         return plan
 
     def fork(self, *, seed: int | None = None) -> EgoEnv:
@@ -250,4 +246,4 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
                 "certificate: the environment was restored with another seed, or from a snapshot "
                 "without the actions before it"
             )
-        return Certificate.of(self.worlds, b"".join(self._actions))
+        return Certificate.of(self.worlds, bytes(self._actions))

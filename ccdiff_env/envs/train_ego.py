@@ -23,50 +23,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         type=Path,
         default=[],
-        help="folders of recorded traffic (default: none)",
+        help="folders of recorded critical traffic (default: none)",
     )
     parser.add_argument(
         "--traffic",
         nargs="+",
         default=["replay"],
-        help=f"traffic of training, of: {', '.join(TRAFFIC)}",
+        help=f"traffic to train in, of: {', '.join(TRAFFIC)}",
     )
-    parser.add_argument("--criticality", type=float, default=1.0, help="of critical traffic")
+    parser.add_argument("--criticality", type=float, default=1.0, help="of guided traffic")
     parser.add_argument("--opponent", default="ego", help=f"policy that drives {EGOS} traffic")
     parser.add_argument(
         "--any-ego",
         action="store_true",
-        help="draw vehicle and start of every episode, but in banks",
+        help="sample ego and start of every episode, except in banks",
     )
     parser.add_argument(
         "--differences",
         type=float,
         default=0.0,
-        help="hidden gains and sizes of 1 ± up to this, and delays of up to two steps",
+        help="randomise dynamics: gains and sizes by up to this share, delays of up to two steps",
     )
     parser.add_argument(
-        "--anchor", help="policy to stay near: as --start without .pt, or zero (default: none)"
+        "--anchor", help="policy to stay near: a policy, or zero for no correction (default: none)"
     )
-    parser.add_argument("--kl", type=float, default=0.1, help="weight of the KL divergence")
+    parser.add_argument("--kl", type=float, default=0.1, help="weight of KL from --anchor")
     parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )
     parser.add_argument("--base", default="idm", help="what assisted actions change, of: idm, pdm")
-    parser.add_argument("--decision-steps", type=int, default=3, help="steps an action is held")
-    parser.add_argument("--worlds", type=int, default=1024, help="shared among the traffic")
-    parser.add_argument("--decisions", type=float, default=2e6, help="to make, resumed ones too")
-    parser.add_argument("--learning-rate", type=float, default=5e-4, help="of Adam, at first")
+    parser.add_argument("--decision-steps", type=int, default=3, help="steps per action")
+    parser.add_argument("--worlds", type=int, default=1024, help="divided among kinds of traffic")
+    parser.add_argument("--decisions", type=float, default=2e6, help="total, also when resumed")
+    parser.add_argument("--learning-rate", type=float, default=5e-4, help="of Adam, initially")
     parser.add_argument(
-        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="first standard deviations"
+        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="initial standard deviations"
     )
-    parser.add_argument("--threads", type=int, default=2, help="of torch and of the worlds")
-    parser.add_argument("--seed", type=int, default=0, help="of networks and worlds")
+    parser.add_argument("--threads", type=int, default=2, help="threads of torch and worlds")
+    parser.add_argument("--seed", type=int, default=0, help="seed of networks and worlds")
     parser.add_argument(
         "--start", help="checkpoint (.pt) or policy to begin with (default: a random one)"
     )
-    parser.add_argument("--resume", action="store_true", help="go on with the run in --out")
+    parser.add_argument("--resume", action="store_true", help="continue the run in --out")
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
-    parser.add_argument("--smoke", action="store_true", help="a run of seconds")
+    parser.add_argument("--smoke", action="store_true", help="a short test run")
 
 
 def run(args: argparse.Namespace) -> int:

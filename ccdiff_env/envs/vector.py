@@ -103,10 +103,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         return bool(self._begun.any())
 
     def _arrays_for(self, mode: AutoresetMode) -> StepArrays | None:
-        """Return arrays that all steps write; ``None`` where each has its own.
-
-        Partial resets leave rows of the others as they were: DISABLED keeps one set of arrays.
-        """
+        """Return arrays that all steps write, as DISABLED needs; ``None``: each has its own."""
         return self.worlds.arrays() if not self._copy or mode is AutoresetMode.DISABLED else None
 
     def set_autoreset_mode(self, autoreset_mode: AutoresetMode | str) -> None:

@@ -1,5 +1,4 @@
-"""Which agents matter to which: times to contact, the decision causal graph, rankings of key
-agents.
+"""Which agents matter to which: times to contact, distances, rankings of key agents.
 
 Matrices have shape [M, M] (or [T, M, M] over a history), row i belongs to agent i. Measures
 and rankings are computed by the Rust code that the running world and the training features use.
@@ -25,8 +24,8 @@ NODE_LIMIT = 20_000  #: Cliques that a search visits per step at most, by defaul
 GRAPH_TTC_S, GRAPH_DISTANCE_M = _native.GRAPH_THRESHOLDS
 
 __all__ = [
-    "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "Graph",
-    "Ranking", "apart", "distance", "graph", "normalise_distance", "normalise_ttc", "rank", "ttc",
+    "DISTANCE_CAP_M", "GRAPH_DISTANCE_M", "GRAPH_TTC_S", "NODE_LIMIT", "TTC_CAP_S", "Ranking",
+    "apart", "distance", "normalise_distance", "normalise_ttc", "rank", "ttc",
 ]  # fmt: skip
 
 
@@ -179,46 +178,6 @@ def normalise_distance(distance_m: npt.ArrayLike) -> npt.NDArray[np.float32]:
 def _near(values: npt.ArrayLike, cap: float) -> npt.NDArray[np.float32]:
     given = np.asarray(values, dtype=np.float32)
     return (cap - np.clip(given, 0.0, cap)) / np.float32(cap)
-
-
-@dataclass(frozen=True)
-class Graph:
-    """The decision causal graph G."""
-
-    #: [M, M]; entry (i, j) says that j may influence i. Always true on the diagonal.
-    adjacency: npt.NDArray[np.bool_]
-    sparsity: float  #: Share of ordered pairs of different agents that are not joined.
-
-
-def graph(
-    ttc_s: npt.ArrayLike,
-    distance_m: npt.ArrayLike,
-    *,
-    max_ttc_s: float = GRAPH_TTC_S,
-    max_distance_m: float = GRAPH_DISTANCE_M,
-    symmetric: bool = False,
-) -> Graph:
-    """Build the decision causal graph: pairs near in time to contact and in distance, and every
-    agent with itself.
-
-    Args:
-        ttc_s: [M, M], seconds (not normalised).
-        distance_m: [M, M], metres.
-        max_ttc_s, max_distance_m: joined only up to these.
-        symmetric: join both directions where either is joined.
-    """
-    seconds = np.ascontiguousarray(ttc_s, dtype=np.float32)
-    metres = np.ascontiguousarray(distance_m, dtype=np.float32)
-    if seconds.ndim != 2 or seconds.shape != metres.shape:
-        raise ShapeError(
-            f"ttc_s {seconds.shape} and distance_m {metres.shape}, expected [M, M] both"
-        )
-    joined = _native.causal_graph(seconds, metres, max_ttc_s, max_distance_m)
-    if symmetric:
-        joined |= joined.T
-    pairs = joined.size - len(joined)
-    share = np.float32(joined.sum() - len(joined)) / np.float32(max(pairs, 1))
-    return Graph(adjacency=joined, sparsity=float(np.float32(1.0) - share))
 
 
 @dataclass(frozen=True)

@@ -193,7 +193,7 @@ class Motion:
 
     def _check_same(self, log: Motion) -> None:
         if log.valid.shape != self.valid.shape:
-            raise ShapeError(f"log is of {log.valid.shape}, expected {self.valid.shape}")
+            raise ShapeError(f"log has shape {log.valid.shape}, expected {self.valid.shape}")
 
     def off_road(
         self,

@@ -144,7 +144,7 @@ def generational_distance(
     control, realism = np.asarray(cs, dtype=np.float64), np.asarray(rs, dtype=np.float64)
     if control.ndim != 2 or control.shape != realism.shape or not control.size:
         got = f"cs {control.shape} and rs {realism.shape}"
-        raise ShapeError(f"{got}, expected [methods, columns] both")
+        raise ShapeError(f"{got}, expected [methods, columns] for both")
     points = np.stack([control, realism], axis=-1)
     if not np.isfinite(points).all():
         raise ConfigError("scores are not finite")

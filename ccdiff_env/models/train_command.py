@@ -29,34 +29,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--teacher",
         type=Path,
-        help="weights whose plans the network learns to make in one step (default: none, it learns "
-        "from the data)",
+        help="weights of a teacher, to be distilled into one step (default: learn from the data)",
     )
-    parser.add_argument(
-        "--start", type=Path, help="weights that the run begins with (default: random ones)"
-    )
+    parser.add_argument("--start", type=Path, help="initial weights (default: random ones)")
     parser.add_argument(
         "--routes",
         action="store_true",
-        help="CCDiff may know where vehicles go; in training it knows it of half of them",
+        help="give CCDiff the routes of vehicles, in training with probability 0.5",
     )
     length = parser.add_mutually_exclusive_group(required=True)
     length.add_argument(
         "--steps",
         type=int,
-        help="training steps in all; a run that ended with fewer goes on, its learning rate "
-        "falling from its peak to zero over the added steps",
+        help="training steps in total; a finished run with fewer continues, with a new cycle of "
+        "the learning rate",
     )
-    length.add_argument("--minutes", type=float, help="minutes of this call")
+    length.add_argument("--minutes", type=float, help="train for these minutes in this call")
     parser.add_argument("--device", default="cpu", help="where torch computes: cpu, cuda, cuda:N")
     parser.add_argument("--batch-scenes", type=int, help="scenes per step (default: the preset's)")
-    parser.add_argument("--learning-rate", type=float, help="of Adam (default: the preset's)")
-    parser.add_argument("--seed", type=int, help="of weights and batches (default: 0)")
+    parser.add_argument("--learning-rate", type=float, help="peak, of Adam (default: the preset's)")
+    parser.add_argument("--seed", type=int, help="seed of weights and batches (default: 0)")
     parser.add_argument(
         "--hold-out-every", type=int, default=16, help="keep every n-th scene for validation"
     )
     parser.add_argument("--threads", type=int, default=1, help="threads of torch on the CPU")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--quiet", action="store_true", help="print no progress")
 
 
 def run(args: argparse.Namespace) -> int:

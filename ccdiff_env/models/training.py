@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +16,6 @@ from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator
 from ccdiff_env.models.weights import require_networks
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.files import read_text, reading, write_aside
-from ccdiff_env.system.progress import bar
 
 if TYPE_CHECKING:
     from ccdiff_env import _models
@@ -41,7 +41,6 @@ def train(
     start: str | os.PathLike[str] | None = None,
     notes: dict[str, Any] | None = None,
     checkpoint_minutes: float = 3.0,
-    validation_samples: int = 96,
     progress: bool = True,
 ) -> Path:
     """Train a planning network and write its weights.
@@ -71,8 +70,7 @@ def train(
             ``network`` adds to them begin fresh.
         notes: Kept in the weight file's header.
         checkpoint_minutes: Time between checkpoints and validations.
-        validation_samples: Held-out (scene, step) pairs per validation.
-        progress: Whether to show a progress bar (needs tqdm).
+        progress: Whether to print step and loss on a terminal.
 
     Returns:
         Path: The weight file.
@@ -130,9 +128,7 @@ def train(
     def checkpoint() -> None:
         run.save(os.fspath(state))
         run.export(os.fspath(weights), json.dumps(notes))
-        errors = run.validate(
-            validation_samples, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0
-        )
+        errors = run.validate(96, solver_steps=solver_steps, num_samples=5, guidance_weight=1.0)
         if errors is not None:
             curves.write("validation", run.step, errors)
             nonlocal said
@@ -146,7 +142,7 @@ def train(
     begin = last = time.monotonic()
     first = run.step
     total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
-    shown = bar("s" if steps is None else "steps", progress)
+    told = progress and sys.stderr.isatty()
     try:
         while steps is None or run.step < steps:
             elapsed = time.monotonic() - begin
@@ -161,9 +157,9 @@ def train(
                 count = max(min(count, run.cooldown[1] - run.step), 1)
             losses = run.run(count)
             now = time.monotonic()
-            shown.update(count if steps is not None else now - begin - elapsed)
             loss = sum(losses) / len(losses)
-            shown.set_postfix_str(f"step {run.step:,}, loss {loss:.3f}{said}")
+            if told:
+                print(f"\rstep {run.step:,}, loss {loss:.3f}{said}", end="", file=sys.stderr)
             curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
             if now - last > checkpoint_minutes * 60.0:
                 checkpoint()
@@ -171,7 +167,8 @@ def train(
     finally:
         # also on Ctrl-C, so that nothing is lost
         checkpoint()
-        shown.close()
+        if told:
+            print(file=sys.stderr)
     return weights
 
 

@@ -36,17 +36,8 @@ class ScenePlan:
     #: Sample that guidance selected for each vehicle, ``[M]``; 0 without guidance.
     selected_sample: npt.NDArray[np.int64]
     #: With guidance ``losses [J, N, M]`` of the objectives, ``realism_cost [M]`` (C(τ), total
-    #: variation in [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and, if asked
-    #: for, ``alignment``, ``gradient_cosine``, ``conflict_share`` ``[M]`` and ``objective_cosine
-    #: [J, J]``.
+    #: variation in [0, 1]) and ``shift_sigmas [M]`` (the same in standard deviations).
     guidance: dict[str, npt.NDArray[np.float32]] | None
-
-    def positions(self) -> npt.NDArray[np.float32]:
-        """Return the planned centres in the scene frame, metres, ``[N, M, T, 2]``."""
-        x, y, heading = (self.poses[:, k][None, :, None] for k in range(3))
-        ahead, left = self.states[..., 0], self.states[..., 1]
-        cos, sin = np.cos(heading), np.sin(heading)
-        return np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
@@ -115,9 +106,7 @@ class TrajectoryModel:
         guidance_weight: float = 1.0,
         guidance: str | Mapping[str, Any] | None = None,
         guided: Sequence[Sequence[int]] | None = None,
-        collision_targets: Sequence[Sequence[int]] | None = None,
         attention: bool = False,
-        gradient_statistics: bool = False,
         follow_route: bool = False,
     ) -> list[ScenePlan]:
         """Plan for all vehicles of some scenes from their logged histories, in one batch.
@@ -135,10 +124,7 @@ class TrajectoryModel:
             guidance: Name of a preset or settings, see :func:`guidance_preset`; settings that are
                 absent are those of ``"released"``. Needs two solver steps or more.
             guided: Agents of each scene whose plans are guided; needs ``guidance``.
-            collision_targets: If given, only contacts with these agents of each scene count in
-                collision objectives.
             attention: Whether plans come with the attention between vehicles.
-            gradient_statistics: Whether guided plans come with the statistics of gradients.
             follow_route: Whether the network knows where the vehicles go, as
                 ``CcdiffConfig.follow_route``.
 
@@ -160,11 +146,9 @@ class TrajectoryModel:
             guidance_weight=guidance_weight,
             guidance=None if guidance is None else json.dumps(dict(guidance)),
             guided=None if guided is None else [list(g) for g in guided],
-            collision_targets=(
-                None if collision_targets is None else [list(rows) for rows in collision_targets]
-            ),
+            collision_targets=None,
             attention=attention,
-            gradient_statistics=gradient_statistics,
+            gradient_statistics=False,
             follow_route=follow_route,
         )
         return [ScenePlan(**plan) for plan in plans]

@@ -53,8 +53,8 @@ BUILT_IN: dict[str, type] = {"pdm": PdmClosed, "lane_idm": LaneIdm, "noop": NoOp
 Act: TypeAlias = Callable[[Any], npt.NDArray[Any]]
 #: Help of an option that says who drives the ego.
 EGO_HELP = (
-    f"the ego, of: {', '.join((*driver_names(), *BUILT_IN, *SHIPPED))}, module:name of a planner, "
-    "module:name?option=value with options, nuplan:package.module.Class of a planner of nuPlan, "
+    f"driver of the ego, of: {', '.join((*driver_names(), *BUILT_IN, *SHIPPED))}, module:name of a "
+    "planner, module:name?option=value with options, nuplan:package.module.Class of nuPlan, "
     "the file of a policy (.safetensors, or .zip, which runs the code in it: trust whoever made it)"
 )
 

@@ -19,7 +19,6 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weights_path
 from ccdiff_env.planners.built_in import ego_driver
-from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
 from ccdiff_env.record.rollout import as_scene
 from ccdiff_env.scenes import Scene, SceneSet
@@ -49,7 +48,6 @@ def record_bank(
     criticality: float = 1.0,
     draws: int = 1,
     seed: int = 0,
-    avoidable_only: bool = False,
     workers: int = 1,
 ) -> SceneSet:
     """Drive scenes in CCDiff traffic and keep the episodes as scenes.
@@ -65,8 +63,6 @@ def record_bank(
         criticality: Strength of the guidance against it.
         draws: Episodes of each scene.
         seed: Seed of the first draw; the others follow.
-        avoidable_only: Whether episodes are left out in which the ego collides and no plan that was
-            tried would have kept it free of collisions.
         workers: Processes.
 
     Returns:
@@ -85,7 +81,6 @@ def record_bank(
         "ego": f"{Path(ego).name} {_digest(read_bytes(ego))}" if Path(ego).is_file() else ego,
         "criticality": criticality,
         "seed": seed,
-        "avoidable_only": avoidable_only,
         "scenes": _digest("".join(s.hash for s in chosen).encode()),
         "weights": _digest(read_bytes(weights_path("fast"))),
     }
@@ -107,7 +102,7 @@ def record_bank(
             path = root / f"{first // PIECE:04d}-{draw}.scenes"
             if not path.exists():
                 some = [scene.to_bytes() for scene in chosen[first : first + PIECE]]
-                who = ego, criticality, seed + draw, f"{tag}-{draw}", avoidable_only
+                who = ego, criticality, seed + draw, f"{tag}-{draw}"
                 jobs.append((path, some, *who))
     for _ in map(_record, jobs) if workers == 1 else results_of_processes(_record, jobs, workers):
         pass
@@ -118,9 +113,9 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _record(job: tuple[Path, list[bytes], str, float, int, str, bool]) -> None:
+def _record(job: tuple[Path, list[bytes], str, float, int, str]) -> None:
     """Record one part and write its file."""
-    path, packed, ego, criticality, seed, tag, avoidable_only = job
+    path, packed, ego, criticality, seed, tag = job
     scenes = SceneSet([Scene.from_bytes(data) for data in packed])
     driver, seat = ego_driver(ego)
     who = driver if seat is None else seat.name
@@ -135,11 +130,8 @@ def _record(job: tuple[Path, list[bytes], str, float, int, str, bool]) -> None:
         pass
     parts = []
     for i, recorder in recorders.items():
-        name, rollout = scenes[i].name, recorder.rollout()
-        found = rollout_avoidability(rollout) if avoidable_only else None
-        if found is not None and not found.avoidable:
-            continue
-        data = zlib.compress(as_scene(rollout, f"{name} {tag}").to_bytes(), 3)
+        scene = as_scene(recorder.rollout(), f"{scenes[i].name} {tag}")
+        data = zlib.compress(scene.to_bytes(), 3)
         parts.append(struct.pack("<I", len(data)) + data)
     write_aside(path, b"".join(parts))
 
@@ -163,7 +155,7 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
             for plain in _unpacked(data):
                 spare -= len(plain)
                 if spare < 0:
-                    raise DatasetError("unpacks to far more bytes than it has")
+                    raise DatasetError("unpacks to far more bytes than expected")
                 scenes.append(Scene.from_bytes(plain))
     return SceneSet(scenes)
 

@@ -37,6 +37,7 @@ class EgoPlan:
     offset_m: float  #: Distance from the route to drive at, left positive.
 
 
+BATCH = 32  #: Plans that are tried together.
 HOLD_S = 2.1  #: How long a steady plan lasts.
 #: Steady plans, least aggressive first.
 STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2, 2, -4, -6))
@@ -170,15 +171,12 @@ def avoidability(
     env: HasWorlds | Worlds,
     *,
     num_samples: int = 128,
-    horizon_s: float | None = None,
-    stay_on_road: bool = True,
     seed: int = 0,
-    batch: int = 32,
     reactive: bool = False,
     ego: Ego = "idm",
     draws: int = 2,
 ) -> Avoidability:
-    """Search for an ego plan that stays free of collisions from the present moment on.
+    """Search for an ego plan that stays on the road and free of collisions to the episode's end.
 
     A found plan proves that a collision is avoidable; none found means that it is not avoidable by
     the plans tried. Plans know what traffic will draw: some avoid a collision by luck.
@@ -189,10 +187,7 @@ def avoidability(
         env: An environment in the middle of an episode, with continuous actions and an ego driven
             from outside; it is not changed.
         num_samples: Plans to try at most.
-        horizon_s: How far plans are followed; to the end of the episode by default.
-        stay_on_road: Whether a plan must not leave the road either.
         seed: For the plans.
-        batch: Plans that are tried together.
         reactive: Whether plans are steady, last 2.1 s and must hold in other futures.
         ego: Who drives after such a plan, as :func:`~ccdiff_env.planners.built_in.ego_driver` takes
             it.
@@ -204,69 +199,53 @@ def avoidability(
             react does not.
     """
     worlds = worlds_of(env)
-    config, native = worlds.config, worlds.native
+    config = worlds.config
     if config.driver != "external":
         raise ConfigError(f"avoidability: driver is {config.driver!r}, expected 'external'")
-    if not native.begun(0):
+    if not worlds.native.begun(0):
         raise ResetNeededError("avoidability: the environment was never reset")
-    left = config.horizon_steps - native.status(0).elapsed_steps
-    steps = left if horizon_s is None else min(round(horizon_s / config.dt_s), left)
-    if reactive:
-        return _search_futures(worlds, STEADY[:num_samples], steps, stay_on_road, seed, ego, draws)
-    plans, tried = ego_plans(num_samples, seed), 0
-    for first in range(0, len(plans), batch):
-        some = plans[first : first + batch]
-        safe = _try(worlds, some, steps, stay_on_road)
-        tried += len(some)
-        if safe.any():
-            return Avoidability(True, some[int(np.argmax(safe))], tried, int(safe.sum()))
-    return Avoidability(False, None, tried, 0)
-
-
-def _search_futures(
-    worlds: Worlds,
-    plans: Sequence[EgoPlan],
-    steps: int,
-    stay_on_road: bool,
-    seed: int,
-    ego: Ego,
-    draws: int,
-) -> Avoidability:
-    """Choose a steady plan in some futures and test it in others."""
+    if not reactive:
+        plans, tried = ego_plans(num_samples, seed), 0
+        for first in range(0, len(plans), BATCH):
+            some = plans[first : first + BATCH]
+            safe = _try(worlds, some)
+            tried += len(some)
+            if safe.any():
+                return Avoidability(True, some[int(np.argmax(safe))], tried, int(safe.sum()))
+        return Avoidability(False, None, tried, 0)
     if ego == "replay":
-        raise ConfigError("ego is 'replay', expected one that drives on from off the log")
-    if worlds.config.traffic in ("replay", "constant_velocity"):
+        raise ConfigError("ego is 'replay', expected one that can drive from off the log")
+    if config.traffic in ("replay", "constant_velocity"):
         raise ConfigError(
-            f"avoidability: traffic is {worlds.config.traffic!r}, expected one that reacts, as "
-            "'idm' or 'ccdiff'"
+            f"avoidability: traffic is {config.traffic!r}, expected one that reacts, as 'idm' or "
+            "'ccdiff'"
         )
     if type(draws) is not int or draws < 1:
         raise ConfigError(f"draws is {draws!r}, expected an integer of at least 1")
     drawn = np.random.SeedSequence(normalize_seed(seed)).generate_state(2 * draws - 1, np.uint64)
     futures = [None, *drawn.tolist()]
 
-    def safe(some: Sequence[EgoPlan | None], seeds: Sequence[int | None]) -> Bool:
+    def held(some: Sequence[EgoPlan | None], seeds: Sequence[int | None]) -> Bool:
         """Whether plans are safe in futures [P, F]."""
         pairs = [(plan, one) for plan in some for one in seeds]
-        tried = _try(worlds, [p for p, _ in pairs], steps, stay_on_road, [s for _, s in pairs], ego)
+        tried = _try(worlds, [p for p, _ in pairs], [s for _, s in pairs], ego)
         return tried.reshape(len(some), len(seeds))
 
-    good = safe(plans, futures[:draws]).all(axis=1)
-    plan = plans[int(np.argmax(good))] if good.any() else None
-    shares = safe([None, plan], futures[draws:]).mean(axis=1).tolist()
-    held = shares[1] if plan else 0.0
-    return Avoidability(plan is not None, plan, len(plans), int(good.sum()), held, shares[0])
+    steady = STEADY[:num_samples]
+    good = held(steady, futures[:draws]).all(axis=1)
+    plan = steady[int(np.argmax(good))] if good.any() else None
+    unchanged, share = held([None, plan], futures[draws:]).mean(axis=1).tolist()
+    found = plan is not None, plan, len(steady), int(good.sum())
+    return Avoidability(*found, share if plan else 0.0, unchanged)
 
 
 def _try(
     origin: Worlds,
     plans: Sequence[EgoPlan | None],
-    steps: int,
-    stay_on_road: bool,
     seeds: Sequence[int | None] | None = None,
     then: Ego | None = None,
 ) -> Bool:
-    """Whether each plan stays free of collisions; all run at once, from the same moment.
+    """Whether each plan stays free of collisions, and on the road; all run at once, from here on.
 
     With ``then``, that one drives after ``HOLD_S``, and where there is no plan.
     """
@@ -297,10 +276,9 @@ def _try(
             actions[left] = seat(obs, left & running)[left]
         return actions
 
-    causes = ("collision", "off_road") if stay_on_road else ("collision",)
-    columns = [worlds.column_names.index(name) for name in causes]
+    columns = [worlds.column_names.index(name) for name in ("collision", "off_road")]
     safe = np.ones(len(plans), np.bool_)
-    for step in play(worlds, act, most=steps):
+    for step in play(worlds, act):
         hit = (step.out.columns[:, 0, columns] > 0).any(axis=1)
         safe &= ~hit
         step.running[hit] = False

@@ -213,7 +213,7 @@ class Recorder:
         columns = np.array(self._columns, np.float32).reshape(len(self._states) - 1, -1)
         names = self._worlds.column_names if columns.size else ()
         config = self._worlds.config
-        table = (("external", "external"), *self._worlds.native.policies)
+        table = (("external", "external"), *self._worlds.native.driver_table)
         if "towed" in self._drivers:
             table += (("towed", "towed"),)
         drivers = [name for name, _ in table]

@@ -98,7 +98,7 @@ class Rollout:
         for name, values in self.info.items():
             expect_shape(f"info[{name!r}]", values, (t - 1,))
         if ("elevation_m" in self.tracks()) != ("elevation_m" in self.scene.tracks()):
-            raise DatasetError("elevation_m is wanted in scenes with levels, and only there")
+            raise DatasetError("elevation_m is required in scenes with levels, and only there")
         for name, values in self.tracks().items():
             if not np.isfinite(values[self.valid]).all():
                 raise DatasetError(f"{name} is not finite where valid")

@@ -89,7 +89,7 @@ def warn_without_road(scenes: SceneSet) -> None:
     if without:
         warnings.warn(
             f"{len(without)} of {len(scenes)} scenes have no road ({without[0]}, ...): "
-            "nobody is off the road there, and figures that need a road are n/a",
+            "no agent is off the road there, and metrics that need a road are n/a",
             stacklevel=3,
         )
 

@@ -28,7 +28,7 @@ def add_scene_arguments(
     parser.add_argument(
         "--scenes",
         metavar="SOURCE",
-        help=f"source of the scenes, of: {forms}, and ?ego_reference=centre (default: {usual})",
+        help=f"source of the scenes, one of: {forms} (default: {usual})",
     )
     parser.add_argument(
         "--dataroot",
@@ -41,7 +41,7 @@ def add_scene_arguments(
         help=f"folder of the tables in --dataroot (default: {', else '.join(ROOTED.versions)})",
     )
     parser.add_argument("--split", nargs="+" if several else None, help=_split_help(use))
-    parser.add_argument("--limit", type=int, help="only so many scenes, the first (default: all)")
+    parser.add_argument("--limit", type=int, help="use only the first scenes (default: all)")
 
 
 def add_other_scenes(parser: argparse.ArgumentParser, use: str) -> None:
@@ -67,7 +67,7 @@ def place_from(args: argparse.Namespace) -> Place:
     elif args.dataroot is not None:
         place = Place(ROOTED.name, str(args.dataroot), args.version, _joined(args.split))
     elif args.version is not None:
-        raise ConfigError("--version is of --dataroot, which is not given")
+        raise ConfigError("--version is a part of --dataroot, which is not given")
     else:
         place = Place(PLAIN.name, split=_joined(args.split))
     if args.limit is not None:
@@ -111,4 +111,4 @@ def _split_help(use: str | None) -> str:
     names = "; ".join(f"{s.title}: {', '.join(split_names(s))}" for s in known)
     usual = [dict.fromkeys(of.get(use or "", "all") for of in s.usual.values()) for s in known]
     defaults = (f"{s.title}: {', else '.join(u)}" for s, u in zip(known, usual, strict=True))
-    return f"split, of: {names} (default: {'; '.join(defaults)})"
+    return f"split, one of: {names} (default: {'; '.join(defaults)})"

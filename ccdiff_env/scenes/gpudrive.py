@@ -36,7 +36,7 @@ def scene_files(path: str | os.PathLike[str]) -> list[str]:
     for file in found:
         other = names.setdefault(Path(file).stem, file)
         if other is not file:
-            raise ConfigError(f"two scenes of one name: {other} and {file}")
+            raise ConfigError(f"two scenes have the same name: {other} and {file}")
     return found
 
 

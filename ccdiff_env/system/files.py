@@ -12,7 +12,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from ccdiff_env.errors import (
     CcdiffError,
@@ -103,7 +103,7 @@ def parsed_object(text: str | bytes) -> dict[str, Any]:
     if num_values(plain) > MOST_VALUES:
         raise ValueError(f"more than {MOST_VALUES} values")
     kinds: dict[str, Any] = {
-        "parse_constant": _constant,
+        "parse_constant": _finite,
         "parse_float": _finite,
         "parse_int": _integer,
     }
@@ -116,10 +116,6 @@ def parsed_object(text: str | bytes) -> dict[str, Any]:
     if _HALF_LETTER.search(plain):
         json.dumps(value, ensure_ascii=False).encode()
     return value
-
-
-def _constant(text: str) -> NoReturn:
-    raise ValueError(f"the number {text}, expected finite ones")
 
 
 def _finite(text: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib
 import inspect
@@ -93,10 +92,8 @@ def _with_options(found: Any, options: dict[str, Any], what: str, text: str) -> 
     named, given = _options_of(found), inspect.signature(found).parameters.values()
     unknown = [name for name in options if name not in named]
     if unknown and not any(p.kind is p.VAR_KEYWORD for p in given):
-        near = difflib.get_close_matches(unknown[0], named, n=1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
         takes = ", ".join(named) or "none"
-        raise ConfigError(f"{what} {text!r}: no option {unknown[0]!r}{hint}, it takes {takes}")
+        raise ConfigError(f"{what} {text!r}: no option {unknown[0]!r}, it takes {takes}")
     made: Any
     if isinstance(found, type):
         init = functools.partialmethod(found.__init__, **options)  # type: ignore[misc]

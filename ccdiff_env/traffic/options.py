@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 from ccdiff_env.traffic.checked_options import Options
 
-#: Agents with a slot: they are observed, rewarded and, by default, driven from outside.
+#: Agents with a slot: they are observed, rewarded and, by default, controlled by actions.
 Controlled: TypeAlias = (
     Literal["ego", "any", "vehicles"] | tuple[str, ...] | Mapping[str, tuple[str, ...]]
 )
@@ -73,15 +73,15 @@ class DeltaPoseLimits(Options):
     The defaults allow −10 to 40 m/s along, 10 m/s across and 5 rad/s at steps of 0.1 s.
     """
 
-    #: Least and most way forward per step (m, in [-100, 100]).
+    #: Lowest and highest displacement forwards per step (m, in [-100, 100]).
     dx_m: tuple[float, float] = (-1.0, 4.0)
-    #: Least and most way to the left per step (m, in [-100, 100]).
+    #: Lowest and highest displacement to the left per step (m, in [-100, 100]).
     dy_m: tuple[float, float] = (-1.0, 1.0)
-    #: Least and most turn to the left per step (rad, in [-3.1, 3.1]).
+    #: Lowest and highest turn to the left per step (rad, in [-3.1, 3.1]).
     dheading_rad: tuple[float, float] = (-0.5, 0.5)
 
 
-#: Whose driving actions change.
+#: Rule whose driving the actions change.
 AssistedBase: TypeAlias = Literal["idm", "pdm"]
 
 
@@ -90,13 +90,13 @@ class AssistedLimits(Options):
     """Limits of assisted driving: actions change what IDM or PDM-Closed would do.
 
     The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance
-    from its base's way; the action zero is the base.
+    from its base's path; the zero action is the base.
     """
 
-    base: AssistedBase = "idm"  #: What is changed.
+    base: AssistedBase = "idm"  #: The rule that is changed.
     #: Change of the acceleration at -1 and +1, about zero (m/s², in [-100, 100]).
     delta_mps2: tuple[float, float] = (-6.0, 2.0)
-    #: Distance from the way at -1 and +1, left positive, about zero (m, in [-100, 100]).
+    #: Distance from the path at -1 and +1, left positive, about zero (m, in [-100, 100]).
     offset_m: tuple[float, float] = (-1.5, 1.5)
     #: Lowest and highest acceleration, about zero (m/s², in [-100, 100]).
     acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
@@ -186,7 +186,7 @@ class ObservationConfig(Options):
     bev: BevConfig | None = None  #: Bird's-eye raster beside the row; ``None``: none.
 
 
-#: How the reward is made.
+#: Form of the reward.
 RewardForm: TypeAlias = Literal["sum", "product"]
 
 
@@ -197,7 +197,7 @@ class RewardConfig(Options):
     Also by the name of a form: ``reward="product"``.
     """
 
-    form: RewardForm = "sum"  #: How the reward is made.
+    form: RewardForm = "sum"  #: Form of the reward.
     progress: float = 0.02  #: Per metre of new progress along the route (in [-1000000, 1000000]).
     collision: float = -2.5  #: At the step of a collision (in [-1000000, 1000000]).
     off_road: float = -3.0  #: At each step with a corner off the road (in [-1000000, 1000000]).
@@ -214,14 +214,13 @@ class RewardConfig(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Randomization(Options):
-    """Hidden differences, drawn for each agent with a slot and episode."""
+    """Unobserved changes of the dynamics, drawn for each agent with a slot and episode."""
 
-    #: Accelerations of actions are times 1 ± up to this (in [0, 0.9]).
-    acceleration_gain: float = 0.0
-    yaw_gain: float = 0.0  #: The same of yaw rates or wheel angles (in [0, 0.9]).
-    #: Actions take effect up to so many steps late, zeros before (in [0, 100]).
+    acceleration_gain: float = 0.0  #: Accelerations are scaled by up to 1 ± this (in [0, 0.9]).
+    yaw_gain: float = 0.0  #: The same for yaw rates or wheel angles (in [0, 0.9]).
+    #: Actions take effect up to this many steps late (in [0, 100]); until then the action is zero.
     delay_steps: int = 0
-    size: float = 0.0  #: Length and width are times 1 ± up to this (in [0, 0.9]).
+    size: float = 0.0  #: Length and width are scaled by up to 1 ± this (in [0, 0.9]).
     #: Standard deviation of noise on numbers with a unit in observations, by their scales (in [0,
     #: 10]).
     noise: float = 0.0
@@ -237,8 +236,8 @@ class IdmConfig(Options):
     deceleration_mps2: float = 2.5  #: Comfortable deceleration b (m/s², in (0, 100]).
     max_braking_mps2: float = 8.0  #: Hardest braking (m/s², in (0, 100]).
     exponent: float = 4.0  #: Acceleration exponent δ (in (0, 100]).
-    #: Others are also looked for where they will be, at constant velocity, after this time (s, in
-    #: [0, 60]).
+    #: Other agents also count at their positions after this time at constant velocity (s, in [0,
+    #: 60]).
     anticipation_s: float = 1.0
 
 
@@ -255,10 +254,10 @@ class WorldOptions(Options):
 
     dt_s: float = 0.1  #: Step (s, in (0, 1]); must equal the scenes' own.
     #: Logged steps before the first free one (in [0, 10000]); episodes start at this step of the
-    #: log. Drivers that look back farther are told that the states before were not there.
+    #: log. Drivers that use more history see the earlier states as missing.
     history_steps: int = 30
-    #: Episodes start up to this many steps later, sampled for each episode (in [0, 10000]). Egos
-    #: that are drawn start anywhere by default.
+    #: Episodes start up to this many steps later, sampled for each episode (in [0, 10000]). Sampled
+    #: egos start anywhere by default.
     start_spread_steps: int = 0
     horizon_steps: int = 100  #: Steps of an episode at most (in [1, 100000]).
     #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (in [1,
@@ -270,16 +269,16 @@ class WorldOptions(Options):
     num_slots: int = 1  #: Slots per world (in [1, 512]).
     #: Which vehicles get the slots of ``controlled="vehicles"``, behind the ego.
     ranking: VehicleRanking = "first"
-    #: Who drives the agents that have a slot: ``"external"`` (actions), or a driver by name.
+    #: Driver of the agents with a slot: ``"external"`` (actions), or a name.
     driver: str = "external"
     #: Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for
     #: each vehicle and episode from the world's seed. Cyclists, motorcycles and obstacles follow
-    #: the log. A ``PythonTraffic`` stands for itself.
+    #: the log. A ``PythonTraffic`` is also accepted.
     traffic: str | Mapping[str, float] = "replay"
     pedestrians: Pedestrians = "replay"  #: Who moves pedestrians.
-    #: Drivers of single vehicles by id, whatever ``driver`` and ``traffic`` say.
+    #: Drivers of single vehicles by id, in place of ``driver`` and ``traffic``.
     drivers: Mapping[str, str] = field(default_factory=dict, hash=False)
-    #: Whether agents that the log brings later enter. Their bodies never appear in driven agents.
+    #: Whether agents that appear later in the log enter. They never appear inside driven agents.
     late_arrivals: bool = True
     #: Whether background agents leave at the end of their log; else they drive on.
     vanish_with_log: bool = False
@@ -295,14 +294,13 @@ class WorldOptions(Options):
     terminate_at_goal: bool = True
     #: Agents with a slot that play against the others, ids by the name of the scene. The reward of
     #: an adversary is minus the mean reward of the others; once only adversaries are left, their
-    #: episodes are cut off.
+    #: episodes are truncated.
     adversaries: Mapping[str, tuple[str, ...]] = field(default_factory=dict, hash=False)
-    #: Slots behind the first one that hold adversaries, too (in [0, 511]).
-    num_adversaries: int = 0
-    #: Share of the rewards for its own road departures and discomfort that an adversary gets
-    #: besides (in [-1000000, 1000000]).
+    num_adversaries: int = 0  #: Slots after the first one that also hold adversaries (in [0, 511]).
+    #: Share of the rewards for its own road departures and discomfort that an adversary also gets
+    #: (in [-1000000, 1000000]).
     adversary_shaping: float = 0.0
-    #: Share of the way to the goal that makes an episode without accident a success (in [0, 1]).
+    #: Share of the route to the goal that makes an episode without accident a success (in [0, 1]).
     success_completion: float = 0.95
     speed_limit_mps: float = 15.0  #: Speed limit where the map has none (m/s, in (0, 100]).
     action: ActionConfig = field(default_factory=ActionConfig)  #: Actions.
@@ -311,7 +309,8 @@ class WorldOptions(Options):
     #: Lowest and highest factors of weights of the reward by name, drawn for each episode or set by
     #: a reset, and observed as ``style`` (in [0, 1000000]).
     style: Mapping[str, tuple[float, float]] = field(default_factory=dict, hash=False)
-    randomization: Randomization = field(default_factory=Randomization)  #: Hidden differences.
+    #: Unobserved changes of the dynamics.
+    randomization: Randomization = field(default_factory=Randomization)
     idm: IdmConfig = field(default_factory=IdmConfig)  #: Options of the driver ``"idm"``.
     autoreset: Autoreset = "next_step"  #: What happens to a world whose episode has ended.
     #: How the scene of an episode is chosen when the reset names none.
@@ -326,11 +325,10 @@ class PythonOptions(Options):
 
     replan_steps: int = 5  #: Steps from one plan to the next (in [1, 10000]).
     history_states: int = 31  #: Past states of each agent, the present one included (in [1, 1000]).
-    #: Fewest of them that the log must have at the start of an episode, the present one included
-    #: (in [1, 1000]); an environment that starts earlier is refused. The states before are told as
-    #: not valid.
+    #: Fewest states that the log must have at the start of an episode, the present one included (in
+    #: [1, 1000]); an environment that starts earlier is refused. Missing states are not valid.
     least_history_states: int = 1
-    #: Places on each vehicle's route, 2 m apart from where it is (in [0, 1000]).
+    #: Points on each vehicle's route, 2 m apart from its position on (in [0, 1000]).
     route_points: int = 41
 
 
@@ -345,19 +343,19 @@ class EgosConfig(Options):
 #: The decision causal graph that the network sees.
 GraphMode: TypeAlias = Literal["causal", "full"]
 
-#: How the vehicles to be guided are found.
+#: How the vehicles to be guided are chosen.
 Ranking: TypeAlias = (
     Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
     | Mapping[str, tuple[str, ...]]
 )
 
-#: Who drives the vehicles outside the guided set.
+#: The driver of the vehicles outside the guided set.
 BackgroundDriver: TypeAlias = Literal["ccdiff", "idm", "replay"]
 
-#: Contacts with whom count in the collision objectives.
+#: Agents with which contacts count in the collision objectives.
 CollisionTargets: TypeAlias = Literal["ego", "all"]
 
-#: How a vehicle stands to the nearest of those with whom contacts count.
+#: Position of a vehicle relative to the nearest target.
 Conflict: TypeAlias = Literal["rear_end", "cut_in", "crossing", "head_on"]
 
 #: Which vehicles stand still for the whole episode.
@@ -369,8 +367,8 @@ class CcdiffConfig(Options):
     """CCDiff as a driver: of the traffic (``traffic="ccdiff"``), or of the controlled agents.
 
     The options of its rivals as well, ``ccdiff_env.traffic.NETWORKS`` (``traffic="ctg"``,
-    docs/rivals.md): what means nothing to a network must have its default. Plans are made for all
-    worlds of a batch at once, every ``replan_steps``, and followed in between.
+    docs/rivals.md): options that a network does not use must have their defaults. Plans are made
+    for all worlds of a batch at once, every ``replan_steps``, and followed in between.
     """
 
     #: Weights: ``"fast"`` (the shipped ones of the network), or a safetensors file.
@@ -396,38 +394,41 @@ class CcdiffConfig(Options):
     #: same). Speeds after 3 s are then spread as those of the log
     #: (docs/results.md#likelihood-of-the-log).
     keep_noise: bool = False
-    #: Whether the network is told the routes of the vehicles that it drives: the path of the log,
-    #: then the lanes ahead. For weights that were trained with routes.
+    #: Whether the network gets the routes of its vehicles: the path of the log, then the lanes
+    #: ahead. It needs weights trained with routes.
     follow_route: bool = False
     graph: GraphMode = "causal"  #: The decision causal graph G that the network sees.
     num_guided: int | None = 5  #: Vehicles that are guided K (in [0, 512]); ``None``: all.
-    #: How they are found; ids by the name of the scene are a list of one's own.
+    #: How they are chosen; ids by the name of the scene choose them directly.
     ranking: Ranking = "cliques"
-    #: Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the
-    #: ranking: ``"learned"``, the shipped policy, or the file of one
-    #: (examples/train_adversary_selection.py); ``criticality`` scales its strengths. It learned
-    #: with plans of 20 steps.
+    #: A policy that chooses, in place of the ranking, which vehicle is guided at every plan and how
+    #: strongly, or none: ``"learned"``, the shipped one, or a file
+    #: (examples/train_adversary_selection.py). ``criticality`` scales its strengths. It was trained
+    #: with ``replan_steps`` of 20.
     adversary_policy: str | None = None
-    rerank: bool = True  #: Whether they are found again at every plan, not only at the first one.
-    background_driver: BackgroundDriver = "ccdiff"  #: Who drives the vehicles that are not guided.
-    #: Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as
-    #: configured (one denoising step: 0.24 of it, routes: 1.65, so that an ego collides as often)
-    #: (in [0, 10]). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds may
-    #: be told another one at any time.
+    rerank: bool = True  #: Whether they are chosen again at every plan, not only at the first one.
+    #: The driver of the vehicles that are not guided.
+    background_driver: BackgroundDriver = "ccdiff"
+    #: Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising
+    #: step: 0.24 of it, routes: 1.65, so that an ego collides as often) (in [0, 10]). Tokens:
+    #: guided vehicles take the best of 1 plus its square of draws. Worlds can change it at any
+    #: time.
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
-    #: Whether plans without guidance are moved off contacts and onto the road, at the cost of the
-    #: gradients. Tokens: whether they are the first of 8 draws without either in 1.5 s.
+    #: Whether unguided plans are moved away from contacts and onto the road, at the cost of the
+    #: gradients. Tokens: whether they are the first of 8 draws without contact or road departure in
+    #: 1.5 s.
     careful: bool = False
-    #: Contacts with whom count in the collision objectives.
+    #: Agents with which contacts count in the collision objectives.
     collision_targets: CollisionTargets = "ego"
-    #: Ids of the agents with whom contacts count, in place of ``collision_targets``; empty: those.
+    #: Ids of the agents with which contacts count; empty: those of ``collision_targets``.
     targets: tuple[str, ...] = ()
-    #: Kinds of conflict: only vehicles that stand so to the nearest target are guided; empty: all.
+    #: Kinds of conflict: only vehicles in such a position to the nearest target are guided; empty:
+    #: all.
     conflicts: tuple[Conflict, ...] = ()
-    #: Whether guided plans that leave the ego no way out give way to plans without guidance. Ways
-    #: are steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the
+    #: Whether guided plans that the ego cannot evade are replaced by unguided ones. It evades by
+    #: steady accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the
     #: guided vehicles.
     avoidable_only: bool = False
     #: Time of the episode from which plans are guided (s, in [0, 10000]).

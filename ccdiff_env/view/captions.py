@@ -130,22 +130,3 @@ def subtitle(rollout: Rollout) -> str:
     if guided := len(guided_agents(rollout)):
         parts.append(f"{guided} guided")
     return " · ".join(part for part in (*parts, counted(len(kinds), "agent")) if part)
-
-
-def about(rollout: Rollout) -> list[tuple[str, str]]:
-    """Return names and values of what is known of a run."""
-    scene = rollout.scene
-    captions = [
-        ("scene", scene.name),
-        ("place", scene.location),
-        ("source", scene.source),
-        ("agents", str(scene.num_agents)),
-        ("steps", f"{rollout.num_steps} of {rollout.dt_s:g} s from log step {rollout.start_step}"),
-        ("plans", str(len(rollout.plans) or "")),
-        ("lanes", "" if scene.has_lanes else "none in this map"),
-        ("traffic lights", "not in the data"),
-    ]
-    for name, value in rollout.meta.items():
-        if isinstance(value, (str, int, float)) and (name, value) not in captions:
-            captions.append((name, str(value)))
-    return [(name, value) for name, value in captions if value]

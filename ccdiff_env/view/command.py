@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.system.files import file_name, write_aside
-from ccdiff_env.system.progress import shown
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view import render
@@ -22,14 +20,13 @@ from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, SAMPLES, find_rollout, find_scene, play_scene
+from ccdiff_env.view.sources import LOG, find_rollout, find_scene, play_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
 #: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
     "driver": None,
     "seed": 0,
-    "samples": None,
     "criticality": [0.0],
     "save": None,
     "slider": False,
@@ -40,13 +37,11 @@ DRAWN: dict[str, Any] = {
     "span": 90.0,
     "size": None,
     "speed": 1.0,
-    "graph": False,
     "theme": "light",
 }
 LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
 IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
-#: Runs, their titles, and what is so of all of them where they were played together.
-Runs = tuple[list[Rollout], list[str], str]
+Runs = tuple[list[Rollout], list[str]]  #: Runs, and their titles.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="RUN_OR_SCENE",
-        help="file of a rollout, folder of them, name of a scene, or a link of the playground; "
-        "several are a grid",
+        help="rollout file, folder of rollouts, name of a scene, or link of the playground; "
+        "several are shown in a grid",
     )
     parser.add_argument(
         "--compare",
@@ -66,15 +61,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='files or scenes to show beside it; "log" for the log of its scene (default: nothing)',
     )
     parser.add_argument(
-        "-o", "--out", type=Path, help="page to write, or folder of pages (default: by the scene)"
+        "-o", "--out", type=Path, help="page or folder to write (default: named by the scene)"
     )
     parser.add_argument("--open", action="store_true", help="open the page in the browser")
     add_scene_arguments(parser)
-    play = parser.add_argument_group("playing a scene first")
+    play = parser.add_argument_group("simulating a scene first")
     play.add_argument(
         "--traffic",
         nargs="+",
-        help=f"plays the scene; the others, of: {', '.join(driver_names())}; several are "
+        help=f"simulate the scene with this traffic, of: {', '.join(driver_names())}; several are "
         "shown beside each other (default: the log is shown)",
     )
     play.add_argument(
@@ -84,12 +79,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compare has the log, so that the traffic alone differs)",
     )
     play.add_argument("--seed", type=int, help="seed of the episode")
-    play.add_argument("--samples", type=int, help=f"samples per plan (default: {SAMPLES})")
     play.add_argument(
         "--criticality",
         type=float,
         nargs="+",
-        help="0: realistic traffic of a network; 1: guided; several are shown beside each other",
+        help="0: realistic traffic of a network; 1: critical; several are shown beside each other",
     )
     play.add_argument(
         "--slider",
@@ -97,22 +91,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="one run at a time, chosen by a slider (criticality: 0, 0.25 ... 2 by default)",
     )
     play.add_argument(
-        "--save", type=Path, help="keep that episode in this file (.npz; default: not kept)"
+        "--save", type=Path, help="save the episode in this file (.npz; default: not saved)"
     )
     draw = parser.add_argument_group(
-        "an image or a video instead of a page, where --out ends in .png, .svg, .gif or .mp4"
+        "an image or a video instead of a page, if --out ends in .png, .svg, .gif or .mp4"
     )
-    draw.add_argument("--step", type=int, help="step of an image (default: the one that matters)")
+    draw.add_argument(
+        "--step", type=int, help="step of an image (default: the accident, or the middle)"
+    )
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
     draw.add_argument("--span", type=float, help="metres across an image")
     draw.add_argument(
         "--size",
         type=int,
-        help="pixels of each run's sides (default: 720; of a GIF 480, and 360 side by side)",
+        help="side of each image in pixels (default: 720; of a GIF 480, and 360 side by side)",
     )
-    draw.add_argument("--speed", type=float, help="pace of a video")
-    draw.add_argument("--graph", action="store_true", help="draw the causal graph")
-    draw.add_argument("--theme", choices=render.THEMES, help="ground of an image")
+    draw.add_argument("--speed", type=float, help="playback speed of a video")
+    draw.add_argument("--theme", choices=render.THEMES, help="background of an image")
     parser.set_defaults(**PLAYED, **DRAWN)
 
 
@@ -137,9 +132,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--open shows pages, not images")
     if args.slider and (suffix in IMAGES or args.compare):
         raise ConfigError("--slider is for a page of runs that are played, without --compare")
-    runs, titles, shared = _played(args) if args.traffic is not None else _found(args, args.what)
+    runs, titles = _played(args) if args.traffic is not None else _found(args, args.what)
     for word in args.compare:
-        found, named, _ = _found(args, word, like=runs[0])
+        found, named = _found(args, word, like=runs[0])
         runs, titles = runs + found, titles + named
     out = args.out or Path(file_name(runs[0].scene.name, ".html"))
     if suffix in IMAGES:
@@ -151,7 +146,6 @@ def run(args: argparse.Namespace) -> int:
         out,
         compare=runs[1:],
         titles=titles if len(runs) > 1 else None,
-        shared=shared,
         slider=args.slider,
     )
     say_page(out, open_it=args.open)
@@ -169,7 +163,7 @@ def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> 
     title = "your drive" if is_drive(word) else word
     if Path(word).is_file():
         title = Path(word).stem
-    return [find_rollout(word, place_from(args), like=like)], [title], ""
+    return [find_rollout(word, place_from(args), like=like)], [title]
 
 
 def _played(args: argparse.Namespace) -> Runs:
@@ -185,47 +179,32 @@ def _played(args: argparse.Namespace) -> Runs:
     for traffic in args.traffic:
         if any(levels) and not {traffic, *drivers} & set(NETWORKS):
             raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
-    if args.samples is not None and not {*args.traffic, *drivers} & set(NETWORKS):
-        raise ConfigError(f"--samples is for networks, but --traffic is {' '.join(args.traffic)}")
     choices = list(product(args.traffic, drivers, levels))
     if args.save is not None and len(choices) > 1:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
     scene = find_scene(args.what, place_from(args))
-    runs, parts = [], []
-    samples = {} if args.samples is None else {"num_samples": args.samples}
+    runs, titles = [], []
     for traffic, driver, level in choices:
-        planned = {traffic, driver} & set(NETWORKS)
-        ccdiff = {**samples, "criticality": level} if planned else {}
+        ccdiff = {"criticality": level} if {traffic, driver} & set(NETWORKS) else {}
         runs.append(
             play_scene(scene, traffic=traffic, driver=driver, seed=args.seed, ccdiff=ccdiff)
         )
-        guided = f"criticality {level:g}" if any(levels) else ""
-        ego = f"ego {planner_title(driver)}" if len(drivers) > 1 else ""
-        parts.append((DRIVER_TITLES.get(traffic, traffic), guided, ego))
+        named = len(args.traffic) > 1 or len(choices) == 1
+        parts = [DRIVER_TITLES.get(traffic, traffic)] if named else []
+        parts += [f"criticality {level:g}"] if any(levels) else []
+        parts += [f"ego {planner_title(driver)}"] if len(drivers) > 1 else []
+        titles.append(", ".join(parts))
     if args.save is not None:
         runs[0].save(args.save)
-    return (runs, *factored(parts))
-
-
-def factored(parts: Sequence[tuple[str, ...]]) -> tuple[list[str], str]:
-    """Return the titles of runs from their parts, and what they share: one run keeps it all."""
-    same = [len(parts) > 1 and len(set(column)) == 1 for column in zip(*parts, strict=True)]
-    titles = [
-        ", ".join(part for part, shared in zip(own, same, strict=True) if part and not shared)
-        for own in parts
-    ]
-    return titles, ", ".join(p for p, shared in zip(parts[0], same, strict=True) if p and shared)
+    return runs, titles
 
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:
-    if args.compare not in ([], [LOG]):
-        raise ConfigError('of the options only --compare "log" goes with a folder')
-    unfit = PLAYED | DRAWN | {"traffic": None}
+    unfit = PLAYED | DRAWN | {"traffic": None, "compare": []}
     _refuse(args, unfit, "does not go with a folder, which gives pages")
-    pages = write_pages(folder, args.out or folder / "replays", compare_log=bool(args.compare))
-    say_page(pages[0], open_it=args.open)
+    say_page(write_pages(folder, args.out or folder / "replays"), open_it=args.open)
     return 0
 
 
@@ -237,20 +216,18 @@ def _image(
         "size": (pixels, pixels),
         "span_m": args.span,
         "follow": args.follow,
-        "graph": args.graph,
         "theme": args.theme,
     }
     videos = [Video(run, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     if kind in ("gif", "mp4"):
         if args.step is not None:
             raise ConfigError(f"--step is of an image, but --out is {out}")
-        progress = partial(shown, what=out.name)
-        save_video(videos, out, speed=args.speed, progress=progress)
+        save_video(videos, out, speed=args.speed)
         return
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
-        render.save(side_by_side(videos, step), out)
+        render.pillow().fromarray(side_by_side(videos, step)).save(out)
     elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")
     else:

@@ -13,10 +13,9 @@ from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import is_log, subtitle
-from ccdiff_env.view.outcome import LEAD_S, Outcome, outcome
+from ccdiff_env.view.outcome import Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
-from ccdiff_env.view.render import THEMES, data_address
-from ccdiff_env.view.sources import log_rollout
+from ccdiff_env.view.render import data_address
 from ccdiff_env.view.video import Video
 
 THUMBNAIL = (480, 300)
@@ -26,12 +25,11 @@ THUMBNAIL = (480, 300)
 Shown = tuple[str, Sequence[str], Sequence[Rollout]]
 
 
-def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[Path]:
-    """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it, then
-    the pages.
+def write_pages(folder: Path, out: Path) -> Path:
+    """Write a page for each rollout (``.npz``) below a folder, and ``index.html``; return it.
 
-    ``compare_log`` shows the log of the scene beside each. Files that cannot be read are left out
-    with a warning; none at all is a :class:`DatasetNotFoundError` or :class:`DatasetError`.
+    Files that cannot be read are left out with a warning; none at all is a
+    :class:`DatasetNotFoundError` or :class:`DatasetError`.
     """
     files = sorted(folder.rglob("*.npz"))
     if not files:
@@ -46,8 +44,7 @@ def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[P
                 warnings.warn(f"left out: {error}", stacklevel=2)
                 continue
             path = file.relative_to(folder).with_suffix("").as_posix()
-            log = [log_rollout(rollout.scene, like=rollout)] * compare_log
-            yield path, [path.replace("/", "-"), "log"][: 1 + len(log)], [rollout, *log]
+            yield path, [path.replace("/", "-")], [rollout]
             readable += 1
         if not readable:
             raise DatasetError(f"no rollout (.npz) below {folder} can be read")
@@ -57,9 +54,9 @@ def write_pages(folder: Path, out: Path, *, compare_log: bool = False) -> list[P
 
 def write_index(
     shown: Iterable[Shown], out: Path, title: str, *, home: tuple[str, str] | None = None
-) -> list[Path]:
+) -> Path:
     """Write pages of replays, and ``index.html``, which links them in their order with what became
-    of each; return it, then the pages.
+    of each; return it.
 
     ``home`` is address and title of the page above.
     """
@@ -89,26 +86,21 @@ def write_index(
     body = f'{up}<div class="cards">\n{chr(10).join(cards)}\n</div>'
     index = out / "index.html"
     write_aside(index, plain_html(title, line, style=part("index.css"), body=body))
-    return [index, *pages]
+    return index
 
 
 def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequence[str]) -> str:
     """A replay in the index: a link with an image of the moment that matters."""
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-    last = rollout.num_steps - 1
-    step = last // 2 if moment is None else min(round((moment + LEAD_S) / rollout.dt_s), last)
-    videos = (
-        Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False, theme=theme) for theme in THEMES
-    )
+    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
     # with fewer colours those of small things, as the ego's, are lost
-    light, dark = (data_address(video.frame(step), 256) for video in videos)
+    image = data_address(video.frame(video.moment), 256)
     name = html.escape(title, quote=True)
     href = html.escape(address(page, time_s=moment, play=True), quote=True)
     return (
         f'<a class="card" href="{href}">'
-        f'<picture><source srcset="{dark}" media="(prefers-color-scheme: dark)">'
-        f'<img src="{light}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
-        f'</picture><h2 title="{name}">{name}</h2>'
+        f'<img src="{image}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
+        f'<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
         f"{''.join(f'<p>{html.escape(line)}</p>' for line in lines)}</a>"
     )

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
-import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
@@ -54,22 +52,6 @@ class Drive:
     traffic: str
     criticality: float
     keys: tuple[int, ...]
-
-    def actions(
-        self, velocity_mps: Callable[[], npt.NDArray[np.float32]], top_mps: int
-    ) -> Iterator[npt.NDArray[np.float32]]:
-        """Yield normalised acceleration and yaw rate [2] of each step, as the page computes them.
-
-        ``velocity_mps`` gives the ego's velocity [2] before the step; from ``top_mps`` on nothing
-        accelerates.
-        """
-        steer = 0.0
-        for held in self.keys:
-            wanted = float(bool(held & 4)) - float(bool(held & 8))
-            steer += min(max(wanted - steer, -STEER_PER_STEP), STEER_PER_STEP)
-            x, y = map(float, velocity_mps())
-            gas = float(held & 1 and x * x + y * y < top_mps**2)
-            yield np.array([-1.0 if held & 2 else gas, steer], np.float32)
 
 
 def top_speed_mps(scene: Scene) -> int:
@@ -127,9 +109,14 @@ def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     env.reset(seed=0)
     recorder = Recorder(env, planner="you")
     recorder.start()
-    ego = scene.agent_ids.index("ego")
-    velocity = lambda: env.worlds.native.states(0)["velocity"][ego]  # noqa: E731
-    for action in drive.actions(velocity, top_speed_mps(scene)):
+    ego, top_mps, steer = scene.agent_ids.index("ego"), top_speed_mps(scene), 0.0
+    for held in drive.keys:
+        # as the page computes it
+        wanted = float(bool(held & 4)) - float(bool(held & 8))
+        steer += min(max(wanted - steer, -STEER_PER_STEP), STEER_PER_STEP)
+        x, y = map(float, env.worlds.native.states(0)["velocity"][ego])
+        gas = float(held & 1 and x * x + y * y < top_mps**2)
+        action = np.array([-1.0 if held & 2 else gas, steer], np.float32)
         _, _, terminated, truncated, _ = env.step(action)
         recorder.step()
         if terminated or truncated:

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from ccdiff_env.metrics import Motion
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log, reach_m
 
 Lane = Literal["ego", "guided", "others"]
 Tone = Literal["bad", "good", "plain"]
 
-PARKED_MPS = 0.5  #: A vehicle whose log never exceeds this speed is parked.
 STATIONARY_MPS = 0.1  #: Who is slower when boxes meet did not drive into anybody.
 LEAD_S = 2.0  #: Replays open so long before what they open for.
-#: A vehicle that leaves the road where its log does so within this time is not worth a flag.
-NEAR_S = 1.0
 ENDS = ("goal", "time_limit")
 WAITED_M = 2.0  #: An ego that moves less than this, as its log does, waited.
 #: What is said of collisions.
@@ -93,9 +87,8 @@ class Outcome:
 def happenings(rollout: Rollout) -> list[Happening]:
     """Return what happened, by step.
 
-    Left out: boxes of two that follow the log, and of one that does and another that stands; the
-    road left by vehicles that are parked in the log, that appear at this moment, or whose log
-    leaves it here, too.
+    Left out: boxes of two that follow the log, and of one that does and another that stands;
+    vehicles that leave the road unguided, since many do in their logs.
     """
     return sorted(_happenings(rollout), key=lambda h: (h.step, h.lane != "ego", h.agent))
 
@@ -141,18 +134,16 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
     standing = np.linalg.norm(rollout.velocity, axis=-1) < STATIONARY_MPS
     replays = [name == "replay" for name in rollout.driver_names]
     sides: dict[tuple[int, frozenset[int]], list[RolloutEvent]] = {}
-    dull = _leaves_road_in_log(rollout)
     for event in rollout.events:
-        agent = number[event.agent_id]
+        agent, lane = number[event.agent_id], _lane(guided, event.agent_id)
         if event.partner_id is not None:
             if is_collision(rollout, event):
                 pair = frozenset((agent, number[event.partner_id]))
                 sides.setdefault((event.step, pair), []).append(event)
-        elif event.kind != "off_road" or not dull(agent, event.step):
+        elif event.kind != "off_road" or lane != "others":
             words = _WORDS.get(event.kind, event.kind.replace("_", " "))
             if event.kind == "time_limit":
                 words = _late(rollout, agent)
-            lane = _lane(guided, event.agent_id)
             yield Happening(event.step, agent, -1, lane, event.kind, f"{names[agent]} {words}")
     for (step, _), events in sides.items():
         first = min(events, key=_importance)
@@ -210,43 +201,3 @@ def _names(rollout: Rollout) -> list[str]:
     """``ego``, ``4 (bus)``."""
     titles = (long.partition(" · ") for _, long in agent_titles(rollout.scene))
     return [f"{label} ({what})" if what else label for label, _, what in titles]
-
-
-def _leaves_road_in_log(rollout: Rollout) -> Any:
-    """A test of (agent, step): whether that the agent leaves the road here says nothing new."""
-    steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
-    tracks = rollout.scene.tracks()
-    valid = tracks["valid"]
-    speed = np.where(valid, np.linalg.norm(tracks["velocity"], axis=-1), 0.0)
-    parked: npt.NDArray[np.bool_] = speed.max(axis=1, initial=0.0) <= PARKED_MPS
-    near = round(NEAR_S / rollout.dt_s)
-    outside = cache(lambda: _outside(rollout, steps))
-
-    def dull(agent: int, step: int) -> bool:
-        if rollout.agent_ids[agent] == "ego":
-            return False
-        appears = step == 0 or not rollout.valid[agent, step - 1]
-        if appears or parked[agent]:
-            return True
-        return bool(outside()[agent, max(step - near, 0) : step + near + 1].any())
-
-    return dull
-
-
-def _outside(rollout: Rollout, steps: slice) -> npt.NDArray[np.bool_]:
-    """Whether a corner of an agent is off the road in the log [A, T]."""
-    tracks = rollout.scene.tracks()
-    log = Motion(
-        np.ascontiguousarray(tracks["position"][:, steps]),
-        np.ascontiguousarray(tracks["heading"][:, steps]),
-        rollout.scene.sizes[:, :2],
-        np.ascontiguousarray(tracks["valid"][:, steps]),
-        dt_s=rollout.dt_s,
-        elevation_m=tracks["elevation_m"][:, steps] if "elevation_m" in tracks else None,
-    )
-    if not rollout.scene.has_road:
-        return np.zeros(rollout.valid.shape, bool)
-    layers = rollout.scene.map_layers()
-    areas = [(area["exterior"], area["holes"]) for area in layers["drivable_area"]]
-    heights = layers.get("elevation_m", {}).get("drivable_area")
-    return np.asarray(log.off_road(areas, elevation_m=heights).box, dtype=bool)

@@ -35,9 +35,8 @@ def part(name: str) -> str:
 def page_html(
     rollout: Rollout,
     *,
-    compare: Rollout | Sequence[Rollout] | None = None,
+    compare: Sequence[Rollout] = (),
     titles: Sequence[str] | None = None,
-    shared: str = "",
     home: tuple[str, str] | None = None,
     slider: bool = False,
 ) -> str:
@@ -47,16 +46,14 @@ def page_html(
         rollout: What to show.
         compare: Runs beside it, in step with it: of the same scene, or of another one.
         titles: Name of each run; by default the scene's where there is one run, else A, B, C, ...
-        shared: What is so of all runs, to stand beside the scene's name.
         home: Address and title of a page above this one, to be linked.
         slider: Show one run at a time, which a slider chooses.
 
     Raises:
         ConfigError: If there are not as many titles as runs.
     """
-    others = [compare] if isinstance(compare, Rollout) else list(compare or ())
-    runs = [rollout, *others]
-    letters = [chr(ord("A") + i) for i in range(len(runs))] if others else [rollout.scene.name]
+    runs = [rollout, *compare]
+    letters = [chr(ord("A") + i) for i in range(len(runs))] if compare else [rollout.scene.name]
     names = letters if titles is None else list(titles)
     if len(names) != len(runs):
         raise ConfigError(f"titles: {len(names)} for {len(runs)} runs")
@@ -69,7 +66,7 @@ def page_html(
         line = subtitle(rollout)
     else:
         each = "" if slider else " | ".join(names)
-        line = " · ".join(filter(None, [rollout.scene.location, shared, each]))
+        line = " · ".join(filter(None, [rollout.scene.location, each]))
     parts = {
         "title": html.escape(heading),
         "subtitle": html.escape(line),

@@ -33,10 +33,10 @@ from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
 #: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
-#: criticality 2. In the first it is hit at criticality 1, as is who holds the accelerator alone.
+#: criticality 2. In the first a guided vehicle stops an ego that only accelerates at criticality 1.
 SCENES = (
-    "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
-    "merge-in-01", "pedestrians-01", "hard-brake-04", "merge-in-03",
+    "merge-in-01", "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
+    "pedestrians-01", "hard-brake-04", "merge-in-03",
 )  # fmt: skip
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
 MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "names",
         nargs="*",
         metavar="SCENE",
-        help="scenes to drive in (default: nine embedded ones; all that --scenes names)",
+        help="scenes to drive in (default: nine embedded ones, or all of --scenes)",
     )
     add_scene_arguments(parser)
     parser.add_argument(
@@ -124,14 +124,13 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
 
 
 def _configs(ego: EgoPolicy) -> dict[str, Any]:
-    """Configurations by traffic, and those of the rivals, with no network but that of traffic."""
+    """Configurations by traffic, and those of the trained ego; no network but that of traffic."""
     found = {}
     for traffic in TRAFFIC:
         config = world_config(traffic, 1.0)
         fitting = ego.config.with_options(decision_steps=1)
         trained = replace(config, observation=fitting.observation, action=fitting.action)
-        rivals = {"_idm": config.with_options(driver="idm"), "_trained": trained}
-        for suffix, each in {"": config, **rivals}.items():
+        for suffix, each in {"": config, "_trained": trained}.items():
             options = json.loads(each.to_json())
             networks = {n: p for n, p in options["named_drivers"].items() if n == traffic}
             found[traffic + suffix] = {**options, "named_drivers": networks}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-import math
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,12 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ConfigError, MissingFeatureError, ShapeError
+from ccdiff_env.errors import MissingFeatureError
 
 if TYPE_CHECKING:
     from types import ModuleType
-
-__all__ = ["LOOK", "THEMES", "legend", "save"]
 
 Image: TypeAlias = npt.NDArray[np.uint8]
 
@@ -45,40 +41,8 @@ def all_colours(theme: str = "light") -> dict[str, tuple[int, int, int]]:
     return colours | {name: colours[DRIVERS[number]] for name, number in NUMBERS.items()}
 
 
-def save(frames: npt.ArrayLike | Iterable[Image], path: str | Path, *, fps: float = 10.0) -> None:
-    """Write an image or a video; the suffix of the file says which.
-
-    Args:
-        frames: One image [H, W, 3] or images [T, H, W, 3] (array or iterable) of one size, uint8.
-        path: ``.png`` (one image), ``.gif`` or ``.mp4``. The folder must exist.
-        fps: Images per second. GIF counts time in hundredths of a second.
-
-    Raises:
-        ShapeError: If there is no image, or not all of them are uint8 [H, W, 3] of one size.
-        ConfigError: If the suffix is another one, a PNG gets several images, or ``fps`` is not
-            positive.
-        MissingFeatureError: If the package that writes the format is not installed.
-    """
-    path = Path(path)
-    stack = _stack(frames)
-    if not (math.isfinite(fps) and fps > 0.0):
-        raise ConfigError(f"fps is {fps}, expected a positive number")
-    suffix = path.suffix.lower()
-    if suffix == ".png":
-        if len(stack) != 1:
-            raise ConfigError(
-                f"{path.name}: a PNG holds one image, got {len(stack)}; use .gif or .mp4"
-            )
-        pillow().fromarray(stack[0]).save(path)
-    elif suffix == ".gif":
-        _save_gif(stack, path, fps)
-    elif suffix == ".mp4":
-        _save_mp4(stack, path, fps)
-    else:
-        raise ConfigError(f"{path.name}: suffix is {suffix!r}, expected .png, .gif or .mp4")
-
-
-def _save_gif(stack: Image, path: Path, fps: float) -> None:
+def save_gif(stack: Image, path: Path, fps: float) -> None:
+    """Write images [T, H, W, 3], ``fps`` a second; GIF counts time in hundredths of a second."""
     library = pillow()
     # One palette for the whole video, taken from a few of its images: colours do not flicker.
     # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
@@ -93,7 +57,11 @@ def _save_gif(stack: Image, path: Path, fps: float) -> None:
     )
 
 
-def _save_mp4(stack: Image, path: Path, fps: float) -> None:
+def save_mp4(stack: Image, path: Path, fps: float) -> None:
+    """Write images [T, H, W, 3], ``fps`` a second.
+
+    Without imageio and ffmpeg a :class:`MissingFeatureError`.
+    """
     try:
         import imageio.v2 as imageio
         import imageio_ffmpeg  # noqa: F401
@@ -122,18 +90,3 @@ def data_address(image: Image, colours: int) -> str:
     buffer = io.BytesIO()
     pillow().fromarray(image).quantize(colours).save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
-
-
-def _stack(frames: npt.ArrayLike | Iterable[Image]) -> Image:
-    """Images as one array [T, H, W, 3]."""
-    try:
-        array: Any = np.asarray(frames if isinstance(frames, np.ndarray) else list(frames))  # type: ignore[arg-type]
-    except ValueError as error:
-        raise ShapeError(f"frames have different shapes: {error}") from None
-    array = array[None] if array.ndim == 3 else array
-    if array.dtype != np.uint8 or array.ndim != 4 or array.shape[-1] != 3 or 0 in array.shape:
-        raise ShapeError(
-            f"frames are {array.dtype} {list(array.shape)}, "
-            "expected uint8 [T, H, W, 3] without a zero"
-        )
-    return np.ascontiguousarray(array)

@@ -79,7 +79,7 @@ def play_scene(
 
     name, seat = ego_driver(driver)
     if seat is not None:
-        options["config"] = seat.config.with_options(decision_steps=1)
+        options = {"config": seat.config.with_options(decision_steps=1), **options}
     settings = dict(ccdiff or {})
     if {traffic, name} & {*NETWORKS} - {SWIFT}:
         settings = {"num_samples": SAMPLES, **settings}

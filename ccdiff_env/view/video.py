@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +22,15 @@ from ccdiff_env.view.render import LOOK, NUMBERS
 
 GAP = 6  #: Pixels between videos side by side.
 HOLD_S = 1.6  #: The last image stays so long: the verdict can be read.
-FPS = {".gif": 10.0, ".mp4": 30.0}  #: Images per second by suffix.
+FPS = 10.0  #: Images per second.
 
 
 class Video:
     """Draws steps of one rollout.
 
     ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id;
-    the first agent by default), or the point ``centre_m`` of the scene. ``graph`` draws the causal
-    edges of the plan in force that reach the followed agent within two hops; ``captions`` are
-    title, time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
+    the first agent by default), or the point ``centre_m`` of the scene. ``captions`` are title,
+    time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
     :class:`ConfigError` names an agent that is not there.
     """
 
@@ -43,7 +42,6 @@ class Video:
         span_m: float = 90.0,
         follow: str | None = None,
         centre_m: tuple[float, float] | None = None,
-        graph: bool = False,
         captions: bool = True,
         theme: str = "light",
         title: str | None = None,
@@ -54,7 +52,7 @@ class Video:
         self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
         self._size, self._span_m = size, span_m
         self._middle = rollout.agent_ids.index(follow)
-        self._graph, self._captions, self.theme = graph, captions, theme
+        self._captions, self._theme = captions, theme
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
         vehicles = np.array(rollout.scene.agent_types) == "vehicle"
@@ -65,9 +63,8 @@ class Video:
             self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
         self._names = [short for short, _ in agent_titles(rollout.scene)]
-        rows = _legend(rollout, self._drivers) + [("causal arrow", "may influence")] * graph
         colours = render.all_colours(theme)
-        self._legend = [(colours[name], title) for name, title in rows]
+        self._legend = [(colours[name], title) for name, title in _legend(rollout, self._drivers)]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}
 
     @property
@@ -77,33 +74,23 @@ class Video:
             return round(self._fate.decided_s / self._rollout.dt_s)
         return (self.num_steps - 1) // 2
 
-    def svg(self, at: float) -> str:
+    def svg(self, step: int) -> str:
         """Draw a step as SVG; see :meth:`frame`."""
-        return str(self._drawn(at, svg=True))
+        return str(self._drawn(step, svg=True))
 
-    def frame(self, at: float) -> render.Image:
-        """Draw a step, or a moment between two, as an image [H, W, 3]; a :class:`ConfigError` says
-        which steps there are.
-        """
-        image: render.Image = self._drawn(at)
+    def frame(self, step: int) -> render.Image:
+        """Draw a step as an image [H, W, 3]; a :class:`ConfigError` says which steps there are."""
+        image: render.Image = self._drawn(step)
         return image
 
-    def ended(self) -> render.Image:
-        """Draw the last step as that of a run which is over: fainter, but for what is written."""
-        written, plain = (self._drawn(self.num_steps - 1, bare=bare) for bare in (False, True))
-        share, ground = LOOK["ENDED_ALPHA"], np.array(render.legend(self.theme)["ground"])
-        faint = np.rint(plain * share + (1.0 - share) * ground).astype(np.uint8)
-        image: render.Image = np.where((written != plain).any(-1, keepdims=True), written, faint)
-        return image
-
-    def _drawn(self, at: float, *, svg: bool = False, bare: bool = False) -> Any:
-        captions = self._captions and not bare
-        run = self._rollout
-        if not 0 <= at <= run.num_steps - 1:
-            raise ConfigError(f"step is {at:g}, expected 0 to {run.num_steps - 1}")
-        step = int(at + 1e-6)
+    def _drawn(self, step: int, *, svg: bool = False) -> Any:
+        captions, run = self._captions, self._rollout
+        if not 0 <= step <= run.num_steps - 1:
+            raise ConfigError(f"step is {step}, expected 0 to {run.num_steps - 1}")
         there = np.flatnonzero(self._there[:, step])
-        position, heading, centre = self._poses(at)
+        # an ego at its goal stays where it was last
+        last = [np.flatnonzero(run.valid[i, : step + 1])[-1] for i in there]
+        centre = self._centres[step]
         plan = next((p for p in reversed(run.plans) if p.made_at <= step), None)
         recent = [
             event
@@ -112,14 +99,14 @@ class Video:
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
-        caption = f"{self._title}  {at * run.dt_s:.1f} s"
-        if at * run.dt_s > self._fate.decided_s - 1e-6:
+        caption = f"{self._title}  {step * run.dt_s:.1f} s"
+        if step * run.dt_s > self._fate.decided_s - 1e-6:
             caption += f"  {self._fate.text}"
         numbers = [[AGENT_KINDS.index(kinds[i]), NUMBERS[self._drivers[i]]] for i in there]
         looks = np.array(numbers, np.uint8).reshape(-1, 2)
         return _native.render_arrays(
-            np.ascontiguousarray(position[there], np.float32),
-            np.ascontiguousarray(heading[there], np.float32),
+            run.position[there, last],
+            run.heading[there, last],
             np.ascontiguousarray(run.scene.sizes[there, :2], np.float32),
             looks[:, 0].copy(),
             looks[:, 1].copy(),
@@ -135,33 +122,15 @@ class Video:
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else [],
             plans=list(self._planned(plan, selected=True)) if plan else [],
-            arrows=self._arrows(plan, there) if plan and self._graph else [],
+            arrows=[],
             collisions_m=self._marks(recent, step),
             names=[self._names[i] for i in there] if captions else [],
             caption=caption if captions else "",
             scale_bar=captions,
             legend=self._legend if captions else [],
-            theme=self.theme,
+            theme=self._theme,
             svg=svg,
         )
-
-    def _poses(self, at: float) -> tuple[npt.NDArray[np.float32], ...]:
-        """Positions [A, 2], headings [A] and the middle [2] at a moment; between two steps where
-        an agent is there at both, else as at the first.
-        """
-        run, step = self._rollout, int(at + 1e-6)
-        share = np.float32(max(at - step, 0.0))
-        following = min(step + 1, run.num_steps - 1)
-        both = run.valid[:, step] & run.valid[:, following]
-        move = (run.position[:, following] - run.position[:, step]) * both[:, None]
-        turn = np.angle(np.exp(1j * (run.heading[:, following] - run.heading[:, step]))) * both
-        centre = self._centres[step] + share * (self._centres[following] - self._centres[step])
-        position = run.position[:, step] + share * move
-        heading = run.heading[:, step] + share * turn.astype(np.float32)
-        if len(gone := np.flatnonzero(self._there[:, step] & ~run.valid[:, step])):
-            last = [int(np.flatnonzero(run.valid[i, :step])[-1]) for i in gone]
-            position[gone], heading[gone] = run.position[gone, last], run.heading[gone, last]
-        return position, heading, centre
 
     def _trails(
         self, step: int, there: npt.NDArray[np.int64]
@@ -195,21 +164,6 @@ class Video:
                 if chosen == selected and np.isfinite(sample).all():
                     yield np.ascontiguousarray(sample, np.float32), NUMBERS[driver]
 
-    def _arrows(
-        self, plan: TrafficPlan, there: npt.NDArray[np.int64]
-    ) -> list[tuple[int, int, float]]:
-        """Edges that lead to the agent in the middle within two hops, as places in the list that
-        is drawn; those of the second hop are weaker.
-        """
-        into, origin = plan.agents[np.argwhere(plan.graph).T]
-        edges = [(int(j), int(i)) for i, j in zip(into, origin, strict=True) if i != j]
-        direct = {j for j, i in edges if i == self._middle}
-        leading = [(j, i, 1.0) for j, i in edges if i == self._middle]
-        leading += [(j, i, 0.4) for j, i in edges if i in direct and j != self._middle]
-        place = {int(agent): row for row, agent in enumerate(there)}
-        drawn = [edge for edge in leading if edge[0] in place and edge[1] in place]
-        return [(place[j], place[i], weight) for j, i, weight in drawn]
-
 
 def _there(rollout: Rollout) -> npt.NDArray[np.bool_]:
     """Who is drawn at each step [A, T]: an ego that has reached its goal stays where it did."""
@@ -233,39 +187,28 @@ def _centres(rollout: Rollout, agent: int) -> npt.NDArray[np.float32]:
     """Where an agent is at each step [T, 2]; where it is absent, at the nearest step."""
     steps = np.flatnonzero(rollout.valid[agent])
     if not len(steps):
-        raise ConfigError(f"agent {rollout.agent_ids[agent]!r} is at no step of the rollout")
+        raise ConfigError(f"agent {rollout.agent_ids[agent]!r} is never present in the rollout")
     gaps = np.abs(np.arange(rollout.num_steps)[:, None] - steps[None, :])
     centres: npt.NDArray[np.float32] = rollout.position[agent, steps[gaps.argmin(axis=1)]]
     return centres
 
 
-def side_by_side(videos: Sequence[Video], at: float) -> render.Image:
-    """Draw a step of each video side by side; videos that are over show their last, fainter."""
-    ended = [at > video.num_steps - 1 + 1e-6 for video in videos]
-    images = [v.ended() if over else v.frame(at) for v, over in zip(videos, ended, strict=True)]
+def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
+    """Draw a step of each video side by side; videos that are over show their last."""
+    images = [video.frame(min(step, video.num_steps - 1)) for video in videos]
     gap = np.full((images[0].shape[0], GAP, 3), 255, np.uint8)
     parts = [part for image in images for part in (gap, image)]
     return np.concatenate(parts[1:], axis=1)
 
 
-def save_video(
-    videos: Sequence[Video],
-    path: str | Path,
-    *,
-    speed: float = 1.0,
-    progress: Callable[[Iterable[float]], Iterable[float]] = iter,
-) -> None:
+def save_video(videos: Sequence[Video], path: Path, *, speed: float = 1.0) -> None:
     """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
-    world.
-
-    Motion between steps is drawn, too: :data:`FPS` images a second. ``progress`` goes over the
-    moments.
+    world and :data:`FPS` images a second.
     """
     if not speed > 0.0:
         raise ConfigError(f"speed is {speed}, expected a positive number")
-    fps = FPS.get(Path(path).suffix.lower(), 10.0)
-    last, dt_s = max(video.num_steps for video in videos) - 1, videos[0].dt_s
-    count = int(np.ceil(last * dt_s * fps / speed - 1e-9))
-    moments = [k * speed / (fps * dt_s) for k in range(count)] + [float(last)]
-    images = [side_by_side(videos, at) for at in progress(moments)]
-    render.save(images + images[-1:] * round(HOLD_S * fps), path, fps=fps)
+    save = {".gif": render.save_gif, ".mp4": render.save_mp4}[path.suffix.lower()]
+    last, every = max(video.num_steps for video in videos) - 1, speed / (FPS * videos[0].dt_s)
+    steps = [int(k * every + 1e-6) for k in range(math.ceil(last / every - 1e-9))] + [last]
+    images = [side_by_side(videos, step) for step in steps]
+    save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), path, FPS)

@@ -91,7 +91,7 @@ class Fit:
                     f"{_short(given)}: make them with its env_options"
                 )
         if self.schema != schema_digest(layout_json):
-            raise ConfigError(f"{who} was trained on observations that this version makes no more")
+            raise ConfigError(f"{who} was trained on observations that this version does not have")
 
 
 def _first_difference(part: str, wanted: Any, given: Any) -> tuple[str, Any, Any]:

@@ -80,4 +80,4 @@ def egos_policy(asked: EgosConfig, dt_s: float) -> object:
         whole = json.loads(config.to_json())
         observation, action = (json.dumps(whole[name]) for name in ("observation", "action"))
         tensors = {name: np.ascontiguousarray(array) for name, array in found.tensors.items()}
-        return _native.egos_policy(observation, action, config.decision_steps, tensors)
+        return _native.egos_driver(observation, action, config.decision_steps, tensors)

@@ -67,12 +67,12 @@ def network_policies(
         if settings.get("adversary_policy") is not None:
             policy = adversary_policy_path(settings["adversary_policy"])
             options = json.dumps({**settings, "adversary_policy": str(policy)})
-        make = _native.traffic_policy
+        make = _native.network_driver
         if needs_torch(weights, settings["device"]):
             require_networks()
             from ccdiff_env import _models
 
-            make = _models.traffic_policy
+            make = _models.network_driver
         try:
             return make(name, kind, options, weights, config.dt_s, num_threads, list(scenes))
         except OSError as error:
@@ -302,7 +302,7 @@ class Worlds:
             return {}
         if not isinstance(choice, Mapping):
             raise ConfigError(f"drivers is {choice!r}, expected names of drivers by agent id")
-        known = ("external", *(name for name, _ in self.native.policies))
+        known = ("external", *(name for name, _ in self.native.driver_table))
         for agent, driver in choice.items():
             if driver not in known:
                 raise UnknownNameError(

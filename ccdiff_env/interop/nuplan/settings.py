@@ -68,7 +68,7 @@ class Settings:
 
         kind: Any = _named(self.values["_target_"], self.name)
         if not inspect.isclass(kind) or not issubclass(kind, AbstractPlanner):
-            raise ConfigError(f"planner {self.name!r}: no class of nuPlan's AbstractPlanner")
+            raise ConfigError(f"planner {self.name!r}: not a subclass of nuPlan's AbstractPlanner")
         if getattr(kind, "requires_scenario", False):
             raise ConfigError(
                 f"planner {self.name!r} asks for nuPlan's scenario, which holds the log's future"

@@ -6,7 +6,6 @@ class Actors {
     this.run = run;
   }
 
-  /** Colour of who drives an agent. */
   colour(agent, theme) {
     const { driver, kind } = this.run.agents[agent];
     return COLOURS[theme][kind === "static" ? "static obstacle" : driver];
@@ -150,7 +149,6 @@ class Actors {
     context.restore();
   }
 
-  /** Collisions that began within the last moments. */
   recent(step) {
     return this.run.events.filter((e) =>
       e.kind === "collision" && e.step <= step && step - e.step < LOOK.MARK_S / this.run.dt);
@@ -198,24 +196,6 @@ class Actors {
     context.beginPath();
     context.arc(pose.x, pose.y, Math.hypot(length, width) / 2 + 5 * pixel, 0, 2 * Math.PI);
     context.stroke();
-    context.setLineDash([]);
-  }
-
-  /** Outlines only: where the other run has the same moment. */
-  ghosts(context, at, theme, pixel) {
-    context.strokeStyle = COLOURS[theme].ghost;
-    context.lineWidth = Math.max(0.1, 1.2 * pixel);
-    context.setLineDash([0.6, 0.4]);
-    this.run.agents.forEach((body, agent) => {
-      const pose = body.kind === "static" ? null : this.run.pose(agent, at);
-      if (!pose) return;
-      context.save();
-      context.translate(pose.x, pose.y);
-      context.rotate(pose.heading);
-      shape(context, body, pixel);
-      context.stroke();
-      context.restore();
-    });
     context.setLineDash([]);
   }
 

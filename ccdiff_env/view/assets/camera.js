@@ -33,7 +33,6 @@ class Camera {
     return [this.x + u * cos + v * sin, this.y + u * sin - v * cos];
   }
 
-  /** Move by pixels of the screen. */
   pan(dx, dy) {
     const [x, y] = this.toMap(-dx, -dy, 0, 0);
     this.x = x;

@@ -1,11 +1,9 @@
-// Reading the packed runs: base64 → inflate → header (JSON) and arrays. See pack.py for the layout.
+// Reading the packed runs: base64 → inflate → JSON. See pack.py for the layout.
 
 // What pictures and this page draw alike: colours by theme and name, words, times and lengths (rust/render).
 const SETTINGS = JSON.parse(document.getElementById("settings").textContent);
 const { colours: COLOURS, look: LOOK } = SETTINGS;
-const TYPES = { i1: Int8Array, u1: Uint8Array, i2: Int16Array, u2: Uint16Array, u4: Uint32Array };
 
-/** Bytes of the text of a data element. */
 async function inflate(element) {
   const text = atob(element.textContent.trim());
   const packed = Uint8Array.from(text, (c) => c.charCodeAt(0));
@@ -13,42 +11,23 @@ async function inflate(element) {
   return new Response(stream).arrayBuffer();
 }
 
-/** The run of a data element: header and arrays. */
 async function readRun(element) {
-  const buffer = await inflate(element);
-  const headerLength = new DataView(buffer).getUint32(0, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, headerLength)));
-  let at = aligned(4 + headerLength);
-  const arrays = {};
-  for (const entry of header.arrays) {
-    const Type = TYPES[entry.type];
-    const length = entry.shape.reduce((a, b) => a * b, 1);
-    const values = new Type(buffer, at, length);
-    at = aligned(at + values.byteLength);
-    if (entry.delta) undoDeltas(values, entry.shape[entry.shape.length - 1]);
-    arrays[entry.name] = entry.step ? Float32Array.from(values, (v) => entry.base + entry.step * v) : values;
-  }
-  return new Run(header, arrays);
+  return new Run(JSON.parse(new TextDecoder().decode(await inflate(element))));
 }
 
-function aligned(offset) {
-  return (offset + 3) & ~3;
-}
-
-/** Rows of a differenced array become values again; integers wrap as they did when packed. */
-function undoDeltas(values, rowLength) {
-  for (let row = 0; row < values.length; row += rowLength)
-    for (let i = row + 1; i < row + rowLength; i++) values[i] += values[i - 1];
+/** Values of an array that holds differences. */
+function valuesOf({ step, row, deltas }) {
+  let sum = 0;
+  return Float32Array.from(deltas, (delta, i) => step * (sum = (i % row ? sum : 0) + delta));
 }
 
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
-  constructor(header, arrays) {
-    Object.assign(this, header.run);
-    this.numAgents = this.agents.length;
-    this.a = arrays;
+  constructor({ run, layers, arrays, plans }) {
+    Object.assign(this, run, { layers });
+    this.a = Object.fromEntries(Object.entries(arrays).map(([name, array]) => [name, valuesOf(array)]));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
-    this.plans = header.plans.map((plan, i) => ({ ...plan, x: arrays[`plan${i}x`], y: arrays[`plan${i}y`] }));
+    this.plans = plans.map((plan) => ({ ...plan, x: valuesOf(plan.x), y: valuesOf(plan.y) }));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
     const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
     this.goal = goal && { agent: goal.agent, step: goal.step };
@@ -95,18 +74,9 @@ class Run {
     return { x: mix(x), y: mix(y), heading: heading[i] + t * turn, vx: mix(vx), vy: mix(vy) };
   }
 
-  /** Pairs that meet at constant velocities: [a, b, seconds] at a whole step. */
-  pairs(step) {
-    const { pairStart, pairA, pairB, pairTtc } = this.a;
-    const out = [];
-    for (let k = pairStart[step]; k < pairStart[step + 1]; k++)
-      out.push([pairA[k], pairB[k], pairTtc[k]]);
-    return out;
-  }
-
   /** The first pair to meet that an agent is in, if there is one. */
   meeting(agent, step) {
-    return this.pairs(step).filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
+    return this.pairs[step].filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
   }
 
   /** The plan in force at a step: the last one made by then. */
@@ -119,7 +89,7 @@ class Run {
     const plan = this.planAt(step);
     if (plan && plan.edges) return plan.edges.map(([from, to]) => [from, to, 1]);
     const out = [];
-    for (const [a, b, ttc] of this.pairs(step)) {
+    for (const [a, b, ttc] of this.pairs[step]) {
       const solid = this.agents[a].kind === "static" || this.agents[b].kind === "static";
       if (ttc > this.graphTtc || solid) continue;
       const p = this.pose(a, step), q = this.pose(b, step);
@@ -137,7 +107,6 @@ function leadingTo(edges, agent) {
   return edges.filter(([from, to]) => to === agent || (direct.has(to) && from !== agent));
 }
 
-/** Angle in (-π, π]. */
 function wrap(angle) {
   return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
 }

@@ -8,7 +8,6 @@ const DRIVE_KEYS = {
   ArrowLeft: "left", a: "left", ArrowRight: "right", d: "right",
 };
 const KEYS = ["gas", "brake", "left", "right"];
-const RIVALS = { idm: "IDM", trained: "trained ego" };
 const SIDES = ["", "collision_front", "collision_rear", "collision_side"];
 
 /** The worker's tasks, see engine.js, as promises. */
@@ -72,7 +71,6 @@ class Way extends Ground {
     if (this.rival) this.drawRival(context, pixel);
   }
 
-  /** Outline of the ego to beat. */
   drawRival(context, pixel) {
     const { track, step } = this.rival, { length, width } = this.log.agents[0];
     const at = Math.min(Math.round(step), track.length / STATE - 1) * STATE, [x, y, heading] = track.slice(at, at + 3);
@@ -98,7 +96,6 @@ class Drive extends View {
     this.time = 0;
   }
 
-  /** Take a scene and begin. */
   async open(name) {
     const of = (kind) => document.querySelector(`script.${kind}[data-scene="${CSS.escape(name)}"]`);
     const [run, log, bytes] = await Promise.all([readRun(of("run")), readRun(of("run")), inflate(of("bytes"))]);
@@ -113,7 +110,6 @@ class Drive extends View {
     this.panes = [new Pane($("stage"), run, 0)];
     this.panes[0].ground = new Way(run, log);
     this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive, ← → to steer: orange vehicles want to hit you"));
-    this.recording = new Actors(log);
     const { canvas } = this.panes[0];
     listenToGestures(canvas, {
       zoom: (factor, x, y) => {
@@ -149,12 +145,12 @@ class Drive extends View {
     $("card").hidden = true;
     if (this.raced !== this.key) {
       this.raced = this.key;
-      this.results = {};
+      this.result = null;
       this.race(this.key);
     }
     const run = this.runs[0];
     run.a.valid.fill(0);
-    run.a.pairStart.fill(0);
+    run.pairs.fill([]);
     run.events = [];
     run.goal = null;
     for (const agent of run.agents) agent.attacks = false;
@@ -170,7 +166,6 @@ class Drive extends View {
     this.touch();
   }
 
-  /** Scene, traffic and criticality, as in the address. */
   get key() {
     const criticality = this.network ? `&criticality=${$("criticality").value}` : "";
     return `scene=${$("scene").value}&traffic=${$("traffic").value}${criticality}`;
@@ -180,19 +175,15 @@ class Drive extends View {
     return `${location.href.split("#")[0]}#${this.key}&drive=${written(this.keys)}`;
   }
 
-  /** Let the rivals drive the same world, in their own worker. */
+  /** Let the trained ego drive the same world, in its own worker. */
   async race(key) {
-    const traffic = $("traffic").value;
-    for (const name of ["trained", "idm"]) {
-      const held = name === "trained" ? SETTINGS.held : 0;
-      const given = { config: this.config(`${traffic}_${name}`), held };
-      const found = await this.rivals.ask("rival", given);
-      if (this.key !== key) return;
-      this.results[name] = found;
-      if (name === "trained") this.panes[0].ground.rival = { track: found.track, step: 0 };
-      if (this.outcome) this.showCard();
-      this.touch();
-    }
+    const config = this.config(`${$("traffic").value}_trained`);
+    const found = await this.rivals.ask("rival", { config, held: SETTINGS.held });
+    if (this.key !== key) return;
+    this.result = found;
+    this.panes[0].ground.rival = { track: found.track, step: 0 };
+    if (this.outcome) this.showCard();
+    this.touch();
   }
 
   /** Write the present states into the run. */
@@ -212,7 +203,6 @@ class Drive extends View {
     this.info = this.named(info);
   }
 
-  /** Figures of a step by name. */
   named(info) {
     return Object.fromEntries(this.settings.columns.map((name, i) => [name, info[i]]));
   }
@@ -227,7 +217,6 @@ class Drive extends View {
     this.touch();
   }
 
-  /** What became of the episode. */
   finish() {
     const run = this.runs[0], { info, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
     const partner = info.collision_partner - 1; // 0 is nobody
@@ -253,27 +242,22 @@ class Drive extends View {
     this.slow = matchMedia("(prefers-reduced-motion)").matches ? null : Math.max(this.time - REPLAY_SECONDS, run.start);
     this.showCard();
     $("outcome").replaceChildren(...verdict(this.outcome));
-    $("said").textContent = text;
   }
 
-  /** What became of it, and the rivals. */
   showCard() {
-    const { results } = this, run = this.runs[0], lines = [];
-    for (const [name, title] of Object.entries(RIVALS)) {
-      const found = results[name];
-      if (!found) lines.push(`${title}: still driving`);
-      else {
-        const info = this.named(found.info), what = info.collision ? "hit" : info.off_road ? "off the road" : info.goal_reached ? "goal" : "not at its goal";
-        lines.push(`${title}: ${what} at ${((found.track.length / STATE - 1) * run.dt).toFixed(1)} s`);
-      }
+    const { result } = this;
+    let line = "still driving";
+    if (result) {
+      const info = this.named(result.info), seconds = (result.track.length / STATE - 1) * this.runs[0].dt;
+      line = info.collision ? "hit at" : info.off_road ? "off the road at" : info.goal_reached ? "goal at" : "not at its goal in";
+      line += ` ${seconds.toFixed(1)} s`;
     }
     $("verdict").textContent = this.outcome.text;
     $("verdict").className = this.outcome.tone;
-    $("lines").replaceChildren(...lines.map((line) => element("li", "", line)));
+    $("rival").textContent = `trained ego: ${line}`;
     $("card").hidden = false;
   }
 
-  /** A key or a button of the pad goes down or up. */
   hold(key, down) {
     if (down) this.held.add(key);
     else this.held.delete(key);
@@ -306,7 +290,6 @@ class Drive extends View {
     return [mask & 2 ? -1 : gas, this.steer];
   }
 
-  /** The next step, by keys. */
   async go() {
     this.asked = true;
     const { mask, turn } = this;
@@ -337,22 +320,6 @@ class Drive extends View {
     }
   }
 
-  /** An arrow at the edge where the ring is out of sight. */
-  pointToGoal({ canvas, width, height }) {
-    const last = this.log.numSteps - 1, ratio = window.devicePixelRatio || 1;
-    const [x, y] = this.camera.toScreen(this.log.a.x[last], this.log.a.y[last], width, height);
-    if (x > 0 && y > 0 && x < width && y < height) return;
-    const reach = 26, far = Math.max(Math.abs(x - width / 2) / (width / 2 - reach), Math.abs(y - height / 2) / (height / 2 - reach));
-    const context = canvas.getContext("2d");
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.translate(width / 2 + (x - width / 2) / far, height / 2 + (y - height / 2) / far);
-    context.rotate(Math.atan2(y - height / 2, x - width / 2));
-    context.fillStyle = COLOURS[this.theme].ego;
-    context.beginPath();
-    for (const [u, v] of [[16, 0], [-8, -11], [-8, 11]]) context.lineTo(u, v);
-    context.fill();
-  }
-
   draw() {
     if (!this.info) return; // no scene is open
     const run = this.runs[0], pane = this.panes[0], pose = run.pose(0, run.stepAt(this.time));
@@ -366,14 +333,12 @@ class Drive extends View {
     }
     pane.ground.colour = COLOURS[this.theme].ego;
     if (pane.ground.rival) pane.ground.rival.step = (this.time - run.start) / run.dt;
-    pane.draw(this, { actors: this.recording, run: this.log });
-    this.pointToGoal(pane);
+    pane.draw(this);
     showLegend(this);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
     $("figures").textContent = `${(this.steps * run.dt).toFixed(1)} s · ${speed.toFixed(1)} m/s · `
       + `${Math.floor(100 * this.info.route_completion)} % of the way`;
     $("heading").setAttribute("aria-pressed", this.headingUp);
-    $("ghost").setAttribute("aria-pressed", this.layers.ghost);
   }
 }
 
@@ -421,7 +386,6 @@ function wire(drive) {
     } }],
     ["P, space", "pause", { p: () => drive.pause(), " ": () => drive.pause() }],
     ["H", "heading up", { h: () => { drive.headingUp = !drive.headingUp; } }],
-    ["G", "outlines of the recording", { g: () => { drive.layers.ghost = !drive.layers.ghost; } }],
     ["T", "dark or light", { t: () => setTheme(drive) }],
     ...SHARED_KEYS,
   ]);

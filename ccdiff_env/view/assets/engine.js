@@ -1,4 +1,4 @@
-// The worker: worlds of the package as WebAssembly, and the two rivals that drive the same scene ahead.
+// The worker: worlds of the package as WebAssembly, and the trained ego that drives the same scene ahead.
 
 const STATE = 8;
 let calls, columns;
@@ -40,12 +40,12 @@ const tasks = {
     check(calls.step(...action));
     return now();
   },
-  /** What a rival does in the scene: states of the ego [T, 8] and the last figures. */
+  /** What the trained ego does in the scene: states of the ego [T, 8] and the last figures. */
   rival({ config, held }) {
     let seen = tasks.reset(config), action = [0, 0];
     const track = [...seen.states.slice(0, STATE)];
     for (let step = 0; !seen.done; step++) {
-      if (held && step % held === 0) {
+      if (step % held === 0) {
         check(calls.decide());
         action = [...floats(calls.action(), 2)];
       }

@@ -2,12 +2,13 @@
 
 class Ground {
   constructor(run) {
-    const { mapX, mapY } = run.a;
-    let at = 0; // the points follow each other in all layers' order
-    const ring = (length) => Array.from({ length }, () => [mapX[at], mapY[at++]]);
+    const ring = (array) => {
+      const values = valuesOf(array), length = values.length / 2;
+      return Array.from({ length }, (_, i) => [values[i], values[length + i]]);
+    };
     this.paths = {};
     for (const [name, entries] of Object.entries(run.layers)) {
-      const shapes = entries.map((lengths) => lengths.map(ring)), rings = shapes.flat();
+      const shapes = entries.map((arrays) => arrays.map(ring)), rings = shapes.flat();
       this.paths[name] = pathOf(rings, !name.includes("lane") && !name.includes("dividers"));
       if (name === "lanes") this.chevrons = chevronsOf(rings);
       if (name === "crossings") this.crossings = shapes.map(zebraOf);

@@ -1,6 +1,5 @@
 // Start of the page: reads the runs, wires buttons, keys and panels to the player.
 
-/** Colours of the page by theme, as its style sheet has them. */
 const CHROME = {};
 function chromeOf({ theme }) {
   const style = getComputedStyle(document.documentElement), of = (name) => style.getPropertyValue(`--${name}`);
@@ -14,24 +13,22 @@ function chromeOf({ theme }) {
 const PANEL_MS = 80; // panels change no faster than this while playing
 const LAYER_TITLES = {
   trails: ["Trails", "T"], plans: ["Plans", "P"], graph: ["Causal graph", "G"], labels: ["Names", "L"],
-  lanes: ["Lanes", "K"], ghost: ["Ghost of the other", "O"],
+  lanes: ["Lanes", "K"],
 };
 const second = (player) => Math.round(1 / player.step);
 const layer = (name) => (p) => p.toggle(name);
 /** What the help says of keys, and what each does with the player and the event. */
 const KEYS = [
   ["space", "play, pause", { " ": (p) => p.togglePlay() }],
-  ["← →", "one step back, on", {
+  ["← →", "one step back, forward", {
     ArrowLeft: (p, e) => p.stepBy(e.shiftKey ? -second(p) : -1), ArrowRight: (p, e) => p.stepBy(e.shiftKey ? second(p) : 1) }],
-  ["shift ← →", "one second back, on", {}],
+  ["shift ← →", "one second back, forward", {}],
   ["home, end", "first, last step", { Home: (p) => p.seek(p.start), End: (p) => p.seek(p.end) }],
-  [", .", "event before, next event", { ",": (p) => p.nextEvent(-1), ".": (p) => p.nextEvent(1) }],
   ["E", "follow the ego", { e: (p) => p.followAgent(p.runs[0].agents[0].id) }],
   ["F", "show all, follow nobody", { f: (p) => p.fit() }],
   ["H", "heading up", { h: (p) => p.headUp(!p.headingUp) }],
   ["T P G", "trails, plans, causal graph", { t: layer("trails"), p: layer("plans"), g: layer("graph") }],
   ["L K", "names, lanes", { l: layer("labels"), k: layer("lanes") }],
-  ["O", "ghost of the other run", { o: layer("ghost") }],
   ["1 2 …, 0", "one run alone, all runs", { 0: (p) => p.slid || p.show(null) }],
   ["D", "dark or light", { d: (p) => setTheme(p) }],
   ["S", "panels", { s: () => document.body.classList.toggle("bare") }],
@@ -53,16 +50,6 @@ async function main() {
   if (runs.length === 1) $("outcome").append(...verdict(runs[0].outcome));
   document.body.classList.toggle("compare", runs.length > 1);
   document.body.classList.toggle("many", runs.length > 2);
-  let before = null; // the time at which was told last what happens
-  const tell = (time) => {
-    const since = before;
-    before = time;
-    if (since === null || time <= since || time - since > 1) return;
-    const now = runs.flatMap((run) => run.events.filter((event) =>
-      flagged(event) && run.timeOf(event) > since && run.timeOf(event) <= time + 1e-6));
-    if (now.length) $("said").textContent = now.map((event) => event.text).join("; ");
-  };
-
   let shown = 0;
   const update = () => {
     const chrome = chromeOf(player), now = performance.now();
@@ -70,7 +57,6 @@ async function main() {
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
-    tell(player.time);
     timeline.speak(player.time);
     showFocus(player);
     showControls(player);
@@ -88,10 +74,6 @@ async function main() {
     wirePane(pane, player);
     pane.enlarge.addEventListener("click", () => player.show(index));
   });
-  for (const run of runs) {
-    $("about").append(element("div", "captions about"));
-    showCaptions($("about").lastChild, run.title, run.about);
-  }
   setTheme(player, matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
   player.frameNeighbours();
   const asked = readAddress(player);
@@ -105,7 +87,7 @@ async function main() {
 }
 
 /**
- * What the address asks for: page.html#t=4.2&follow=ID&show=graph,ghost (t in seconds from the
+ * What the address asks for: page.html#t=4.2&follow=ID&show=graph (t in seconds from the
  * start), also hide=trails, run=2 (that run alone), play=1, up=heading or up=north.
  */
 function readAddress(player) {
@@ -123,7 +105,6 @@ function readAddress(player) {
   return wishes;
 }
 
-/** The address that opens what is shown now. */
 function addressOf(player) {
   const wishes = new URLSearchParams({ t: (player.time - player.start).toFixed(1) });
   if (player.follow !== null) wishes.set("follow", player.follow);
@@ -145,8 +126,7 @@ function writeAddress(player, known) {
 }
 
 function wireControls(player) {
-  $("event").hidden = player.runs.every((run) => !run.events.length);
-  $("events-part").hidden = $("event").hidden;
+  $("events-part").hidden = player.runs.every((run) => !run.events.length);
   for (const rate of RATES) $("rate").append(new Option(`${rate}×`, rate));
   $("rate").addEventListener("change", () => { player.rate = +$("rate").value; });
   $("follow").append(new Option("nobody", ""));
@@ -155,7 +135,6 @@ function wireControls(player) {
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
-    if (layer === "ghost" && player.runs.length < 2) continue;
     if (layer === "plans" && player.runs.every((run) => !run.plans.length)) continue;
     const [title, key] = LAYER_TITLES[layer];
     const chip = element("button", "chip", title);
@@ -203,7 +182,7 @@ function showFocus(player) {
   const list = $("captions");
   const knowing = player.told.filter((run) => run.indexOf.has(player.focus));
   if (!knowing.length) {
-    list.replaceChildren(element("p", "quiet", "Tap an agent to see what is known of it."));
+    list.replaceChildren(element("p", "quiet", "Click an agent to select it."));
     return;
   }
   const known = knowing.map((run) => {

@@ -4,7 +4,6 @@ const KMH = 3.6;
 const RUN_COLOURS = 4;
 const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
-/** New element with text and class. */
 function element(tag, className, text) {
   const node = document.createElement(tag);
   if (className) node.className = className;
@@ -33,7 +32,6 @@ function captionsOf(run, agent, at) {
   return [...captions, ...lasting];
 }
 
-/** What the plan in force says of an agent. */
 function planCaptions(run, agent, step) {
   const plan = run.planAt(step), row = plan ? plan.agents.indexOf(agent) : -1;
   if (row < 0) return [];
@@ -93,7 +91,7 @@ function showEvents(container, runs, goTo) {
     list.append(...[...told.values()].map((entry) => eventItem(entry, runs.length > 1, goTo)));
     container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
   }
-  if (!container.childElementCount) container.append(element("p", "quiet", "Nothing of note."));
+  if (!container.childElementCount) container.append(element("p", "quiet", "No events."));
 }
 
 function eventItem({ run, indices, event }, several, goTo) {

@@ -1,12 +1,11 @@
 // The player: its state, the panes that show it, and the loop that draws them.
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8];
-const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true, ghost: false };
+const LAYERS_AT_START = { trails: true, plans: true, graph: false, labels: true, lanes: true };
 const LAYERS = Object.keys(LAYERS_AT_START);
 const NEAR_M = 40; // who is nearer to the ego is to be seen at first
 const LEAD_SECONDS = 2; // a way to an event ends so long before it
 
-/** One run on one canvas. */
 class Pane {
   constructor(root, run, index) {
     this.run = run;
@@ -31,7 +30,7 @@ class Pane {
   get width() { return this.canvas.clientWidth; }
   get height() { return this.canvas.clientHeight; }
 
-  draw(player, other) {
+  draw(player) {
     if (!this.width) return;
     const { camera, theme, layers } = player;
     const ratio = window.devicePixelRatio || 1, { width, height } = this;
@@ -43,7 +42,6 @@ class Pane {
     this.ground.draw(context, colours, pixel);
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
     const at = this.run.stepAt(player.time);
-    if (layers.ghost && other) other.actors.ghosts(context, other.run.stepAt(player.time), theme, pixel);
     this.actors.draw(context, at, { layers, theme, pixel, focus: this.index(player.focus) });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
@@ -98,7 +96,6 @@ class View {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  /** Something changed: draw again at the next frame. */
   touch() {
     this.dirty = true;
   }
@@ -143,7 +140,7 @@ class Player extends View {
 
   draw() {
     this.track();
-    this.panes.forEach((pane, i) => pane.draw(this, this.panes[i ? 0 : 1]));
+    for (const pane of this.panes) pane.draw(this);
     this.changed(this);
   }
 
@@ -236,7 +233,6 @@ class Player extends View {
     this.touch();
   }
 
-  /** Show all that moves. */
   fit() {
     const box = [Infinity, Infinity, -Infinity, -Infinity];
     for (const { agents, numSteps, a: { x, y, valid } } of this.runs)
@@ -259,18 +255,5 @@ class Player extends View {
     this.seek(Math.max(run.timeOf(event) - LEAD_SECONDS, this.start));
     this.followAgent(run.agents[event.agent].id);
     this.playing = true;
-  }
-
-  /** Go to the next event with a flag (or the one before), two seconds early. */
-  nextEvent(by) {
-    const times = this.runs.flatMap((run) => run.events
-      .filter(flagged)
-      .map((event) => Math.max(run.timeOf(event) - LEAD_SECONDS, this.start)));
-    const sorted = [...new Set(times)].sort((a, b) => a - b);
-    const next = by > 0 ? sorted.find((t) => t > this.time + 1e-6)
-      : sorted.reverse().find((t) => t < this.time - 1e-6);
-    if (next === undefined) return;
-    this.playing = false;
-    this.seek(next);
   }
 }

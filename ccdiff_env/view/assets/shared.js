@@ -58,7 +58,6 @@ function start(main, why) {
   });
 }
 
-/** What the colours mean. */
 function showLegend(player) {
   const key = `${player.theme} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
   if ($("legend").dataset.key === key) return;

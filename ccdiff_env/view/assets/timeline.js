@@ -2,9 +2,6 @@
 
 const FLAG_HEIGHTS = { ego: 16, guided: 11 };
 
-/** Whether an event has a flag: those of others would hide the ego's. */
-const flagged = (event) => event.lane !== "others";
-
 class Timeline {
   /** seek(time) is called while the user drags. */
   constructor(canvas, runs, seek) {
@@ -32,26 +29,14 @@ class Timeline {
     });
     this.canvas.addEventListener("pointermove", (event) => {
       if (this.dragging) this.seek(timeOf(event));
-      this.canvas.title = this.describe(timeOf(event));
     });
     this.canvas.addEventListener("lostpointercapture", () => { this.dragging = false; });
-  }
-
-  /** What happens near a time, for the tooltip. */
-  describe(time) {
-    const near = 0.012 * this.span;
-    const lines = [`${(time - this.start).toFixed(1)} s`];
-    for (const run of this.runs)
-      for (const event of run.events)
-        if (flagged(event) && Math.abs(run.timeOf(event) - time) <= near) lines.push(event.text);
-    return lines.join("\n");
   }
 
   /** Say where we are to those who do not see it. */
   speak(time) {
     this.canvas.setAttribute("aria-valuemax", this.span.toFixed(1));
     this.canvas.setAttribute("aria-valuenow", (time - this.start).toFixed(1));
-    this.canvas.setAttribute("aria-valuetext", this.describe(time).replaceAll("\n", ", "));
   }
 
   draw(time, colours) {
@@ -97,7 +82,7 @@ class Timeline {
       context.fillRect(x(run.start + plan.made_at * run.dt) - 1, middle + 5, 2, 4);
     context.globalAlpha = 1;
     for (const event of run.events) {
-      if (!flagged(event)) continue;
+      if (event.lane === "others") continue; // they would hide the ego's
       const at = x(run.timeOf(event)), high = FLAG_HEIGHTS[event.lane];
       context.fillStyle = colours[event.kind] || colours.other;
       context.fillRect(at - 0.75, middle - high, 1.5, high);
@@ -117,7 +102,6 @@ function line(context, x0, y0, x1, y1) {
   context.stroke();
 }
 
-/** First and last time of some runs. */
 function spanOf(runs) {
   return [Math.min(...runs.map((run) => run.start)), Math.max(...runs.map((run) => run.end))];
 }

@@ -1,20 +1,20 @@
-//! A policy whose panics stay in the module that made it.
+//! A driver whose panics stay in the module that made it.
 
-use crate::Policy;
-use ccdiff_sim::policy::{AgentMotion, PlanRequest, PlanState, TrafficPolicy, WorldView};
+use crate::BoxedDriver;
+use ccdiff_sim::drivers::{AgentMotion, DriverModel, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::{Result, SimError};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::OnceLock;
 
 struct Contained {
-    policy: Policy,
+    driver: BoxedDriver,
     /// What the first panic of a motion said.
     fault: OnceLock<String>,
 }
 
-/// The same policy, whose panics are errors: at once where it plans, in the next step where it moves an agent.
-pub fn contained(policy: Policy) -> Policy {
-    Box::new(Contained { policy, fault: OnceLock::new() })
+/// The same driver, whose panics are errors: at once where it plans, in the next step where it moves an agent.
+pub fn contained(driver: BoxedDriver) -> BoxedDriver {
+    Box::new(Contained { driver, fault: OnceLock::new() })
 }
 
 fn text(cause: Box<dyn std::any::Any + Send>) -> String {
@@ -25,34 +25,34 @@ fn text(cause: Box<dyn std::any::Any + Send>) -> String {
 impl Contained {
     fn error(&self, fault: &str) -> SimError {
         let message = format!("internal fault, please report it: {fault}");
-        SimError::Policy { policy: self.policy.name().into(), message }
+        SimError::Driver { driver: self.driver.name().into(), message }
     }
 }
 
-impl TrafficPolicy for Contained {
+impl DriverModel for Contained {
     fn name(&self) -> &str {
-        self.policy.name()
+        self.driver.name()
     }
 
     fn history_states(&self) -> usize {
-        self.policy.history_states()
+        self.driver.history_states()
     }
 
     fn least_history_states(&self) -> usize {
-        self.policy.least_history_states()
+        self.driver.least_history_states()
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         if let Some(fault) = self.fault.get() {
             return Err(self.error(fault));
         }
-        let policy = &mut self.policy;
-        catch_unwind(AssertUnwindSafe(|| policy.plan(requests)))
+        let driver = &mut self.driver;
+        catch_unwind(AssertUnwindSafe(|| driver.plan(requests)))
             .unwrap_or_else(|cause| Err(self.error(&text(cause))))
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
-        catch_unwind(AssertUnwindSafe(|| self.policy.act(world, plan, agent_idx))).unwrap_or_else(|cause| {
+        catch_unwind(AssertUnwindSafe(|| self.driver.act(world, plan, agent_idx))).unwrap_or_else(|cause| {
             // reported by the next plan, which comes before any further motion
             self.fault.get_or_init(|| text(cause));
             AgentMotion::Leave

@@ -34,7 +34,7 @@ pub fn from_sim(error: SimError) -> PyErr {
         SimError::ResetNeeded { .. } => py::ResetNeededError::new_err(message),
         SimError::Unknown { .. } => py::UnknownNameError::new_err(message),
         SimError::Snapshot(_) => py::SnapshotError::new_err(message),
-        SimError::Policy { .. } => policy_failed(message),
+        SimError::Driver { .. } => driver_failed(message),
     }
 }
 
@@ -47,12 +47,12 @@ pub fn from_model(error: ModelError) -> PyErr {
         ModelError::Checkpoint { .. } => py::CheckpointError::new_err(message),
         ModelError::Io { source, path, .. } => PyOSError::new_err((source.raw_os_error(), message, path)),
         ModelError::Sim(source) => from_sim(source),
-        ModelError::Diverged { .. } | ModelError::Torch { .. } => policy_failed(message),
+        ModelError::Diverged { .. } | ModelError::Torch { .. } => driver_failed(message),
     }
 }
 
 /// The Python exception for what libtorch refuses: that of the Python code which torch called (a dispatch mode, a hook),
 /// where it raised one.
-pub fn policy_failed(message: String) -> PyErr {
+pub fn driver_failed(message: String) -> PyErr {
     Python::attach(PyErr::take).unwrap_or_else(|| py::PolicyError::new_err(message))
 }

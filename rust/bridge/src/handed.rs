@@ -1,7 +1,7 @@
-//! Scenes and policies on their way from one extension module to the other, in capsules.
+//! Scenes and drivers on their way from one extension module to the other, in capsules.
 
 use crate::errors::py;
-use ccdiff_sim::policy::TrafficPolicy;
+use ccdiff_sim::drivers::DriverModel;
 use ccdiff_sim::scene::Scene;
 use pyo3::exceptions::{PyImportError, PyTypeError};
 use pyo3::prelude::*;
@@ -10,10 +10,10 @@ use std::ffi::CStr;
 use std::sync::{Arc, Mutex, PoisonError};
 
 const SCENE: &CStr = c"ccdiff_env._native.scene";
-const POLICY: &CStr = c"ccdiff_env._models.policy";
+const DRIVER: &CStr = c"ccdiff_env._models.driver";
 
-/// A policy of a batch of worlds.
-pub type Policy = Box<dyn TrafficPolicy>;
+/// A driver of a batch of worlds.
+pub type BoxedDriver = Box<dyn DriverModel>;
 
 /// Compares how the two modules were compiled.
 ///
@@ -56,25 +56,25 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Handed {
     }
 }
 
-/// A policy for the other module, which takes it out once.
+/// A driver for the other module, which takes it out once.
 ///
 /// # Errors
 /// Those of Python.
-pub fn policy_capsule(py: Python<'_>, policy: Policy) -> PyResult<Bound<'_, PyCapsule>> {
-    PyCapsule::new_with_value(py, Mutex::new(Some(policy)), POLICY)
+pub fn driver_capsule(py: Python<'_>, driver: BoxedDriver) -> PyResult<Bound<'_, PyCapsule>> {
+    PyCapsule::new_with_value(py, Mutex::new(Some(driver)), DRIVER)
 }
 
-/// The policy in a capsule of the other module.
+/// The driver in a capsule of the other module.
 ///
 /// # Errors
 /// `PolicyError` where it has been taken before.
-pub fn taken_policy(capsule: &Bound<'_, PyCapsule>) -> PyResult<Policy> {
-    let pointer = capsule.pointer_checked(Some(POLICY))?.cast::<Mutex<Option<Policy>>>();
+pub fn taken_driver(capsule: &Bound<'_, PyCapsule>) -> PyResult<BoxedDriver> {
+    let pointer = capsule.pointer_checked(Some(DRIVER))?.cast::<Mutex<Option<BoxedDriver>>>();
     #[allow(unsafe_code, reason = "modules of one build: check_build")]
     // SAFETY: the capsule of this name holds such a lock and is alive; both modules have the same layout of it
     let slot = unsafe { pointer.as_ref() };
     let taken = slot.lock().unwrap_or_else(PoisonError::into_inner).take();
     taken.ok_or_else(|| {
-        py::PolicyError::new_err("a policy drives one batch of worlds: this one drives another")
+        py::PolicyError::new_err("a driver drives one batch of worlds: this one drives another")
     })
 }

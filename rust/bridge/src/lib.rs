@@ -1,8 +1,8 @@
 //! What the extension modules `_native` and `_models` share: exceptions, and values handed from one to the other.
 //!
 //! Each module has a copy of `ccdiff_sim` of its own. `_models` refuses to be imported unless both copies were compiled alike
-//! ([`ccdiff_sim::build_mark`]): a scene or policy made by one is then a scene or policy to the other. No panic crosses
-//! from one to the other, which would end the process: policies are handed over [`contained`].
+//! ([`ccdiff_sim::build_mark`]): a scene or driver made by one is then a scene or driver to the other. No panic crosses
+//! from one to the other, which would end the process: drivers are handed over [`contained`].
 
 mod contained;
 pub mod errors;
@@ -10,5 +10,5 @@ mod handed;
 mod networks;
 
 pub use contained::contained;
-pub use handed::{Handed, Policy, check_build, policy_capsule, scene_capsule, taken_policy};
+pub use handed::{BoxedDriver, Handed, check_build, driver_capsule, scene_capsule, taken_driver};
 pub use networks::{AskedDriver, PyTrajectoryModel, path_of};

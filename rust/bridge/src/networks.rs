@@ -2,7 +2,7 @@
 
 use crate::contained;
 use crate::errors::{from_model, from_sim, py};
-use crate::handed::{Handed, policy_capsule};
+use crate::handed::{Handed, driver_capsule};
 use ccdiff_nets::guidance::GuidanceReport;
 use ccdiff_nets::inputs::features::vehicles;
 use ccdiff_nets::networks::logged::Logged;
@@ -36,11 +36,11 @@ pub fn path_of(name: &str, kind: &str) -> String {
 }
 
 impl AskedDriver<'_> {
-    /// The policy, of a network that `load` makes, in a capsule.
+    /// The driver, of a network that `load` makes, in a capsule.
     ///
     /// # Errors
     /// What options, weights and scenes do not fit.
-    pub fn policy<'py>(
+    pub fn driver<'py>(
         self,
         py: Python<'py>,
         load: impl FnOnce(CcdiffConfig) -> ccdiff_nets::Result<PlannedTraffic> + Send,
@@ -48,19 +48,19 @@ impl AskedDriver<'_> {
         let Self { name, kind, options, dt_s, scenes } = self;
         let config: CcdiffConfig = read(&path_of(name, kind), options).map_err(from_sim)?;
         let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
-        let policy = py.detach(|| {
-            let policy = load(config)?;
-            policy.check(dt_s, &scenes).map(|()| policy)
+        let driver = py.detach(|| {
+            let driver = load(config)?;
+            driver.check(dt_s, &scenes).map(|()| driver)
         });
-        let policy = policy.map_err(from_model)?;
-        if policy.kind() != kind {
+        let driver = driver.map_err(from_model)?;
+        if driver.kind() != kind {
             let message = format!(
                 "config: named_drivers: {name}: weights of {:?}, expected those of {kind:?}",
-                policy.kind()
+                driver.kind()
             );
             return Err(py::ConfigError::new_err(message));
         }
-        policy_capsule(py, contained(Box::new(policy)))
+        driver_capsule(py, contained(Box::new(driver)))
     }
 }
 

@@ -93,7 +93,7 @@ impl Batch {
         [3, 2].map(|back| self.column(|s, row| s.history[end(s, row) - back]))
     }
 
-    /// Who sits in which slot.
+    /// The neighbours of all rows.
     pub(crate) fn neighbourhood(&self) -> Neighbourhood {
         let (rows, slots) = (self.num_rows(), self.scenes.iter().map(|s| s.num_slots).max().unwrap_or(1));
         let per_slot = |s: &SceneFeatures| s.edges.len() / (s.agents.len() * s.num_slots).max(1);
@@ -178,7 +178,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::features::{Window, build};
 
-    /// Vehicles at the origin with these speeds, 4 m by 2 m; nobody sees anybody.
+    /// Vehicles at the origin with these speeds, 4 m by 2 m; none sees another.
     pub(crate) fn cars(speed_mps: &[f32]) -> SceneFeatures {
         let (config, m) = (ModelConfig { map: None, ..ModelConfig::fast() }, speed_mps.len());
         let zeros = || vec![0.0; m * config.history_steps];

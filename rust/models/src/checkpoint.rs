@@ -120,22 +120,12 @@ mod tests {
         assert!(text.contains("[2, 3]") && text.contains("[3, 2]"), "{text}");
         other.remove("a");
         assert!(fill(&path, &tensors, &mut other).unwrap_err().to_string().contains("unknown"));
-        // one flipped bit of one number
-        let whole = std::fs::read(&path).unwrap();
-        let mut bytes = whole.clone();
-        *bytes.last_mut().unwrap() ^= 1;
-        std::fs::write(&path, &bytes).unwrap();
-        let text = read(&path).unwrap_err().to_string();
-        assert!(text.contains("checksum"), "{text}");
         // a file from before there were checksums
-        let key = b"checksum";
-        let at = whole.windows(key.len()).position(|part| part == key).unwrap();
-        let mut bytes = whole.clone();
+        let (key, mut bytes) = (b"checksum", std::fs::read(&path).unwrap());
+        let at = bytes.windows(key.len()).position(|part| part == key).unwrap();
         bytes[at..at + key.len()].copy_from_slice(b"elsewise");
         std::fs::write(&path, &bytes).unwrap();
         assert!(read(&path).is_ok());
-        std::fs::write(&path, b"not a tensor file").unwrap();
-        assert!(matches!(read(&path), Err(ModelError::Checkpoint { .. })));
         // what is no file is not read, and what cannot be put in place leaves nothing
         let folder = dir.join("folder.safetensors");
         std::fs::create_dir(&folder).unwrap();

@@ -34,12 +34,13 @@ pub(crate) struct Neighbours {
     half: (Tensor, Tensor),
 }
 
-fn every_other(t: &Tensor, dim: i64) -> Tensor {
+/// The looked-at steps.
+pub(crate) fn every_other(t: &Tensor, dim: i64) -> Tensor {
     t.slice(dim, STRIDE - 1, None, STRIDE)
 }
 
 impl Neighbours {
-    /// Neighbours of a batch; `None` where nobody is joined with anybody.
+    /// Neighbours of a batch; `None` where no two are joined.
     pub(crate) fn new(batch: &Batch, targets: &Targets) -> Option<Self> {
         let of = batch.neighbourhood();
         let (rows, slots) = (batch.num_rows() as i64, of.rows.size()[1]);

@@ -216,7 +216,7 @@ impl Dataset {
         };
         let mut futures = features::futures(scene, step, &present, &features, &self.config, adapt);
         if tokens {
-            // who never moves has no token
+            // an agent that never moves has no token
             let steps = self.config.horizon_steps;
             for (agent, valid) in features.agents.iter().zip(futures.valid.chunks_exact_mut(steps)) {
                 if parked(present[*agent]) {

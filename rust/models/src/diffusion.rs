@@ -2,7 +2,7 @@
 
 use crate::batch::{Batch, Targets};
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_tape};
+use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_tape, on_torch};
 use crate::plan_space::PlanSpace;
 use crate::tape::Tape;
 use crate::torch::{Torch, to_vec};
@@ -23,11 +23,8 @@ pub(crate) const CCDIFF: TorchKind = TorchKind {
 /// CTG++.
 pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
 /// CTG.
-pub(crate) const CTG: TorchKind = TorchKind {
-    name: "ctg",
-    build: on_tape::<Denoising<HalfUnet<Torch>>, Denoising<HalfUnet<Tape>>>,
-    ..CCDIFF
-};
+pub(crate) const CTG: TorchKind =
+    TorchKind { name: "ctg", build: on_torch::<Denoising<HalfUnet<Torch>>>, ..CCDIFF };
 
 /// Clean knots of noisy ones [R, knots, 2] at the rows' diffusion steps.
 fn predicted<B: Trains>(

@@ -2,7 +2,7 @@
 //!
 //! Ours, not the paper's: in closed loop the network meets states that no log holds; without such samples small errors
 //! grow. [`Lateral`]: the current pose is moved sideways and turned, the history moves along rigidly, and the future joins the
-//! log again on a cubic that starts in the turned direction. [`Longitudinal`]: a log holds few drivers who are too close or
+//! log again on a cubic that starts in the turned direction. [`Longitudinal`]: a log holds few drivers that are too close or
 //! too fast for what is ahead and brake for it, closed loop holds many. The agent is put ahead of or behind its place, its history
 //! is replayed faster or slower, and the future, still on the logged path, falls back into the log's pace.
 
@@ -29,7 +29,7 @@ const ALONG_M: f32 = 4.0;
 const SCALE: (f32, f32) = (0.85, 1.3);
 /// Bound of the change of the speed, metres per second.
 const CHANGE_MPS: f32 = 3.0;
-/// First counter of the draws of those who are moved along, past those of the others.
+/// First counter of the draws of agents that are moved along, past those of the others.
 const FIRST_COUNTER: u64 = 1 << 48;
 
 /// An offset and its rate per share of the way back, both gone at the share 1 of it.

@@ -1,10 +1,10 @@
 //! The backend on libtorch: with gradients, on any device. What trains networks that [`crate::tape`] has not all layers of.
 
 use crate::batch::Batch;
-use crate::config::ModelConfig;
+use crate::config::{HistoryTokens, ModelConfig};
 use crate::slots::{Slots, mix, weights};
 use crate::trains::Trains;
-use ccdiff_nets::compute::backend::{Inputs, KeyValue, Ops};
+use ccdiff_nets::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::cpu::Cpu;
 use ccdiff_nets::compute::numbers::{self, Array};
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
@@ -32,10 +32,7 @@ impl Ops for Torch {
     type Linear = nn::Linear;
     type Joint = Joint;
     type Norm = nn::LayerNorm;
-    type Filter = nn::Conv1D;
-    type Groups = nn::GroupNorm;
     type Slots = Slots;
-    type Mask = Tensor;
     type Attention = Tensor;
     type Path<'a> = nn::Path<'a>;
 
@@ -60,15 +57,6 @@ impl Ops for Torch {
         nn::layer_norm(p, vec![width], Default::default())
     }
 
-    fn filter(p: &nn::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> nn::Conv1D {
-        let config = nn::ConvConfig { stride, padding: kernel / 2, ..Default::default() };
-        nn::conv1d(p, inputs, outputs, kernel, config)
-    }
-
-    fn groups(p: &nn::Path<'_>, groups: i64, width: i64) -> nn::GroupNorm {
-        nn::group_norm(p, groups, width, Default::default())
-    }
-
     fn table(p: &nn::Path<'_>, numbers: &[f32], width: i64) -> Tensor {
         Tensor::from_slice(numbers).view([1, -1, width]).to_device(p.device())
     }
@@ -89,31 +77,16 @@ impl Ops for Torch {
         (of_token, of_edge)
     }
 
-    fn normed(norm: &nn::LayerNorm, x: &Tensor) -> Tensor {
-        x.apply(norm)
-    }
-
-    fn normed_relu(norm: &nn::LayerNorm, x: Tensor) -> Tensor {
-        x.apply(norm).relu()
+    fn normed(norm: &nn::LayerNorm, x: &Tensor, relu: bool) -> Tensor {
+        let y = x.apply(norm);
+        if relu { y.relu() } else { y }
     }
 
     fn sum_normed(norm: &nn::LayerNorm, x: &Tensor, y: Tensor) -> Tensor {
         (x + y).apply(norm)
     }
 
-    fn filtered(filter: &nn::Conv1D, x: &Tensor) -> Tensor {
-        x.transpose(1, 2).apply(filter).transpose(1, 2)
-    }
-
-    fn groups_mish(norm: &nn::GroupNorm, x: Tensor) -> Tensor {
-        x.transpose(1, 2).apply(norm).mish().transpose(1, 2)
-    }
-
-    fn sum(x: &Tensor, y: Tensor) -> Tensor {
-        x + y
-    }
-
-    fn sum_shared(x: Tensor, y: &Tensor) -> Tensor {
+    fn sum(x: Tensor, y: &Tensor) -> Tensor {
         x + y
     }
 
@@ -146,34 +119,27 @@ impl Ops for Torch {
         x.mish()
     }
 
-    fn attend(q: &Tensor, (k, v): &KeyValue<Self>, heads: i64, mask: Option<&Tensor>) -> Tensor {
+    fn attend(q: &Tensor, (k, v): (&Tensor, &Tensor), heads: i64, slots: Option<&Slots>) -> Tensor {
         let [q, k, v] = [q, k, v].map(|x| split(x, heads));
+        let mask = slots.and_then(|slots| slots.tokens.as_ref());
         let y = Tensor::scaled_dot_product_attention(&q, &k, &v, mask, 0.0, false, None, false);
         y.transpose(1, 2).flatten(2, 3)
     }
 
-    fn pool(q: &Tensor, elements: &Tensor, heads: i64) -> Tensor {
-        let q = q.view([q.size()[0], heads, -1]);
-        let scale = (q.size()[2] as f64).sqrt();
-        let weights = (q.bmm(&elements.transpose(1, 2)) / scale).softmax(-1, Kind::Float);
-        weights.bmm(elements).flatten(1, 2).unsqueeze(1)
-    }
-
-    fn attend_others(
+    fn attend_across(
         q: &Tensor,
         (k, v): &KeyValue<Self>,
-        (k_edge, v_edge): &KeyValue<Self>,
+        edges: Option<&KeyValue<Self>>,
         slots: &Slots,
         heads: i64,
     ) -> (Tensor, Tensor) {
-        let (k, v) = (slots.gather(k) + k_edge, slots.gather(v) + v_edge);
-        let attention = weights(q, &k, &slots.others_or_self, heads);
-        (mix(&attention, &v), attention)
-    }
-
-    fn attend_all(q: &Tensor, (k, v): &KeyValue<Self>, slots: &Slots, heads: i64) -> Tensor {
         let (k, v) = (slots.gather(k), slots.gather(v));
-        mix(&weights(q, &k, &slots.with_self, heads), &v)
+        let (k, v, seen) = match edges {
+            Some((k_edge, v_edge)) => (k + k_edge, v + v_edge, &slots.others_or_self),
+            None => (k, v, &slots.with_self),
+        };
+        let attention = weights(q, &k, seen, heads);
+        (mix(&attention, &v), attention)
     }
 
     fn gated(a: &Tensor, g: &Tensor, h: &Tensor, own: Tensor) -> Tensor {
@@ -218,15 +184,37 @@ impl Inputs for Torch {
     }
 
     fn edges(batch: &Batch, config: &ModelConfig, moved: bool) -> (Tensor, Slots) {
-        let of = batch.neighbourhood();
-        if moved { Slots::at_tokens(&of, config) } else { Slots::now(&of, config) }
-    }
-
-    fn mask(batch: &Batch, config: &ModelConfig) -> Option<Tensor> {
-        let past = Self::history(batch, config).select(2, 7).gt(0.5);
+        let (edges, slots) = Slots::at_tokens(&batch.neighbourhood(), config, moved);
+        if config.history == HistoryTokens::Summary {
+            return (edges, slots);
+        }
+        let past = tensor(batch.numbers().history(config), batch.device).select(2, 7).gt(0.5);
         let future = past.narrow(1, config.history_steps as i64 - 1, 1);
         let future = future.expand([-1, config.num_knots() as i64], false);
-        Some(Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1))
+        let tokens = Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1);
+        (edges, Slots { tokens: Some(tokens), ..slots })
+    }
+}
+
+impl Convolves for Torch {
+    type Filter = nn::Conv1D;
+    type Groups = nn::GroupNorm;
+
+    fn filter(p: &nn::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> nn::Conv1D {
+        let config = nn::ConvConfig { stride, padding: kernel / 2, ..Default::default() };
+        nn::conv1d(p, inputs, outputs, kernel, config)
+    }
+
+    fn groups(p: &nn::Path<'_>, groups: i64, width: i64) -> nn::GroupNorm {
+        nn::group_norm(p, groups, width, Default::default())
+    }
+
+    fn filtered(filter: &nn::Conv1D, x: &Tensor) -> Tensor {
+        x.transpose(1, 2).apply(filter).transpose(1, 2)
+    }
+
+    fn groups_mish(norm: &nn::GroupNorm, x: Tensor) -> Tensor {
+        x.transpose(1, 2).apply(norm).mish().transpose(1, 2)
     }
 }
 

@@ -40,8 +40,6 @@ pub fn rollout(actions: &Tensor, speed_mps: &Tensor, dt_s: f64) -> Tensor {
 mod tests {
     use super::*;
     use ccdiff_nets::inputs::unicycle::states_of_poses;
-    use ccdiff_sim::dynamics::{Dynamics, KinState};
-    use ccdiff_sim::state::Footprint;
 
     fn roll(speed: f32, actions: &[[f32; 2]]) -> Vec<f32> {
         let flat: Vec<f32> = actions.iter().flatten().copied().collect();
@@ -51,20 +49,6 @@ mod tests {
             0.1,
         );
         Vec::<f32>::try_from(states.view([-1])).unwrap()
-    }
-
-    #[test]
-    fn plans_move_as_the_simulator_does_where_no_bound_of_the_speed_acts() {
-        let actions: Vec<[f32; 2]> =
-            (0..40).map(|t| [(t as f32 * 0.7).sin() * 3.0, (t as f32 * 0.4).cos() * 1.2]).collect();
-        let (plan, footprint) = (roll(6.0, &actions), Footprint::new(4.5, 2.0));
-        let unicycle = Dynamics::Unicycle(plan_limits());
-        let mut state = KinState { x: 0.0, y: 0.0, heading_rad: 0.0, speed_mps: 6.0 };
-        for (action, at) in actions.iter().zip(plan.chunks_exact(6)) {
-            unicycle.step(&mut state, [action[0], action[1], 0.0], 0.1, &footprint);
-            let own = [state.x, state.y, state.speed_mps, state.heading_rad];
-            assert!(own.iter().zip(at).all(|(a, b)| (a - b).abs() < 1e-4), "{own:?} {at:?}");
-        }
     }
 
     fn check(speed: f32, actions: &[[f32; 2]], want: &[[f32; 4]]) {

@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
-    MapCollision, Objective, OverSpeed, Rollout, Target, WorldGuidance, choose_samples,
+    MapCollision, Objective, OverSpeed, Rollout, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
@@ -28,10 +28,9 @@ fn approach(weight: f32) -> Objective {
 fn guided(toy: &Toy, guide: &WorldGuidance<'_>, config: &GuidanceConfig, steps: usize) -> Vec<f32> {
     let m = toy.features.agents.len();
     let mut knots = toy.still();
-    let mut all =
-        Guidance::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false).unwrap();
+    let mut all = Guidance::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false);
     for _ in 0..steps {
-        all.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: None }).unwrap();
+        all.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: None });
     }
     knots
 }
@@ -97,14 +96,14 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     let who = [true, false, false];
     let config = GuidanceConfig { learning_rate: 5.0, ..config(vec![approach(-10.0)]) };
     let context = toy.context(&WorldGuidance::new(&who), &config);
-    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false);
     let before = toy.still();
     let mut after = before.clone();
-    guide.adjust(&mut after, GuidanceStep { sigma: 0.3, gain: 0.5, score: None }).unwrap();
+    guide.adjust(&mut after, GuidanceStep { sigma: 0.3, gain: 0.5, score: None });
     // moved in units of the mean's standard deviation: a move of x0 reaches the mean at half its size
     let sigmas: Vec<f32> = before.iter().zip(&after).map(|(a, b)| (b - a) * 0.5 / 0.3).collect();
     assert!(sigmas.iter().all(|s| s.abs() <= 1.0 + 1e-5) && sigmas.iter().any(|s| s.abs() > 0.5));
-    let report = guide.report(&after).unwrap().remove(0).unwrap();
+    let report = guide.report(&after).remove(0).unwrap();
     // erf(d / (2 sqrt 2)), d the distance of the means in standard deviations
     let distance = sigmas[..26].iter().map(|s| f64::from(s * s)).sum::<f64>().sqrt();
     let expected = f64::try_from(tch::Tensor::from(distance / 8_f64.sqrt()).erf()).unwrap() as f32;
@@ -112,7 +111,7 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     assert_eq!((report.realism_cost[1], report.shift_sigmas[2]), (0.0, 0.0));
     // a step without randomness does nothing, as the last one of a plan
     let same = after.clone();
-    guide.adjust(&mut after, GuidanceStep { sigma: 0.0, gain: 1.0, score: None }).unwrap();
+    guide.adjust(&mut after, GuidanceStep { sigma: 0.0, gain: 1.0, score: None });
     assert_eq!(after, same);
 }
 
@@ -147,10 +146,7 @@ fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
         let context = toy.context(&WorldGuidance::new(who), &config);
         let m = toy.features.agents.len();
         let mut knots = noisy(toy, sample);
-        Guidance::new(&config, &toy.model, vec![Some(context)], &[m], 1, false)
-            .unwrap()
-            .adjust(&mut knots, step)
-            .unwrap();
+        Guidance::new(&config, &toy.model, vec![Some(context)], &[m], 1, false).adjust(&mut knots, step);
         knots
     };
     let worlds = vec![
@@ -158,16 +154,16 @@ fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
         None,
         Some(b.context(&WorldGuidance::new(&who_b), &config)),
     ];
-    let mut guide = Guidance::new(&config, &a.model, worlds, &[3, 4, 4], 2, false).unwrap();
+    let mut guide = Guidance::new(&config, &a.model, worlds, &[3, 4, 4], 2, false);
     let parts = |sample: u64| [noisy(&a, sample), noisy(&b, sample), noisy(&b, sample)];
     let mut knots = [parts(0).concat(), parts(1).concat()].concat();
-    guide.adjust(&mut knots, step).unwrap();
+    guide.adjust(&mut knots, step);
     let expected: Vec<f32> = [0, 1]
         .into_iter()
         .flat_map(|sample| [alone(&a, &who_a, sample), noisy(&b, sample), alone(&b, &who_b, sample)].concat())
         .collect();
     assert_eq!(knots, expected);
-    assert!(guide.report(&knots).unwrap()[1].is_none());
+    assert!(guide.report(&knots)[1].is_none());
 }
 
 #[test]
@@ -218,40 +214,19 @@ fn gradient_statistics_say_who_pulls_which_way() {
     let config =
         config(vec![approach(-10.0), Objective::OverSpeed(OverSpeed { weight: -1.0, limit_mps: Some(1.0) })]);
     let context = toy.context(&WorldGuidance::new(&who), &config);
-    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, true).unwrap();
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, true);
     let mut knots = toy.still();
-    let gradients = guide.gradients(0, &knots).unwrap();
+    let gradients = guide.gradients(0, &knots);
     // a score that agrees with guidance for agent 0 and contradicts it for agent 1
     let width = 26;
     let score: Vec<f32> =
         (0..3 * width).map(|k| (gradients[0][k] + gradients[1][k]) * [-2.0, 0.5, 0.0][k / width]).collect();
-    guide.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: Some(&score) }).unwrap();
+    guide.adjust(&mut knots, GuidanceStep { sigma: 0.3, gain: 1.0, score: Some(&score) });
     assert_eq!(knots, toy.still(), "nobody is guided");
-    let found = guide.report(&knots).unwrap().remove(0).unwrap().conflict.unwrap();
+    let found = guide.report(&knots).remove(0).unwrap().conflict.unwrap();
     assert!((found.cosine[0] - 1.0).abs() < 1e-5 && (found.cosine[1] + 1.0).abs() < 1e-5);
     assert_eq!((found.cosine[2], found.conflict_share.as_slice()), (0.0, [0.0, 1.0, 0.0].as_slice()));
     assert!(found.alignment[0] > 0.0 && found.alignment[1] < 0.0);
     assert!((found.objective_cosine[0] - 1.0).abs() < 1e-5);
     assert_eq!(found.objective_cosine[1], found.objective_cosine[2]);
-}
-
-#[test]
-fn guides_of_the_wrong_length_are_refused() {
-    let toy = toy(&NEAR_MISS, ModelConfig::fast());
-    let config = GuidanceConfig::released();
-    let short = [true, false];
-    let error = GuidanceContext::new(
-        &WorldGuidance::new(&short),
-        &toy.window,
-        &toy.features,
-        &toy.model,
-        (1.0, None),
-    );
-    assert!(error.unwrap_err().to_string().contains("guide guided is 2, expected 3"));
-    let who = [true; 3];
-    let context = toy.context(&WorldGuidance::new(&who), &config);
-    assert!(Guidance::new(&config, &toy.model, vec![Some(context.clone())], &[2], 1, false).is_err());
-    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false).unwrap();
-    assert!(guide.adjust(&mut [0.0; 7], GuidanceStep { sigma: 1.0, gain: 1.0, score: None }).is_err());
-    assert_eq!(guide.config().target, Target::Mu);
 }

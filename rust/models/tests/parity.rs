@@ -9,6 +9,7 @@ use ccdiff_models::dataset::vehicles;
 use ccdiff_models::features::Window;
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
+use ccdiff_nets::compute::weights;
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::scene::{Map, Scene};
 use common::runs::{exported, loaded, quick, run_on};
@@ -65,7 +66,7 @@ fn every_form_has_the_same_plans_on_both() {
         // routes begin silent
         run.run(2).unwrap();
         let path = exported(&run, name);
-        let mut own = TrajectoryModel::load(&path).unwrap();
+        let mut own = TrajectoryModel::new(&path, weights::read(&path).unwrap()).unwrap();
         let mut torch = loaded(&path);
         let network = model.network().unwrap();
         let guidance_weight = if network.causal { 1.4 } else { 1.0 };

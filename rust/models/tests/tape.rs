@@ -20,7 +20,6 @@ fn losses_and_gradients_are_those_of_torch() {
         ("ccdiff", true, true),
         ("ccdiff", false, false),
         ("ctgpp", true, false),
-        ("ctg", true, false),
         ("simnet", true, false),
         ("bits", true, false),
         ("tokens", true, true),

@@ -89,17 +89,6 @@ pub fn require(holds: bool, field: &'static str, got: impl ToString, expected: &
     if holds { Ok(()) } else { Err(ModelError::Config { field, got: got.to_string(), expected }) }
 }
 
-/// Checks that there are as many as expected.
-///
-/// # Errors
-/// [`ModelError::Shape`] where there are not.
-pub fn equal(what: &'static str, got: usize, expected: usize) -> Result<()> {
-    if got == expected {
-        return Ok(());
-    }
-    Err(ModelError::Shape { what, got: got.to_string(), expected: expected.to_string() })
-}
-
 impl ModelError {
     /// A libtorch failure, its message cut before the C++ stack.
     pub fn torch(operation: &'static str, message: &str) -> Self {

@@ -34,7 +34,7 @@ mod cruise {
 
     impl<B: Backend> Proposes<B> for Cruise<B> {
         fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, _: Guide<'_, '_>) -> Result<Proposed> {
-            let knots = B::apply(&self.0, &B::standard_speed(batch, &self.1));
+            let knots = B::apply(&self.0, &B::placed(batch, B::plain(batch).standard_speed(&self.1)));
             Ok((B::numbers(&knots).repeat(asked.options.num_samples), None))
         }
     }

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Adds the functions of this file to the module.
 pub(crate) fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(config_tables, module)?)?;
-    module.add_function(wrap_pyfunction!(traffic_policy, module)?)
+    module.add_function(wrap_pyfunction!(network_driver, module)?)
 }
 
 /// The tables of networks, of their training, options and guidance as JSON: names, defaults, units, ranges, meanings.
@@ -26,10 +26,10 @@ fn config_tables() -> PyResult<String> {
     serde_json::to_string(&tables).map_err(|e| py::ConfigError::new_err(e.to_string()))
 }
 
-/// A policy of worlds with this step over these scenes, on torch, which plans on this many threads; `options` is a
+/// A driver of worlds with this step over these scenes, on torch, which plans on this many threads; `options` is a
 /// `CcdiffConfig` as JSON.
 #[pyfunction]
-fn traffic_policy<'py>(
+fn network_driver<'py>(
     py: Python<'py>,
     name: &str,
     kind: &str,
@@ -40,5 +40,5 @@ fn traffic_policy<'py>(
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     let asked = AskedDriver { name, kind, options, dt_s, scenes };
-    asked.policy(py, |config| planned_traffic(config, &weights, num_threads))
+    asked.driver(py, |config| planned_traffic(config, &weights, num_threads))
 }

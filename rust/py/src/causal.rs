@@ -1,15 +1,14 @@
-//! Bindings of `ccdiff_sim::causal`: measures, the decision causal graph, rankings.
+//! Bindings of `ccdiff_sim::causal`: measures, rankings.
 
 use crate::enter::flags;
 use ccdiff_bridge::errors::{from_sim, py::UnknownNameError};
-use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
 use ccdiff_sim::causal::measures::{Moving, distance_m, ttc_s};
 use ccdiff_sim::causal::rank::{CliqueSettings, RankInput, Ranker, Ranking};
 use ccdiff_sim::check_length;
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::state::Footprint;
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -44,22 +43,6 @@ pub(crate) fn causal_pairs<'py>(
     };
     let out = py.detach(|| (0..num_steps).flat_map(at_step).collect());
     PyArray1::from_vec(py, out).reshape([num_steps, num_agents, num_agents])
-}
-
-/// The decision causal graph [M, M].
-#[pyfunction]
-pub(crate) fn causal_graph<'py>(
-    py: Python<'py>,
-    ttc_s: PyReadonlyArray2<'py, f32>,
-    distance_m: PyReadonlyArray2<'py, f32>,
-    max_ttc_s: f32,
-    max_distance_m: f32,
-) -> PyResult<Bound<'py, PyArray2<bool>>> {
-    let num_agents = ttc_s.shape()[0];
-    let thresholds = GraphThresholds { ttc_s: max_ttc_s, distance_m: max_distance_m };
-    let graph = CausalGraph::from_measures(num_agents, ttc_s.as_slice()?, distance_m.as_slice()?, thresholds)
-        .map_err(from_sim)?;
-    PyArray1::from_slice(py, graph.as_slice()).reshape([num_agents, num_agents])
 }
 
 /// Key agents by a named ranker, filled up; how many the ranker named; whether clique searches were completed.

@@ -1,24 +1,24 @@
-//! The kinds of drivers that there are, and the policies of a batch of worlds.
+//! The kinds of drivers, and the drivers of a batch of worlds.
 
-use crate::python_policy::{self, PythonPolicy};
+use crate::python_driver::{self, PythonDriver};
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_bridge::{Policy, path_of};
+use ccdiff_bridge::{BoxedDriver, path_of};
 use ccdiff_nets::NetworkKind;
 use ccdiff_nets::networks::NETWORKS;
 use ccdiff_nets::networks::ccdiff::CCDIFF;
 use ccdiff_nets::traffic::DRIVERS;
 use ccdiff_nets::traffic::swift::SWIFT;
 use ccdiff_render::DrawStyle;
+use ccdiff_sim::drivers::{KINDS, Kind};
 use ccdiff_sim::options;
 use ccdiff_sim::planner::EGOS;
-use ccdiff_sim::policy::{self, Kind};
 use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// What a policy is made from.
+/// What a driver is made from.
 struct Recipe<'a> {
     /// Name in the batch.
     name: &'a str,
@@ -30,7 +30,7 @@ struct Recipe<'a> {
 
 /// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of earlier versions count in this order.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
-    let own = policy::KINDS.iter().chain([&python_policy::KIND]);
+    let own = KINDS.iter().chain([&python_driver::KIND]);
     own.chain(&DRIVERS).chain([&EGOS, &SWIFT])
 }
 
@@ -110,32 +110,32 @@ pub(crate) fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 }
 
 /// Traffic of a model of the user's own.
-fn python(recipe: &Recipe<'_>) -> PyResult<Policy> {
+fn python(recipe: &Recipe<'_>) -> PyResult<BoxedDriver> {
     let model = recipe.model.ok_or_else(|| {
         let message = format!("config: named_drivers: {}: no Python object was handed over", recipe.name);
         py::ConfigError::new_err(message)
     })?;
     let model = Python::attach(|py| model.clone_ref(py));
-    let path = path_of(recipe.name, python_policy::KIND.name);
+    let path = path_of(recipe.name, python_driver::KIND.name);
     let options = options::read(&path, &recipe.options.to_string()).map_err(from_sim)?;
-    Ok(Box::new(PythonPolicy::new(recipe.name, options, model)))
+    Ok(Box::new(PythonDriver::new(recipe.name, options, model)))
 }
 
-/// What is to be made beside the policies that every batch has: what somebody drives by, and all under names of their own.
+/// What is to be made beside the drivers that every batch has: the drivers that agents have, and all under names of their own.
 fn recipes<'a>(
     config: &'a WorldConfig,
     models: &'a BTreeMap<String, Py<PyAny>>,
 ) -> PyResult<Vec<(&'static Kind, Recipe<'a>)>> {
     let mut found = Vec::new();
-    for (name, policy) in &config.named_drivers {
-        let one = policy.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
+    for (name, driver) in &config.named_drivers {
+        let one = driver.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
         let Some((kind, options)) =
             one.and_then(|(kind, options)| Some((of(kind).filter(|k| k.options.is_some())?, options)))
         else {
             let kinds: Vec<&str> = kinds().filter(|kind| kind.options.is_some()).map(|k| k.name).collect();
             let kinds = kinds.join(", ");
             let message =
-                format!("config: named_drivers: {name} is {policy}, expected {{kind: options}} of {kinds}");
+                format!("config: named_drivers: {name} is {driver}, expected {{kind: options}} of {kinds}");
             return Err(py::ConfigError::new_err(message));
         };
         if kind.name != name || config.names(name) {
@@ -143,7 +143,7 @@ fn recipes<'a>(
         }
     }
     // who drives by a kind without options of its own has those that all networks share, or the default ones
-    let shared = config.named_drivers.get(SHARED).and_then(|policy| policy.get(SHARED));
+    let shared = config.named_drivers.get(SHARED).and_then(|driver| driver.get(SHARED));
     for kind in
         kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))
     {
@@ -157,7 +157,7 @@ fn recipes<'a>(
     Ok(found)
 }
 
-/// Policies of a configuration (JSON) that are made of files: name, kind, options as JSON.
+/// Drivers of a configuration (JSON) that are made of files: name, kind, options as JSON.
 #[pyfunction]
 pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
@@ -167,37 +167,39 @@ pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static st
     Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
 }
 
-/// The policies in capsules of the module of networks, by name.
-pub(crate) fn taken(capsules: BTreeMap<String, Bound<'_, PyCapsule>>) -> PyResult<BTreeMap<String, Policy>> {
-    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::taken_policy(capsule)?))).collect()
+/// The drivers in capsules of the module of networks, by name.
+pub(crate) fn taken(
+    capsules: BTreeMap<String, Bound<'_, PyCapsule>>,
+) -> PyResult<BTreeMap<String, BoxedDriver>> {
+    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::taken_driver(capsule)?))).collect()
 }
 
-/// The policies of a configuration beside those that every batch has.
-pub(crate) fn policies(
+/// The drivers of a configuration beside those that every batch has.
+pub(crate) fn boxed(
     config: &WorldConfig,
-    mut networks: BTreeMap<String, Policy>,
+    mut networks: BTreeMap<String, BoxedDriver>,
     models: &BTreeMap<String, Py<PyAny>>,
-) -> PyResult<Vec<(String, Policy)>> {
+) -> PyResult<Vec<(String, BoxedDriver)>> {
     let mut made = Vec::new();
     for (kind, recipe) in recipes(config, models)? {
-        let policy = match (kind.make, networks.remove(recipe.name)) {
+        let driver = match (kind.make, networks.remove(recipe.name)) {
             (Some(make), _) => {
                 let path = path_of(recipe.name, kind.name);
                 make(&path, &recipe.options.to_string()).map_err(from_sim)?
             }
-            (None, Some(policy)) => policy,
-            (None, None) if kind.name == python_policy::KIND.name => python(&recipe)?,
+            (None, Some(driver)) => driver,
+            (None, None) if kind.name == python_driver::KIND.name => python(&recipe)?,
             (None, None) => {
                 let message = format!("config: named_drivers: {}: no network was handed over", recipe.name);
                 return Err(py::ConfigError::new_err(message));
             }
         };
-        made.push((recipe.name.to_owned(), policy));
+        made.push((recipe.name.to_owned(), driver));
     }
     Ok(made)
 }
 
-/// A configuration as worlds are told apart by it: options of policies are those that are not the default.
+/// A configuration as worlds are told apart by it: options of drivers are those that are not the default.
 pub(crate) fn told_apart(config: WorldConfig) -> WorldConfig {
     let mut named_drivers = config.named_drivers;
     for (kind, options) in named_drivers.values_mut().filter_map(Value::as_object_mut).flatten() {

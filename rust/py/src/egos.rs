@@ -2,7 +2,7 @@
 
 use crate::enter::enter;
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_bridge::{contained, policy_capsule};
+use ccdiff_bridge::{contained, driver_capsule};
 use ccdiff_sim::observe::Layout;
 use ccdiff_sim::options;
 use ccdiff_sim::planner::{EgoParts, Egos, NetworkOfEgo, Tensors};
@@ -25,9 +25,9 @@ fn taken(arrays: Arrays<'_>) -> PyResult<Tensors> {
     arrays.into_iter().map(whole).collect()
 }
 
-/// A policy of worlds: `observation` and `action` are configurations as JSON, `tensors` weights by name.
+/// Traffic that a trained ego drives: `observation` and `action` are configurations as JSON, `tensors` weights by name.
 #[pyfunction]
-pub(crate) fn egos_policy<'py>(
+pub(crate) fn egos_driver<'py>(
     py: Python<'py>,
     observation: &str,
     action: &str,
@@ -40,10 +40,10 @@ pub(crate) fn egos_policy<'py>(
         decision_steps,
         tensors: taken(tensors)?,
     };
-    policy_capsule(py, contained(Box::new(Egos::new(parts).map_err(from_sim)?)))
+    driver_capsule(py, contained(Box::new(Egos::new(parts).map_err(from_sim)?)))
 }
 
-/// The network of an ego: actions for observations. Configurations and weights as in `egos_policy`.
+/// The network of an ego: actions for observations. Configurations and weights as in `egos_driver`.
 #[pyclass(module = "ccdiff_env._native")]
 pub(crate) struct EgoNetwork(NetworkOfEgo);
 

@@ -9,7 +9,7 @@ mod map_queries;
 mod metrics;
 mod networks;
 mod planner;
-mod python_policy;
+mod python_driver;
 mod render;
 mod scene;
 mod scene_map;
@@ -24,11 +24,11 @@ mod world_state;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::causal::{causal_graph, causal_pairs, causal_rank};
+    use crate::causal::{causal_pairs, causal_rank};
     #[pymodule_export]
     use crate::drivers::{driver_kinds, drivers, networks_wanted};
     #[pymodule_export]
-    use crate::egos::{EgoNetwork, egos_policy};
+    use crate::egos::{EgoNetwork, egos_driver};
     #[pymodule_export]
     use crate::logged_batch::traffic_batch_from_log;
     #[pymodule_export]
@@ -36,7 +36,7 @@ mod _native {
     #[pymodule_export]
     use crate::metrics::NativeMotion;
     #[pymodule_export]
-    use crate::networks::{guidance_preset, load_network, needs_torch, traffic_policy};
+    use crate::networks::{guidance_preset, load_network, needs_torch, network_driver};
     #[pymodule_export]
     use crate::planner::PyPlanner;
     #[pymodule_export]

@@ -26,13 +26,14 @@ pub(crate) fn needs_torch(py: Python<'_>, path: PathBuf) -> PyResult<bool> {
 /// The network of a weight file.
 #[pyfunction]
 pub(crate) fn load_network(py: Python<'_>, path: PathBuf) -> PyResult<PyTrajectoryModel> {
-    py.detach(|| TrajectoryModel::load(&path)).map(PyTrajectoryModel::new).map_err(from_model)
+    let model = py.detach(|| TrajectoryModel::new(&path, weights::read(&path)?));
+    model.map(PyTrajectoryModel::new).map_err(from_model)
 }
 
-/// A policy of worlds with this step over these scenes, which plans on this many threads; `options` is a
+/// A driver of worlds with this step over these scenes, which plans on this many threads; `options` is a
 /// `CcdiffConfig` as JSON.
 #[pyfunction]
-pub(crate) fn traffic_policy<'py>(
+pub(crate) fn network_driver<'py>(
     py: Python<'py>,
     name: &str,
     kind: &str,
@@ -43,10 +44,10 @@ pub(crate) fn traffic_policy<'py>(
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     if kind == SWIFT.name {
-        return swift::policy(py, name, options, &weights, dt_s, num_threads);
+        return swift::driver(py, name, options, &weights, dt_s, num_threads);
     }
     let asked = AskedDriver { name, kind, options, dt_s, scenes };
-    asked.policy(py, |config| PlannedTraffic::new(config, &weights, num_threads))
+    asked.driver(py, |config| PlannedTraffic::new(config, &weights, num_threads))
 }
 
 /// Settings of a guidance preset, as JSON.

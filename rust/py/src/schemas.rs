@@ -1,12 +1,12 @@
 //! What worlds are configured with and report, as JSON that Python reads names, units and meanings from.
 
 use crate::drivers;
-use crate::python_policy::PythonOptions;
+use crate::python_driver::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_sim::drivers::{KINDS, PLAN_FIELDS};
 use ccdiff_sim::observe::{BEV_CHANNELS, Layout, ObservationConfig, all_columns};
 use ccdiff_sim::options::{Table, check_table};
 use ccdiff_sim::planner::EgosConfig;
-use ccdiff_sim::policy::{self, PLAN_FIELDS};
 use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
 use pyo3::prelude::*;
 
@@ -37,7 +37,7 @@ pub(crate) fn schema(name: &str) -> PyResult<String> {
 }
 
 fn tables() -> impl Iterator<Item = &'static Table> {
-    let of_kinds = policy::KINDS.iter().filter_map(|kind| kind.options);
+    let of_kinds = KINDS.iter().filter_map(|kind| kind.options);
     let more = of_kinds.filter(|table| TABLES.iter().all(|known| known.name != table.name));
     TABLES.iter().copied().chain(more).chain([&PythonOptions::TABLE, &EgosConfig::TABLE])
 }

@@ -1,11 +1,12 @@
-//! Swift traffic: the policy, and what it sees as rows, for training.
+//! Swift traffic: the driver, and what it sees as rows, for training.
 
 use ccdiff_bridge::errors::{from_model, from_sim, py};
-use ccdiff_bridge::{contained, path_of, policy_capsule};
+use ccdiff_bridge::{contained, driver_capsule, path_of};
+use ccdiff_nets::compute::weights::read;
 use ccdiff_nets::networks::tokens::token_of;
 use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::options;
-use ccdiff_sim::policy::WorldView;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
@@ -17,8 +18,8 @@ pub(crate) fn swift_bins(changes: Vec<(f32, f32)>) -> Vec<[usize; 2]> {
     changes.into_iter().map(|(speed, yaw_rate)| token_of(speed, yaw_rate)).collect()
 }
 
-/// The policy of a name; `settings` is a `CcdiffConfig` as JSON.
-pub(crate) fn policy<'py>(
+/// The driver of a name; `settings` is a `CcdiffConfig` as JSON.
+pub(crate) fn driver<'py>(
     py: Python<'py>,
     name: &str,
     settings: &str,
@@ -27,8 +28,8 @@ pub(crate) fn policy<'py>(
     num_threads: usize,
 ) -> PyResult<Bound<'py, PyCapsule>> {
     let config = options::read(&path_of(name, SWIFT.name), settings).map_err(from_sim)?;
-    let made = py.detach(|| Swift::load(config, weights, dt_s, num_threads));
-    policy_capsule(py, contained(Box::new(made.map_err(from_model)?)))
+    let made = py.detach(|| Swift::new(config, weights, read(weights)?, dt_s, num_threads));
+    driver_capsule(py, contained(Box::new(made.map_err(from_model)?)))
 }
 
 /// What it would see of some vehicles, a row of each: itself and its route, the ego, [`NEIGHBOURS`] others, and how many they are.

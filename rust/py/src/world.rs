@@ -12,8 +12,8 @@ use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_render::{Frame, Shown, Trails};
+use ccdiff_sim::drivers::PlanOverride;
 use ccdiff_sim::geom::Point2;
-use ccdiff_sim::policy::PlanOverride;
 use ccdiff_sim::world::{
     ArraySpec, CANDIDATE_FEATURES, COMPONENTS, NUM_METRICS, ResetRequest, Slot, VecWorld, Wanted, WorldConfig,
 };
@@ -82,7 +82,7 @@ impl PyVecWorld {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are policies by
+    /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are drivers by
     /// name ([`drivers::networks_wanted`]), `models` the objects behind Python models.
     #[new]
     #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, networks=None, models=None))]
@@ -100,8 +100,8 @@ impl PyVecWorld {
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
         let networks = drivers::taken(networks.unwrap_or_default())?;
         let world = enter(py, || {
-            let policies = drivers::policies(&config, networks, &models.unwrap_or_default())?;
-            VecWorld::new(scenes, drivers::told_apart(config), num_worlds, num_threads, policies)
+            let made = drivers::boxed(&config, networks, &models.unwrap_or_default())?;
+            VecWorld::new(scenes, drivers::told_apart(config), num_worlds, num_threads, made)
                 .map_err(from_sim)
         })?;
         let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
@@ -327,7 +327,7 @@ impl PyVecWorld {
         self.here()?.world.override_plan(world_idx, PlanOverride { guided, criticality }).map_err(from_sim)
     }
 
-    /// The plan of a policy (the first that plans, by default) that a world follows as a dictionary of new arrays;
+    /// The plan of a driver (the first that plans, by default) that a world follows as a dictionary of new arrays;
     /// `None` before the first one of its episode.
     #[pyo3(signature = (world_idx, driver=None))]
     fn explain<'py>(
@@ -371,14 +371,14 @@ impl PyVecWorld {
         Ok(status.drivers.iter().map(|d| me.world.driver_name(*d).0.to_owned()).collect())
     }
 
-    /// Names of the policies of this batch, each with its kind.
+    /// Names of the drivers of this batch, each with its kind.
     #[getter]
-    fn policies(&self) -> PyResult<Vec<(String, String)>> {
+    fn driver_table(&self) -> PyResult<Vec<(String, String)>> {
         let me = self.lock()?;
-        Ok(me.world.policies().map(|(name, kind)| (name.to_owned(), kind.to_owned())).collect())
+        Ok(me.world.driver_table().map(|(name, kind)| (name.to_owned(), kind.to_owned())).collect())
     }
 
-    /// Names of the policies that plan.
+    /// Names of the drivers that plan.
     #[getter]
     fn planners(&self) -> PyResult<Vec<String>> {
         Ok(self.lock()?.world.planner_names().map(str::to_owned).collect())

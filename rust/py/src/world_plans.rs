@@ -1,6 +1,6 @@
 //! Plans of a world as arrays, by the names of their table.
 
-use ccdiff_sim::policy::{PlanField, PlanRecord};
+use ccdiff_sim::drivers::{PlanField, PlanRecord};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};

@@ -16,9 +16,9 @@ pub enum DrawStyle {
     Ego = 0,
     /// An agent other than the ego that takes actions from outside.
     External = 1,
-    /// The CCDiff policy.
+    /// CCDiff.
     Ccdiff = 2,
-    /// The CCDiff policy guided towards a collision or near miss.
+    /// CCDiff guided towards a collision or near miss.
     Adversary = 3,
     /// The intelligent driver model.
     Idm = 4,

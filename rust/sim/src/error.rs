@@ -27,9 +27,9 @@ pub enum SimError {
     /// A snapshot or a certificate that does not belong to this configuration, or is damaged.
     #[error("snapshot: {0}")]
     Snapshot(String),
-    /// A background policy failed.
-    #[error("background policy {policy:?}: {message}")]
-    Policy { policy: String, message: String },
+    /// A driver of traffic failed.
+    #[error("driver {driver:?}: {message}")]
+    Driver { driver: String, message: String },
 }
 
 impl SimError {

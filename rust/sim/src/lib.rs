@@ -1,6 +1,7 @@
 //! Pure simulation of driving scenes: no files, no clock, no torch, no Python.
 
 pub mod causal;
+pub mod drivers;
 pub mod dynamics;
 pub mod error;
 pub mod events;
@@ -11,7 +12,6 @@ pub mod observe;
 pub mod options;
 mod pdm;
 pub mod planner;
-pub mod policy;
 pub mod scene;
 mod simd_dispatch;
 pub mod stage;

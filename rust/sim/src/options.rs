@@ -100,7 +100,7 @@ pub enum Form {
     Kinds(&'static Choice),
     /// Fields.
     Table(#[serde(serialize_with = "name_of")] &'static Table),
-    /// Anything; who reads it checks it.
+    /// Anything; its reader checks it.
     Any,
 }
 
@@ -166,7 +166,7 @@ pub struct Field {
     pub form: Form,
 }
 
-/// What may stand in a configuration.
+/// A type of values in a configuration.
 pub trait Setting {
     /// What it looks like in JSON.
     const FORM: Form;
@@ -317,7 +317,7 @@ pub fn to_value<T: Serialize>(value: &T) -> Value {
     serde_json::from_str(&text).unwrap_or_default()
 }
 
-/// Reads JSON as a configuration and checks every name, type and range; `path` is where it stands, empty at the top.
+/// Reads JSON as a configuration and checks every name, type and range; `path` is its place, empty at the top.
 ///
 /// # Errors
 /// [`SimError::Config`] names the first field that is wrong.
@@ -347,7 +347,7 @@ fn inside(path: &str, name: &str) -> String {
     if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") }
 }
 
-/// Checks JSON against a table without making a struct of it; `path` is where it stands.
+/// Checks JSON against a table without making a struct of it; `path` is its place.
 ///
 /// # Errors
 /// [`SimError::Config`] names the first field that is wrong.
@@ -456,6 +456,3 @@ impl Table {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests;

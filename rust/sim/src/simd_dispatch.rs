@@ -18,8 +18,7 @@ pub fn is_held_to_base() -> bool {
     BASE_ALONE.load(Ordering::Relaxed)
 }
 
-/// A number where all bits of a mask are set, another one where none is. The compiler keeps arrays of such choices in
-/// registers, where it stores those of `if` behind masks and waits for what it has stored.
+/// A number where all bits of a mask are set, another one where none is; faster than `if` in loops over arrays.
 #[inline(always)]
 pub(crate) fn pick(mask: u32, chosen: f32, other: f32) -> f32 {
     f32::from_bits(chosen.to_bits() & mask | other.to_bits() & !mask)

@@ -80,7 +80,7 @@ pub struct AgentStates {
     /// How high each agent is, where the scene has levels; else empty.
     #[serde(skip)]
     pub heights: Vec<Height>,
-    /// The chain of hitched vehicles that the agent belongs to; empty where nobody is hitched to anybody.
+    /// The chain of hitched vehicles that the agent belongs to; empty where no vehicles are hitched.
     pub(crate) chain: Vec<u32>,
 }
 
@@ -94,25 +94,31 @@ impl AgentStates {
 
     /// Makes this the states of `num_agents` agents, none of them active, in the same memory.
     pub(crate) fn clear_for(&mut self, num_agents: usize) {
-        for (array, value) in [
-            (&mut self.x, 0.0),
-            (&mut self.y, 0.0),
-            (&mut self.heading_rad, 0.0),
-            (&mut self.cos, 1.0),
-            (&mut self.sin, 0.0),
-            (&mut self.speed_mps, 0.0),
-            (&mut self.velocity_x_mps, 0.0),
-            (&mut self.velocity_y_mps, 0.0),
-            (&mut self.acceleration_mps2, 0.0),
-            (&mut self.yaw_rate_radps, 0.0),
-        ] {
-            array.clear();
-            array.resize(num_agents, value);
+        for column in self.columns_mut() {
+            column.clear();
+            column.resize(num_agents, 0.0);
         }
+        self.cos.fill(1.0);
         self.active.clear();
         self.active.resize(num_agents, false);
         self.heights.clear();
         self.chain.clear();
+    }
+
+    /// All numbers of the agents, in the order of the fields.
+    pub(crate) fn columns_mut(&mut self) -> [&mut Vec<Real>; 10] {
+        [
+            &mut self.x,
+            &mut self.y,
+            &mut self.heading_rad,
+            &mut self.cos,
+            &mut self.sin,
+            &mut self.speed_mps,
+            &mut self.velocity_x_mps,
+            &mut self.velocity_y_mps,
+            &mut self.acceleration_mps2,
+            &mut self.yaw_rate_radps,
+        ]
     }
 
     /// Elevation of an agent, metres, in a scene with levels.
@@ -121,10 +127,10 @@ impl AgentStates {
         self.heights.get(agent_idx).map(|height| height.elevation_m)
     }
 
-    /// Whether two agents can have to do with each other: everybody in a flat scene, and those on one level in others.
+    /// Whether two agents are on the same level; always in a flat scene.
     ///
-    /// They are on one level where they are at most [`LEVEL_M`] higher or lower than each other, or than the road of
-    /// either would be at the other's place if it went on straight: who drives far ahead up a ramp is on one's own road.
+    /// They are where their elevations differ by at most [`LEVEL_M`], or where that holds for the road of either,
+    /// extended straight to the other's place: a vehicle far ahead up a ramp is on the same road.
     #[inline]
     pub fn same_level(&self, i: usize, j: usize) -> bool {
         self.heights.is_empty() || self.are_level(i, j)

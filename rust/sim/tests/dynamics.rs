@@ -107,15 +107,6 @@ fn the_rear_axle_of_the_bicycle_and_the_centre_of_the_unicycle_move_along_the_he
 }
 
 #[test]
-fn stationary_agents_of_every_model_stay_where_they_are() {
-    for model in models() {
-        let mut state = KinState { x: 3.0, y: -2.0, heading_rad: 1.0, speed_mps: 0.0 };
-        model.step(&mut state, [0.0; 3], DT_S, &car());
-        assert_eq!(state, KinState { x: 3.0, y: -2.0, heading_rad: 1.0, speed_mps: 0.0 }, "{}", model.name());
-    }
-}
-
-#[test]
 fn default_grids_have_63_distinct_actions_within_the_bounds_and_straight_on_in_the_middle() {
     for model in models() {
         let grid = ActionGrid::default_for(&model);

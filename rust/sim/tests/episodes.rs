@@ -5,7 +5,7 @@ mod common;
 use ccdiff_sim::SimError;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{Autoreset, Col, Consequence, Controlled, SceneOrder, WorldConfig};
-use common::{Batch, actions, city};
+use common::{Batch, city};
 use std::sync::Arc;
 
 fn base() -> WorldConfig {
@@ -40,34 +40,6 @@ fn swerving_off_the_road_ends_ignores_stops_or_removes_as_configured() {
             assert_eq!(batch.columns[Col::Speed as usize], 0.0);
         }
     }
-}
-
-#[test]
-fn every_agent_of_a_game_ends_for_itself() {
-    let config = WorldConfig { controlled: Controlled::Vehicles, num_slots: 6, horizon_steps: 60, ..base() };
-    let mut batch = Batch::new(vec![city(4)], config, 1, 1);
-    batch.reset_all(0);
-    assert_eq!(batch.alive, [true, true, true, true, false, false]);
-    let mut ended = [0usize; 6];
-    for t in 0..60 {
-        // agent 1 leaves the road, the others go straight on
-        let mut a = vec![0.0; 12];
-        a[3] = 0.5;
-        batch.step(&a).unwrap();
-        for c in 0..6 {
-            ended[c] += usize::from(batch.terminated[c] || batch.truncated[c]);
-            if !(batch.alive[c] || batch.terminated[c] || batch.truncated[c]) {
-                assert_eq!(batch.reward[c], 0.0);
-                let row = batch.world.layout().size;
-                assert!(batch.obs[c * row..(c + 1) * row].iter().all(|x| *x == 0.0), "slot {c} step {t}");
-            }
-        }
-        if batch.done[0] {
-            break;
-        }
-    }
-    assert!(batch.done[0]);
-    assert_eq!(ended, [1, 1, 1, 1, 0, 0]);
 }
 
 #[test]
@@ -131,31 +103,6 @@ fn idm_traffic_never_runs_into_its_leader() {
 }
 
 #[test]
-fn late_agents_enter_when_their_place_is_free() {
-    let mut scene = GridCity { num_agents: 2, num_roads: 1, ..GridCity::default() }.scene();
-    // agent 1 exists from step 60 on, exactly where the ego will stand
-    let t_len = scene.num_steps;
-    let ego_at_start = scene.tracks.position[30];
-    for t in 0..t_len {
-        scene.tracks.valid[t_len + t] = t >= 60;
-        scene.tracks.position[t_len + t] = ego_at_start;
-    }
-    let config = WorldConfig { on_collision: Consequence::Ignore, ..base() };
-    let mut batch = Batch::new(vec![Arc::new(scene.validated().unwrap())], config, 1, 1);
-    batch.reset_all(0);
-    for t in 31..=75 {
-        // brake hard, stay, then drive off
-        batch.step(&[if t < 70 { -1.0 } else { 1.0 }, 0.0]).unwrap();
-        assert_eq!(batch.columns[Col::Collision as usize], 0.0);
-    }
-    assert!(!batch.world.status(0).unwrap().states.active[1], "its place is taken");
-    for _ in 0..20 {
-        batch.step(&[1.0, 0.0]).unwrap();
-    }
-    assert!(batch.world.status(0).unwrap().states.active[1], "its place is free");
-}
-
-#[test]
 fn starts_are_spread_over_the_log_by_the_seed_and_stand_where_the_log_stands() {
     let config = WorldConfig { start_spread_steps: 40, driver: "replay".into(), ..base() };
     let mut batch = Batch::new(vec![city(3)], config.clone(), 1, 1);
@@ -175,29 +122,4 @@ fn starts_are_spread_over_the_log_by_the_seed_and_stand_where_the_log_stands() {
     let mut fixed = Batch::new(vec![city(3)], base(), 1, 1);
     fixed.reset_all(5);
     assert_eq!(fixed.world.status(0).unwrap().step_idx, base().history_steps);
-}
-
-#[test]
-fn joint_and_single_contact_detection_agree() {
-    // with one slot contacts are looked for agent by agent, with many among all at once
-    let single = WorldConfig { traffic: "replay".into(), horizon_steps: 40, ..base() };
-    let joint = WorldConfig {
-        controlled: Controlled::Vehicles,
-        num_slots: 12,
-        driver: "replay".into(),
-        ..single.clone()
-    };
-    let single = WorldConfig { driver: "replay".into(), ..single };
-    let mut one = Batch::new(vec![city(24)], single, 1, 1);
-    let mut many = Batch::new(vec![city(24)], joint, 1, 1);
-    one.reset_all(0);
-    many.reset_all(0);
-    for t in 0..39 {
-        one.step(&actions(t, 2)).unwrap();
-        many.step(&actions(t, 24)).unwrap();
-        assert_eq!(one.columns[..], many.columns[..one.columns.len()], "step {t}");
-        if one.done[0] {
-            break;
-        }
-    }
 }

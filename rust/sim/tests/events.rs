@@ -1,11 +1,10 @@
-//! Contacts and leaving the road, against the `geo` crate and hand-made situations.
+//! Contacts against the `geo` crate and hand-made situations.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use ccdiff_sim::events::{
-    Collisions, Contact, ContactKind, Leader, LeastTimes, OffRoad, expected_contact_s, leader, off_road,
-    time_to_contact,
+    Collisions, Contact, ContactKind, Leader, LeastTimes, expected_contact_s, leader, time_to_contact,
 };
-use ccdiff_sim::geom::{Point2, Polygon, Polyline, Pose2, Region, Vector2};
+use ccdiff_sim::geom::{Point2, Polyline, Pose2, Vector2};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::state::{AgentStates, Footprint};
 use geo::{Area, BooleanOps};
@@ -51,13 +50,6 @@ fn rear_end_collisions_are_the_fault_of_the_one_behind() {
 }
 
 #[test]
-fn boxes_that_only_touch_are_in_contact() {
-    let [behind, ahead] = contacts([(0.0, 0.0, 0.0, 1.0), (4.0, 0.0, 0.0, 0.0)]);
-    assert_eq!((behind.kind, ahead.kind), (ContactKind::Front, ContactKind::Rear));
-    assert!(!touch(&[(0.0, 0.0, 0.0, 1.0), (4.01, 0.0, 0.0, 0.0)]));
-}
-
-#[test]
 fn crossing_traffic_hits_with_the_front_and_is_hit_on_the_side() {
     // agent 1 drives north into the right side of agent 0
     let [hit, hitting] = contacts([(0.0, 0.0, 0.0, 5.0), (0.5, -2.8, FRAC_PI_2, 5.0)]);
@@ -80,7 +72,7 @@ fn a_side_contact_counts_where_lanes_are_straddled_one_from_behind_never() {
     // alongside, both moving: the corners of the fronts do not meet
     let beside = [(0.0, 0.0, 0.0, 8.0), (-1.0, 1.9, 0.0, 8.0)];
     assert!(blame(&beside, true) && !blame(&beside, false));
-    // a standing ego is not to blame, whoever is hit; one that hits who stands always is
+    // a standing ego is not to blame; one that hits a standing agent always is
     assert!(!blame(&[(0.0, 0.0, 0.0, 0.05), (-1.0, 1.9, 0.0, 8.0)], true));
     assert!(blame(&[(0.0, 0.0, 0.0, 8.0), (-1.0, 1.9, 0.0, 0.05)], false));
     // from behind: the rear axle of 4 m lies 1.36 m behind the middle, the other's centre 2.5 m further back and 0.9 m aside
@@ -99,7 +91,7 @@ fn contacts_are_expected_at_tenths_of_a_second_with_who_is_ahead() {
     // 10 m/s and a gap of 8.5 m: contact after 0.85 s, seen at 0.9 s; of 9.4 m after 0.94 s, not seen by 0.9 s
     is(expected(&[(0.0, 0.0, 0.0, 10.0), (12.5, 0.0, 0.0, 0.0)], false), 0.9);
     assert_eq!(expected(&[(0.0, 0.0, 0.0, 10.0), (13.4, 0.0, 0.0, 0.0)], false), None);
-    // who stands meets nobody, and nobody is met from behind
+    // a standing agent has no contact, and none is expected from behind
     assert_eq!(expected(&[(0.0, 0.0, 0.0, 0.005), (7.0, 0.0, PI, 10.0)], true), None);
     assert_eq!(expected(&[(0.0, 0.0, 0.0, 1.0), (-6.0, 0.0, 0.0, 10.0)], true), None);
     // from the side it is met in intersections and between lanes alone
@@ -111,7 +103,7 @@ fn contacts_are_expected_at_tenths_of_a_second_with_who_is_ahead() {
     let (mut states, footprints, kinds) = cars(&[(0.0, 0.0, 0.0, 5.0), (9.0, 5.0, 0.0, 0.0)]);
     states.velocity_y_mps[1] = -5.0;
     assert_eq!(expected_contact_s(&states, &footprints, &kinds, 0, true, |_| false, 0.95), None);
-    // static obstacles stay, and whom it ignores it does not meet
+    // static obstacles stay, and ignored agents do not count
     let (states, footprints, mut kinds) = cars(&[(0.0, 0.0, 0.0, 10.0), (10.0, 0.0, 0.0, 9.0)]);
     assert_eq!(expected_contact_s(&states, &footprints, &kinds, 0, false, |_| false, 0.95), None);
     kinds[1] = AgentKind::Static;
@@ -139,16 +131,6 @@ fn absent_agents_and_pairs_of_static_agents_do_not_collide() {
     assert_eq!(found(&states, &footprints, &kinds), [(0, 2), (1, 2)]);
     states.active[0] = false;
     assert_eq!(found(&states, &footprints, &kinds), [(1, 2)]);
-}
-
-#[test]
-fn corners_leave_the_road_before_the_centre_does() {
-    let square = [(0.0, -50.0), (50.0, -50.0), (50.0, 50.0), (0.0, 50.0)].map(|(x, y)| Point2::new(x, y));
-    let region = Region::new(&[Polygon::from_exterior(square.to_vec())]).unwrap();
-    let (states, footprints, _) = cars(&[(25.0, 0.0, 1.0, 0.0), (1.5, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0)]);
-    let flags = [0, 1, 2].map(|agent| off_road(&states, agent, &footprints[agent], &region));
-    let flag = |corner, centroid| OffRoad { corner, centroid };
-    assert_eq!(flags, [flag(false, false), flag(true, false), flag(true, true)]);
 }
 
 proptest! {

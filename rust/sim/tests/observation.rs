@@ -5,7 +5,7 @@ mod common;
 
 use ccdiff_sim::events::leader;
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
-use ccdiff_sim::observe::{EntryKind, Layout, MapSegments, ObservationConfig};
+use ccdiff_sim::observe::{Layout, MapSegments, ObservationConfig};
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::scene::{Map, Scene};
 use ccdiff_sim::stage::Route;
@@ -17,51 +17,6 @@ use std::sync::Arc;
 
 fn config() -> WorldConfig {
     WorldConfig { autoreset: Autoreset::SameStep, traffic: "idm".into(), ..WorldConfig::default() }
-}
-
-#[test]
-fn entries_follow_one_another_without_gaps() {
-    let layout = Layout::new(&ObservationConfig::default()).unwrap();
-    let mut offset = 0;
-    for entry in &layout.entries {
-        assert_eq!(entry.offset, offset);
-        offset += entry.shape.iter().product::<usize>();
-        let columns = if entry.kind == EntryKind::Mask { 0 } else { *entry.shape.last().unwrap() };
-        assert_eq!(entry.columns.len(), columns);
-    }
-    assert_eq!(layout.size, offset);
-}
-
-#[test]
-fn nearest_agents_agree_with_a_slow_search() {
-    let agent_columns = Some(["x", "y", "distance"].map(str::to_owned).to_vec());
-    let observation = ObservationConfig { num_neighbors: 5, agent_columns, ..ObservationConfig::default() };
-    let mut batch = Batch::new(vec![city(30)], WorldConfig { observation, ..config() }, 1, 1);
-    batch.reset_all(1);
-    let agents = batch.world.layout().entry("agents").unwrap().clone();
-    let mask = batch.world.layout().entry("agents_mask").unwrap().offset;
-    for t in 0..60 {
-        batch.step(&actions(t, 2)).unwrap();
-        let status = batch.world.status(0).unwrap();
-        let (s, ego) = (status.states, status.states.pose(0));
-        let mut others: Vec<(f32, usize)> = (1..s.len())
-            .filter(|j| s.active[*j])
-            .map(|j| ((s.position(j) - ego.position).norm(), j))
-            .filter(|(d, _)| *d <= 60.0)
-            .collect();
-        others.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for k in 0..5 {
-            let row = &batch.obs[agents.offset + k * agents.shape[1]..][..agents.shape[1]];
-            let Some((distance, j)) = others.get(k) else {
-                assert!(row.iter().all(|v| *v == 0.0) && batch.obs[mask + k] == 0.0);
-                continue;
-            };
-            assert_eq!(batch.obs[mask + k], 1.0);
-            let local = ego.to_local(s.position(*j));
-            assert!((row[0] * 60.0 - local.x).abs() < 1e-3 && (row[1] * 60.0 - local.y).abs() < 1e-3);
-            assert!((row[2] * 60.0 - distance).abs() < 1e-3);
-        }
-    }
 }
 
 #[test]

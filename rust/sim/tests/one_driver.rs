@@ -1,16 +1,16 @@
-//! A driver is its file and one line: here a module and a list, in the crate `policy/creeping.rs` and a line of
-//! `policy::KINDS`.
+//! A driver is its file and one line: here a module and a list, in the crate `drivers/creeping.rs` and a line of
+//! `drivers::KINDS`.
 
 mod common;
 
-use ccdiff_sim::policy::{self, Kind};
+use ccdiff_sim::drivers::{self, Kind};
 use ccdiff_sim::world::WorldConfig;
 use common::{Batch, actions, city};
 
 mod creeping {
+    use ccdiff_sim::drivers::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
     use ccdiff_sim::geom::{Point2, Pose2, Real, Vector2};
     use ccdiff_sim::options::{self, within};
-    use ccdiff_sim::policy::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
 
     pub(crate) const KIND: Kind = Kind {
         name: "creeping",
@@ -33,7 +33,7 @@ mod creeping {
 
     struct Creeping(CreepingConfig);
 
-    impl TrafficPolicy for Creeping {
+    impl DriverModel for Creeping {
         fn name(&self) -> &str {
             KIND.name
         }
@@ -47,7 +47,7 @@ mod creeping {
     }
 }
 
-const KINDS: [&[Kind]; 2] = [policy::KINDS, &[creeping::KIND]];
+const KINDS: [&[Kind]; 2] = [drivers::KINDS, &[creeping::KIND]];
 
 #[test]
 fn a_new_driver_is_made_from_checked_options_and_drives_the_traffic() {
@@ -55,9 +55,9 @@ fn a_new_driver_is_made_from_checked_options_and_drives_the_traffic() {
     let make = |options: &str| kind.make.unwrap()(kind.name, options);
     let wrong = make(r#"{"speed_mps": 0}"#).err().unwrap().to_string();
     assert!(wrong.starts_with("config: creeping.speed_mps is 0, expected a number in"), "{wrong}");
-    let policies = vec![(kind.name.to_owned(), make(r#"{"speed_mps": 2}"#).unwrap())];
+    let drivers = vec![(kind.name.to_owned(), make(r#"{"speed_mps": 2}"#).unwrap())];
     let config = WorldConfig { traffic: kind.name.into(), ..WorldConfig::default() };
-    let mut batch = Batch::with_policies(vec![city(12)], config, 1, 1, policies);
+    let mut batch = Batch::with_drivers(vec![city(12)], config, 1, 1, drivers);
     batch.reset_all(0);
     batch.step(&actions(0, 2)).unwrap();
     let status = batch.world.status(0).unwrap();

@@ -3,7 +3,7 @@
 #![expect(clippy::panic, reason = "a test fails by panicking")]
 
 use ccdiff_sim::geom::{Point2, Polygon, Real, Region};
-use ccdiff_sim::scene::{Lane, LaneKind, RoadParts, road_area};
+use ccdiff_sim::scene::{Lane, RoadParts, road_area};
 
 fn p(x: f64, y: f64) -> Point2 {
     Point2::new(x as Real, y as Real)
@@ -15,16 +15,7 @@ fn arc(centre: (f64, f64), radius: f64, from_deg: f64, to_deg: f64) -> Vec<Point
 }
 
 fn lane(centreline: Vec<Point2>) -> Lane {
-    Lane {
-        id: "lane".into(),
-        kind: LaneKind::Lane,
-        centreline,
-        polygon: Polygon::default(),
-        successors: Vec::new(),
-        predecessors: Vec::new(),
-        speed_limit_mps: None,
-        elevation_m: Vec::new(),
-    }
+    Lane { centreline, ..Lane::default() }
 }
 
 fn road(edges: &[Vec<Point2>], lanes: &[Lane]) -> Vec<Polygon> {

@@ -76,7 +76,7 @@ pub extern "C" fn num_agents() -> usize {
 }
 
 /// Present states [A, 8]: x, y in metres, heading in radians, velocity x, y in metres per second, 1 where the agent is
-/// there, its driver (-1 for actions from outside, else its place in the table of policies), and 1 where a plan guides it.
+/// there, its driver (-1 for actions from outside, else its place in the table of drivers), and 1 where a plan guides it.
 #[unsafe(no_mangle)]
 pub extern "C" fn states() -> *const f32 {
     PLAYGROUND.with_borrow(|playground| playground.states.as_ptr())

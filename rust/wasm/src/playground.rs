@@ -1,13 +1,13 @@
 //! The playground: a scene, its world, and the arrays that JavaScript reads.
 
-use ccdiff_nets::compute::weights::{Entry, tensors};
+use ccdiff_nets::compute::weights::{Entry, parse, tensors};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_nuscenes::decode_scene;
+use ccdiff_sim::drivers::{Driver, DriverModel};
 use ccdiff_sim::options::read;
 use ccdiff_sim::planner::NetworkOfEgo;
-use ccdiff_sim::policy::{Driver, TrafficPolicy};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::collections::BTreeMap;
@@ -69,7 +69,7 @@ pub(crate) struct Playground {
 }
 
 /// Drivers by name.
-type Drivers = Vec<(String, Box<dyn TrafficPolicy>)>;
+type Drivers = Vec<(String, Box<dyn DriverModel>)>;
 
 impl Playground {
     pub(crate) fn num_agents(&self) -> usize {
@@ -86,10 +86,12 @@ impl Playground {
     /// Keeps the weights of a network, checked.
     pub(crate) fn weights(&mut self) -> Result<(), String> {
         let bytes = std::mem::take(&mut self.given);
-        let kind = if Swift::from_bytes(CcdiffConfig::default(), "weights", &bytes, DT_S).is_ok() {
+        let path = Path::new("weights");
+        let file = parse(path, &bytes).map_err(|e| e.to_string())?;
+        let kind = if Swift::new(CcdiffConfig::default(), path, file.clone(), DT_S, 1).is_ok() {
             SWIFT.name.into()
         } else {
-            let model = TrajectoryModel::from_bytes("weights", &bytes).map_err(|e| e.to_string())?;
+            let model = TrajectoryModel::new(path, file).map_err(|e| e.to_string())?;
             model.config().kind.as_str().into()
         };
         self.weights.push((kind, bytes));
@@ -122,15 +124,17 @@ impl Playground {
             let Some(asked) = options["named_drivers"][kind].get(kind) else { continue };
             let config: CcdiffConfig = read(kind, &asked.to_string()).map_err(|e| e.to_string())?;
             let dt_s = options["dt_s"].as_f64().ok_or("no dt_s")? as f32;
+            let path = Path::new(kind);
+            let file = parse(path, bytes).map_err(|e| e.to_string())?;
             if kind == SWIFT.name {
-                let policy = Swift::from_bytes(config, kind, bytes, dt_s).map_err(|e| e.to_string())?;
-                drivers.push((kind.clone(), Box::new(policy)));
+                let driver = Swift::new(config, path, file, dt_s, 1).map_err(|e| e.to_string())?;
+                drivers.push((kind.clone(), Box::new(driver)));
                 continue;
             }
-            let model = TrajectoryModel::from_bytes(kind, bytes).map_err(|e| e.to_string())?;
-            let policy = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
-            policy.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
-            drivers.push((kind.clone(), Box::new(policy)));
+            let model = TrajectoryModel::new(path, file).map_err(|e| e.to_string())?;
+            let driver = PlannedTraffic::of(config, vec![model], None).map_err(|e| e.to_string())?;
+            driver.check(dt_s, std::slice::from_ref(scene)).map_err(|e| e.to_string())?;
+            drivers.push((kind.clone(), Box::new(driver)));
         }
         Ok(drivers)
     }
@@ -139,8 +143,8 @@ impl Playground {
         let text = String::from_utf8(std::mem::take(&mut self.given)).map_err(|e| e.to_string())?;
         let config = WorldConfig::from_json(&text).map_err(|e| e.to_string())?;
         let scene = self.scene.clone().ok_or("reset before load")?;
-        let policies = self.traffic(&text, &scene)?;
-        let mut world = VecWorld::new(vec![scene], config, 1, 1, policies).map_err(|e| e.to_string())?;
+        let drivers = self.traffic(&text, &scene)?;
+        let mut world = VecWorld::new(vec![scene], config, 1, 1, drivers).map_err(|e| e.to_string())?;
         self.out = Arrays::of(&world);
         self.trained = None;
         let request = ResetRequest { seeds: &[Some(seed)], scenes: &[Some(0)], ..ResetRequest::default() };
@@ -175,7 +179,7 @@ impl Playground {
         for a in 0..s.len() {
             let driver = match status.drivers[a] {
                 Driver::External | Driver::Towed => -1.0,
-                Driver::Policy(place) => f32::from(place),
+                Driver::Model(place) => f32::from(place),
             };
             let there = if s.active[a] { 1.0 } else { 0.0 };
             let velocity = [s.velocity_x_mps[a], s.velocity_y_mps[a]];

@@ -1,6 +1,7 @@
 //! Contact between the plans of one scene, and departures from the road, in tensors (rivals.md#trafficsim).
 
 use crate::batch::Batch;
+use crate::collision::every_other;
 use crate::torch::to_vec;
 use ccdiff_sim::geom::Point2;
 use tch::{Kind, Tensor};
@@ -9,34 +10,24 @@ use tch::{Kind, Tensor};
 const CIRCLES: i64 = 5;
 /// Squared distance below which two circles are on the same spot, m²: the penalty is 1, without a gradient.
 const SAME_SPOT_M2: f64 = 1e-12;
-/// Every `STRIDE`-th step of a plan is looked at.
-pub(super) const STRIDE: i64 = 2;
 
-/// Footprints over time: rows of x, y, heading [R, T] in one frame, lengths and widths [R].
-pub(super) struct Footprints<'a> {
-    pub(super) x: &'a Tensor,
-    pub(super) y: &'a Tensor,
-    pub(super) heading: &'a Tensor,
-    pub(super) length: &'a Tensor,
-    pub(super) width: &'a Tensor,
-}
-
-impl Footprints<'_> {
-    /// Penalties in [0, 1] of pairs of rows, [P, T]: 1 − d/R for the least distance d of two circles and the sum R of
-    /// their radii, 0 where none touch.
-    pub(super) fn penalties(&self, first: &Tensor, second: &Tensor) -> Tensor {
-        let radius = self.width * 0.5;
-        let reach = (self.length * 0.5 - &radius).clamp_min(0.0).unsqueeze(1);
-        let offsets = reach * Tensor::linspace(-1.0, 1.0, CIRCLES, (Kind::Float, radius.device()));
-        let centre = |at: &Tensor, along: Tensor| at.unsqueeze(2) + along.unsqueeze(2) * offsets.unsqueeze(1);
-        let (x, y) = (centre(self.x, self.heading.cos()), centre(self.y, self.heading.sin()));
-        let between =
-            |c: &Tensor| c.index_select(0, first).unsqueeze(3) - c.index_select(0, second).unsqueeze(2);
-        let squared = between(&x).square() + between(&y).square();
-        let distance = squared.amin([2i64, 3].as_slice(), false).clamp_min(SAME_SPOT_M2).sqrt();
-        let radii = (radius.index_select(0, first) + radius.index_select(0, second)).unsqueeze(1);
-        (1f64 - distance / radii).clamp_min(0.0)
-    }
+/// Penalties in [0, 1] of pairs of rows, [P, T]: 1 − d/R for the least distance d of two circles and the sum R of their radii,
+/// 0 where none touch. From x, y and headings [R, T] in one frame, lengths and widths [R].
+fn penalties(
+    [x, y, heading]: [&Tensor; 3],
+    [length, width]: &[Tensor; 2],
+    [first, second]: [&Tensor; 2],
+) -> Tensor {
+    let radius = width * 0.5;
+    let reach = (length * 0.5 - &radius).clamp_min(0.0).unsqueeze(1);
+    let offsets = reach * Tensor::linspace(-1.0, 1.0, CIRCLES, (Kind::Float, radius.device()));
+    let centre = |at: &Tensor, along: Tensor| at.unsqueeze(2) + along.unsqueeze(2) * offsets.unsqueeze(1);
+    let (x, y) = (centre(x, heading.cos()), centre(y, heading.sin()));
+    let between = |c: &Tensor| c.index_select(0, first).unsqueeze(3) - c.index_select(0, second).unsqueeze(2);
+    let squared = between(&x).square() + between(&y).square();
+    let distance = squared.amin([2i64, 3].as_slice(), false).clamp_min(SAME_SPOT_M2).sqrt();
+    let radii = (radius.index_select(0, first) + radius.index_select(0, second)).unsqueeze(1);
+    (1f64 - distance / radii).clamp_min(0.0)
 }
 
 /// Unordered pairs of rows of the same scene.
@@ -74,18 +65,14 @@ impl Pairs {
 
     /// Penalties [P, steps] of plans [R, T, 6] in the rows' own frames.
     fn of_plans(&self, batch: &Batch, states: &Tensor) -> Tensor {
-        let states = states.slice(1, STRIDE - 1, None, STRIDE);
+        let states = every_other(states, 1);
         let [x, y, heading] = poses(batch).map(|c| c.unsqueeze(1));
         let (ahead, left) = (states.select(2, 0), states.select(2, 1));
-        let (cos, sin, [length, width]) = (heading.cos(), heading.sin(), batch.sizes());
-        let footprints = Footprints {
-            x: &(x + &cos * &ahead - &sin * &left),
-            y: &(y + &sin * &ahead + &cos * &left),
-            heading: &(heading + states.select(2, 3)),
-            length: &length,
-            width: &width,
-        };
-        footprints.penalties(&self.first, &self.second)
+        let (cos, sin) = (heading.cos(), heading.sin());
+        let x = x + &cos * &ahead - &sin * &left;
+        let y = y + &sin * &ahead + &cos * &left;
+        let heading = heading + states.select(2, 3);
+        penalties([&x, &y, &heading], &batch.sizes(), [&self.first, &self.second])
     }
 
     /// Share of pairs in contact, each counted once at most: (1/N²) Σ_{i≠j} min(1, Σ_t penalty), mean over scenes.
@@ -118,7 +105,7 @@ fn poses(batch: &Batch) -> [Tensor; 3] {
 ///
 /// As in the guidance's objective, points off the road are held fixed, and footprints wholly off it count nothing.
 pub(super) fn off_road(batch: &Batch, states: &Tensor, moving_mps: f64) -> Tensor {
-    let states = states.slice(1, STRIDE - 1, None, STRIDE);
+    let states = every_other(states, 1);
     let [length, width] = batch.sizes().map(|size| size.view([-1, 1, 1]));
     let points = |signs: [f32; 8]| Tensor::from_slice(&signs).to_device(states.device());
     let along = &length * 0.5 * points([-1.0, 0.0, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0]);
@@ -167,15 +154,10 @@ mod tests {
     /// Penalty of a second car at a pose against one at the origin, both 4.5 m by 2 m, and its gradient.
     fn penalty(second: [f32; 3], length: f32, width: f32) -> (f64, [f64; 3]) {
         let pose = Tensor::from_slice(&[[0f32; 3], second].concat()).view([2, 3, 1]).set_requires_grad(true);
-        let footprints = Footprints {
-            x: &pose.select(1, 0),
-            y: &pose.select(1, 1),
-            heading: &pose.select(1, 2),
-            length: &Tensor::from_slice(&[4.5f32, length]),
-            width: &Tensor::from_slice(&[2.0f32, width]),
-        };
-        let found =
-            footprints.penalties(&Tensor::from_slice(&[0i64]), &Tensor::from_slice(&[1i64])).sum(Kind::Float);
+        let [x, y, heading] = [0, 1, 2].map(|c| pose.select(1, c));
+        let sizes = [[4.5f32, length], [2.0, width]].map(|size| Tensor::from_slice(&size));
+        let [first, second] = [0i64, 1].map(|row| Tensor::from_slice(&[row]));
+        let found = penalties([&x, &y, &heading], &sizes, [&first, &second]).sum(Kind::Float);
         found.backward();
         let gradient = pose.grad();
         (found.double_value(&[]), [0, 1, 2].map(|c| gradient.double_value(&[1, c, 0])))

@@ -1,6 +1,6 @@
 //! Weights, and the layers that hold them.
 
-use super::{Node, Var};
+use super::Var;
 use ccdiff_nets::compute::cpu::Array;
 use ccdiff_nets::kernels::{self, How, PANEL, Packed, Strided};
 use std::cell::RefCell;
@@ -192,7 +192,7 @@ fn widened(x: &[f32], width: usize, wide: usize) -> Vec<f32> {
     out
 }
 
-/// A layer norm, or the weights of a group norm.
+/// A layer norm.
 #[derive(Debug, Clone)]
 pub struct Norm(Rc<NormPart>);
 
@@ -214,13 +214,13 @@ impl Norm {
 
     /// Normed rows, then a ReLU if asked for.
     pub(super) fn apply(&self, x: &Var, relu: bool) -> Var {
-        let norm = Rc::clone(&self.0);
-        x.weighted(self.made(x.numbers.clone(), relu), move |made: &Node, x, mut gradient| {
+        let (norm, x) = (Rc::clone(&self.0), x.clone());
+        Var::made(x.like(self.made(x.numbers.clone(), relu)), true, move |made, mut gradient| {
             if relu {
                 kernels::relu_back(&mut gradient, &made.numbers);
             }
-            norm.back(x, &mut gradient);
-            gradient
+            norm.back(&x.numbers, &mut gradient);
+            x.learn(gradient);
         })
     }
 
@@ -240,44 +240,6 @@ impl Norm {
         kernels::norm(&mut numbers, &self.0.weight, &self.0.bias, relu);
         numbers
     }
-
-    /// Group norms over the tokens of a row.
-    pub(super) fn of_groups(&self, x: &Var, groups: usize) -> Var {
-        let (norm, of) = (Rc::clone(&self.0), GroupShape { width: x.width, row: x.row(), groups });
-        let mut numbers = of.normed(&x.numbers).0;
-        for token in numbers.chunks_exact_mut(x.width) {
-            for ((v, w), b) in token.iter_mut().zip(&norm.weight).zip(&norm.bias) {
-                *v = *v * w + b;
-            }
-        }
-        x.weighted(numbers, move |_, x, mut gradient| {
-            let (normed, scales) = of.normed(x);
-            let mut all = norm.gradient.borrow_mut();
-            for (g, n) in gradient.chunks_exact_mut(of.width).zip(normed.chunks_exact(of.width)) {
-                for c in 0..of.width {
-                    all[norm.at[0] + c] += g[c] * n[c];
-                    all[norm.at[1] + c] += g[c];
-                    g[c] *= norm.weight[c];
-                }
-            }
-            of.back(&normed, &scales, &mut gradient);
-            gradient
-        })
-    }
-}
-
-impl Var {
-    /// What a layer with weights made of numbers of this shape.
-    fn weighted(
-        &self,
-        numbers: Vec<f32>,
-        pull: impl FnOnce(&Node, &[f32], Vec<f32>) -> Vec<f32> + 'static,
-    ) -> Self {
-        let from = self.clone();
-        Self::made(self.like(numbers), true, move |made, gradient| {
-            from.learn(pull(made, &from.numbers, gradient));
-        })
-    }
 }
 
 impl NormPart {
@@ -287,54 +249,6 @@ impl NormPart {
         kernels::norm_back(x, &self.weight, gradient, &mut of_weight, &mut of_bias);
         for (at, of) in self.at.into_iter().zip([of_weight, of_bias]) {
             all[at..at + width].iter_mut().zip(of).for_each(|(a, g)| *a += g);
-        }
-    }
-}
-
-/// Rows of tokens whose columns are normed in groups.
-#[derive(Debug, Clone, Copy)]
-struct GroupShape {
-    width: usize,
-    row: usize,
-    groups: usize,
-}
-
-impl GroupShape {
-    /// Places of a group in its row.
-    fn places(self, group: usize) -> impl Iterator<Item = usize> + Clone {
-        let size = self.width / self.groups;
-        (0..self.row / self.width)
-            .flat_map(move |t| (0..size).map(move |c| t * self.width + group * size + c))
-    }
-
-    fn share(self) -> f32 {
-        self.groups as f32 / self.row as f32
-    }
-
-    /// Numbers with mean 0 and variance 1 in their groups, and what they were scaled by.
-    fn normed(self, x: &[f32]) -> (Vec<f32>, Vec<f32>) {
-        let (mut out, mut scales) = (x.to_vec(), Vec::new());
-        for row in out.chunks_exact_mut(self.row) {
-            for places in (0..self.groups).map(|g| self.places(g)) {
-                let mean = places.clone().map(|i| row[i]).sum::<f32>() * self.share();
-                let variance = places.clone().map(|i| (row[i] - mean).powi(2)).sum::<f32>() * self.share();
-                let scale = 1.0 / (variance + 1e-5).sqrt();
-                places.for_each(|i| row[i] = (row[i] - mean) * scale);
-                scales.push(scale);
-            }
-        }
-        (out, scales)
-    }
-
-    fn back(self, normed: &[f32], scales: &[f32], gradient: &mut [f32]) {
-        let rows = gradient.chunks_exact_mut(self.row).zip(normed.chunks_exact(self.row));
-        for ((gradient, normed), scales) in rows.zip(scales.chunks_exact(self.groups)) {
-            for (g, scale) in scales.iter().enumerate() {
-                let places = self.places(g);
-                let shift = places.clone().map(|i| gradient[i]).sum::<f32>() * self.share();
-                let turn = places.clone().map(|i| gradient[i] * normed[i]).sum::<f32>() * self.share();
-                places.for_each(|i| gradient[i] = scale * (gradient[i] - shift - normed[i] * turn));
-            }
         }
     }
 }

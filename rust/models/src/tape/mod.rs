@@ -94,10 +94,6 @@ impl Node {
 
 impl Var {
     /// Numbers that depend on no weight.
-    pub fn data(tokens: usize, width: usize, numbers: Vec<f32>) -> Self {
-        Self::of(Array::new(tokens, width, numbers))
-    }
-
     fn of(array: Array) -> Self {
         Self(Rc::new(Node { array, learns: false, gradient: Cell::default() }))
     }

@@ -10,12 +10,7 @@ use ccdiff_nets::compute::cpu::Cpu;
 use ccdiff_nets::compute::numbers::{self, Array, Pairs};
 use ccdiff_nets::kernels;
 use ccdiff_nets::sampling::plan_space::PlanSpace;
-use std::convert::Infallible;
 use std::rc::Rc;
-
-/// A convolution over tokens: its weights, its kernel and its stride.
-#[derive(Debug)]
-pub struct Filter(Linear, usize, usize);
 
 /// Gradients of the tokens of every row in one.
 fn over_tokens(gradient: &[f32], tokens: usize, width: usize) -> Vec<f32> {
@@ -26,30 +21,12 @@ fn over_tokens(gradient: &[f32], tokens: usize, width: usize) -> Vec<f32> {
     out
 }
 
-/// Numbers whose places in x are listed, and zeros where the place is none.
-fn gathered(x: &Var, tokens: usize, width: usize, places: Vec<u32>) -> Var {
-    let numbers = places.iter().map(|at| x.numbers.get(*at as usize).copied().unwrap_or(0.0)).collect();
-    let count = x.numbers.len();
-    x.through(Array::new(tokens, width, numbers), move |_, gradient| {
-        let mut of = vec![0.0; count];
-        for (at, g) in places.iter().zip(gradient) {
-            if let Some(of) = of.get_mut(*at as usize) {
-                *of += g;
-            }
-        }
-        of
-    })
-}
-
 impl Ops for Tape {
     type Tensor = Var;
     type Linear = Linear;
     type Joint = [Linear; 2];
     type Norm = Norm;
-    type Filter = Filter;
-    type Groups = (Norm, usize);
     type Slots = Pairs;
-    type Mask = Infallible;
     type Attention = Vec<f32>;
     type Path<'a> = Place<'a>;
 
@@ -70,16 +47,8 @@ impl Ops for Tape {
         Norm::new(p, width)
     }
 
-    fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
-        Filter(Linear::new(p, inputs * kernel, outputs), kernel as usize, stride as usize)
-    }
-
-    fn groups(p: &Place<'_>, groups: i64, width: i64) -> (Norm, usize) {
-        (Norm::new(p, width), groups as usize)
-    }
-
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Var {
-        Var::data(numbers.len() / width as usize, width as usize, numbers.to_vec())
+        Var::of(Array::new(numbers.len() / width as usize, width as usize, numbers.to_vec()))
     }
 
     fn numbers(x: &Var) -> Vec<f32> {
@@ -94,48 +63,21 @@ impl Ops for Tape {
         (layer[0].apply(tokens, false), layer[1].apply(edges, false))
     }
 
-    fn normed(norm: &Norm, x: &Var) -> Var {
-        norm.apply(x, false)
-    }
-
-    fn normed_relu(norm: &Norm, x: Var) -> Var {
-        norm.apply(&x, true)
+    fn normed(norm: &Norm, x: &Var, relu: bool) -> Var {
+        norm.apply(x, relu)
     }
 
     fn sum_normed(norm: &Norm, x: &Var, y: Var) -> Var {
         norm.of_sum(x, &y)
     }
 
-    fn filtered(Filter(layer, kernel, stride): &Filter, x: &Var) -> Var {
-        let pad = kernel / 2;
-        let tokens = (x.tokens + 2 * pad - kernel) / stride + 1;
-        let mut places = Vec::with_capacity(x.rows() * tokens * x.width * kernel);
-        for (row, token) in (0..x.rows()).flat_map(|row| (0..tokens).map(move |token| (row, token))) {
-            for (c, k) in (0..x.width).flat_map(|c| (0..*kernel).map(move |k| (c, k))) {
-                let from = (token * stride + k).checked_sub(pad).filter(|from| *from < x.tokens);
-                places.push(from.map_or(u32::MAX, |from| ((row * x.tokens + from) * x.width + c) as u32));
-            }
-        }
-        layer.apply(&gathered(x, tokens, x.width * kernel, places), false)
-    }
-
-    fn groups_mish((norm, groups): &(Norm, usize), x: Var) -> Var {
-        Self::mish(&norm.of_groups(&x, *groups))
-    }
-
-    fn sum(x: &Var, y: Var) -> Var {
-        let (made, of_x) = (Cpu::sum(x, Array::clone(&y)), x.clone());
-        Var::made(made, x.learns || y.learns, move |_, gradient| {
-            of_x.learn(gradient.clone());
-            y.learn(gradient);
-        })
-    }
-
-    fn sum_shared(x: Var, y: &Var) -> Var {
-        let (made, y) = (Cpu::sum_shared(Array::clone(&x), y), y.clone());
+    fn sum(x: Var, y: &Var) -> Var {
+        let (made, y) = (Cpu::sum(Array::clone(&x), y), y.clone());
         Var::made(made, x.learns || y.learns, move |_, gradient| {
             if y.learns && y.tokens != x.tokens {
                 y.learn(over_tokens(&gradient, x.tokens, x.width));
+            } else if y.numbers.len() == gradient.len() {
+                y.learn(gradient.clone());
             } else if y.learns {
                 let mut of = vec![0.0; y.numbers.len()];
                 kernels::add_rows(&gradient, &mut of);
@@ -191,7 +133,13 @@ impl Ops for Tape {
             }
             places.extend(place.iter().zip(0..).map(|(token, c)| at + token * width as u32 + c));
         }
-        gathered(x, 1, width, places)
+        let numbers = places.iter().map(|at| x.numbers[*at as usize]).collect();
+        let count = x.numbers.len();
+        x.through(Array::new(1, width, numbers), move |_, gradient| {
+            let mut of = vec![0.0; count];
+            places.iter().zip(gradient).for_each(|(at, g)| of[*at as usize] = g);
+            of
+        })
     }
 
     fn rows_of(table: &Var, steps: &[usize]) -> Var {
@@ -207,29 +155,20 @@ impl Ops for Tape {
         })
     }
 
-    fn attend(q: &Var, (k, v): &KeyValue<Self>, heads: i64, _: Option<&Infallible>) -> Var {
+    fn attend(q: &Var, (k, v): (&Var, &Var), heads: i64, _: Option<&Pairs>) -> Var {
         attended(q, k, v, heads as usize)
     }
 
-    fn pool(q: &Var, elements: &Var, heads: i64) -> Var {
-        let (heads, width) = (heads as usize, q.width);
-        attended(&q.shaped(heads, width / heads), elements, elements, 1).shaped(1, width)
-    }
-
-    fn attend_others(
+    fn attend_across(
         q: &Var,
         (k, v): &KeyValue<Self>,
-        (k_edge, v_edge): &KeyValue<Self>,
+        edges: Option<&KeyValue<Self>>,
         slots: &Pairs,
         heads: i64,
     ) -> (Var, Vec<f32>) {
-        let (rows, edges) = ([q, k, v].map(Var::clone), Some([k_edge.clone(), v_edge.clone()]));
-        Mixed { seen: Rc::clone(&slots.others), heads: heads as usize, rows, edges }.made()
-    }
-
-    fn attend_all(q: &Var, (k, v): &KeyValue<Self>, slots: &Pairs, heads: i64) -> Var {
-        let rows = [q, k, v].map(Var::clone);
-        Mixed { seen: Rc::clone(&slots.all), heads: heads as usize, rows, edges: None }.made().0
+        let seen = Rc::clone(if edges.is_some() { &slots.others } else { &slots.all });
+        let edges = edges.map(|(k, v)| [k.clone(), v.clone()]);
+        Mixed { seen, heads: heads as usize, rows: [q, k, v].map(Var::clone), edges }.made()
     }
 
     fn gated(a: &Var, g: &Var, h: &Var, own: Var) -> Var {

@@ -16,21 +16,21 @@ options! {
         warmup_steps: u64 = 0, range within(0.0, 1e9);
         /// Decay of the moving average of the weights.
         ema_decay: f64 = 0.995, range within(0.0, 1.0).open_above();
-        /// Until this step the average is a copy.
+        /// Until this step the average is a copy of the weights.
         ema_start: u64 = 4000, range within(0.0, 1e9);
         /// Probability that a scene's G is replaced by the identity.
         drop_graph: f64 = 0.1, range within(0.0, 1.0);
-        /// Probability that an agent's route is not told, for a network that may know it.
+        /// Probability that an agent's route is hidden from a network with routes.
         #[serde(default)]
         drop_route: f64 = 0.0, range within(0.0, 1.0);
-        /// Whether some agents are pushed off or moved along their logged path, with a future that leads back (ours).
+        /// Whether some agents are displaced from or along their logged path, with a future that leads back (ours).
         #[serde(default)]
         perturb: bool = false;
-        /// Weight of how far plans drive over a joined neighbour's logged future, metres (mean over steps), each sample's
-        /// share falling with its noise as sqrt(alpha bar); 0: no such loss (paper).
+        /// Weight of the overlap of plans with logged futures of neighbours in the graph (metres, mean over steps),
+        /// scaled by sqrt(alpha bar) of the sample; 0: no such loss (paper).
         #[serde(default)]
         collision_weight: f64 = 0.0, range within(0.0, 1e6);
-        /// Denoising steps of the teacher whose plans a denoising network learns to make in one; 0: it learns from the log.
+        /// Denoising steps of a teacher whose plans the network learns to make in one step; 0: it learns from the log.
         #[serde(default)]
         teacher_steps: usize = 0, range within(0.0, 1000.0);
         /// Largest norm of the gradient.

@@ -235,6 +235,7 @@ impl Trainer {
     /// # Errors
     /// What features, sampling and libtorch refuse.
     pub fn validate(&self, held_out: &Dataset, count: usize, options: SampleOptions) -> Result<Validation> {
+        let options = options.validated()?;
         // tokens are cheap, and their logarithms vary
         let count = if self.model.network()?.samples_tokens { 8 * count } else { count };
         let count = count.clamp(1, held_out.len());

@@ -45,7 +45,7 @@ impl Toy {
         config: &GuidanceConfig,
     ) -> GuidanceContext<'a> {
         let steps = (config.discount, config.seen_steps);
-        GuidanceContext::new(guide, &self.window, &self.features, &self.model, steps).unwrap()
+        GuidanceContext::new(guide, &self.window, &self.features, &self.model, steps)
     }
 
     /// Rolled-out actions [M, T, 2].

@@ -23,14 +23,8 @@ pub trait Ops: Debug + Sized {
     type Joint: Debug;
     /// A layer norm.
     type Norm: Debug;
-    /// A convolution over the tokens of a row.
-    type Filter: Debug;
-    /// A group norm.
-    type Groups: Debug;
-    /// Who sits in which slot of a row, and may be seen.
+    /// The rows in the slots of each row, and which of their tokens may be seen.
     type Slots: Debug;
-    /// Which tokens of a row may be seen.
-    type Mask: Debug;
     /// Attention weights between rows.
     type Attention: Debug;
     /// Where the numbers of a layer come from.
@@ -52,12 +46,6 @@ pub trait Ops: Debug + Sized {
 
     /// A layer norm.
     fn norm(p: &Self::Path<'_>, width: i64) -> Self::Norm;
-
-    /// A convolution of so many tokens, an odd number, every `stride` of them.
-    fn filter(p: &Self::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Self::Filter;
-
-    /// A group norm over the tokens of a row.
-    fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
 
     /// A table that is not learned, [1, rows, width].
     fn table(p: &Self::Path<'_>, numbers: &[f32], width: i64) -> Self::Tensor;
@@ -81,26 +69,14 @@ pub trait Ops: Debug + Sized {
     /// The part of a joint layer that tokens have, and the one that edges have.
     fn apply_joint(layer: &Self::Joint, tokens: &Self::Tensor, edges: &Self::Tensor) -> KeyValue<Self>;
 
-    /// A layer norm.
-    fn normed(norm: &Self::Norm, x: &Self::Tensor) -> Self::Tensor;
-
-    /// A layer norm, then ReLU.
-    fn normed_relu(norm: &Self::Norm, x: Self::Tensor) -> Self::Tensor;
+    /// A layer norm, then ReLU if asked for.
+    fn normed(norm: &Self::Norm, x: &Self::Tensor, relu: bool) -> Self::Tensor;
 
     /// A layer norm of x + y.
     fn sum_normed(norm: &Self::Norm, x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
 
-    /// A convolution, with zeros beyond both ends.
-    fn filtered(filter: &Self::Filter, x: &Self::Tensor) -> Self::Tensor;
-
-    /// A group norm, then Mish.
-    fn groups_mish(norm: &Self::Groups, x: Self::Tensor) -> Self::Tensor;
-
-    /// x + y.
-    fn sum(x: &Self::Tensor, y: Self::Tensor) -> Self::Tensor;
-
-    /// x + y, of which rows or the tokens of a row may share one.
-    fn sum_shared(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
+    /// x + y; rows, or the tokens of a row, may share one of y.
+    fn sum(x: Self::Tensor, y: &Self::Tensor) -> Self::Tensor;
 
     /// The numbers of each row in tokens of another width.
     fn cut(x: &Self::Tensor, width: i64) -> Self::Tensor;
@@ -124,24 +100,23 @@ pub trait Ops: Debug + Sized {
     /// x · tanh(ln(1 + exp x)).
     fn mish(x: &Self::Tensor) -> Self::Tensor;
 
-    /// Softmax attention of queries over keys and values of the same row.
-    fn attend(q: &Self::Tensor, kv: &KeyValue<Self>, heads: i64, mask: Option<&Self::Mask>) -> Self::Tensor;
+    /// Softmax attention of queries over keys and values of the same row, with slots over those tokens that may be seen.
+    fn attend(
+        q: &Self::Tensor,
+        kv: (&Self::Tensor, &Self::Tensor),
+        heads: i64,
+        slots: Option<&Self::Slots>,
+    ) -> Self::Tensor;
 
-    /// Softmax attention of a row's only token [R, 1, heads · w] over elements [R, K, w], which are keys and values of every head.
-    fn pool(q: &Self::Tensor, elements: &Self::Tensor, heads: i64) -> Self::Tensor;
-
-    /// Attention of every token over the same token of the rows in its slots: of the others, or itself if there are none, with
-    /// what the edges add to keys and values.
-    fn attend_others(
+    /// Attention of every token over the same token of the rows in its slots: with edges, which add to keys and values, of the
+    /// others, or of itself where there are none; without edges of itself and the others.
+    fn attend_across(
         q: &Self::Tensor,
         kv: &KeyValue<Self>,
-        edges: &KeyValue<Self>,
+        edges: Option<&KeyValue<Self>>,
         slots: &Self::Slots,
         heads: i64,
     ) -> (Self::Tensor, Self::Attention);
-
-    /// Attention of every token over the same token of itself and of the rows in its slots.
-    fn attend_all(q: &Self::Tensor, kv: &KeyValue<Self>, slots: &Self::Slots, heads: i64) -> Self::Tensor;
 
     /// a + sigmoid(g + h) · (own - a).
     fn gated(a: &Self::Tensor, g: &Self::Tensor, h: &Self::Tensor, own: Self::Tensor) -> Self::Tensor;
@@ -177,42 +152,31 @@ pub trait Inputs: Ops {
     /// Numbers where those of a batch are.
     fn placed(batch: &Self::Batch<'_>, x: Array) -> Self::Tensor;
 
-    /// Edges of the slots, normalised, [.., 8], at every token or, if they are not moved on, now alone, and who may be seen.
+    /// Edges of the slots, normalised, [.., 8], at every token or, if they are not moved on, now alone; and the slots.
     fn edges(batch: &Self::Batch<'_>, config: &ModelConfig, moved: bool) -> (Self::Tensor, Self::Slots);
-
-    /// Which tokens of the histories and the plans are there, for histories of a token per step, if the backend has those.
-    fn mask(_: &Self::Batch<'_>, _: &ModelConfig) -> Option<Self::Mask> {
-        None
-    }
-
-    /// As [`Batch::history`].
-    fn history(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor {
-        Self::placed(batch, Self::plain(batch).history(config))
-    }
-
-    /// As [`Batch::route`].
-    fn route(batch: &Self::Batch<'_>) -> Option<(Self::Tensor, Self::Tensor)> {
-        let (route, told) = Self::plain(batch).route()?;
-        Some((Self::placed(batch, route), Self::placed(batch, told)))
-    }
-
-    /// As [`Batch::standard_speed`].
-    fn standard_speed(batch: &Self::Batch<'_>, config: &ModelConfig) -> Self::Tensor {
-        Self::placed(batch, Self::plain(batch).standard_speed(config))
-    }
-
-    /// As [`Batch::speed`].
-    fn speed(batch: &Self::Batch<'_>) -> Self::Tensor {
-        Self::placed(batch, Self::plain(batch).speed())
-    }
-
-    /// As [`Batch::lines`].
-    fn lines(batch: &Self::Batch<'_>) -> Option<Self::Tensor> {
-        Self::plain(batch).lines().map(|lines| Self::placed(batch, lines))
-    }
 }
 
 /// What a network is defined over.
 pub trait Backend: Inputs {}
 
 impl<B: Inputs> Backend for B {}
+
+/// Convolutions over time, for networks that have them.
+pub trait Convolves: Backend {
+    /// A convolution over the tokens of a row.
+    type Filter: Debug;
+    /// A group norm.
+    type Groups: Debug;
+
+    /// A convolution of so many tokens, an odd number, every `stride` of them.
+    fn filter(p: &Self::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Self::Filter;
+
+    /// A group norm over the tokens of a row.
+    fn groups(p: &Self::Path<'_>, groups: i64, width: i64) -> Self::Groups;
+
+    /// A convolution, with zeros beyond both ends.
+    fn filtered(filter: &Self::Filter, x: &Self::Tensor) -> Self::Tensor;
+
+    /// A group norm, then Mish.
+    fn groups_mish(norm: &Self::Groups, x: Self::Tensor) -> Self::Tensor;
+}

@@ -50,11 +50,11 @@ impl Array {
 pub struct Batch<'a> {
     /// The scenes.
     pub scenes: &'a [SceneFeatures],
-    /// Whether everybody sees itself alone.
+    /// Whether every row sees itself alone.
     pub alone: bool,
 }
 
-/// Whom rows see: others, or themselves where there are none; and themselves with the others.
+/// The rows that each row sees: the others, or itself where there are none; and itself with the others.
 #[derive(Debug)]
 pub struct Pairs {
     /// Others.
@@ -131,7 +131,7 @@ impl Batch<'_> {
         (own, near, self.numbers(|s| &s.tokens.yaw_rate_radps))
     }
 
-    /// Edges of those who are seen, normalised, [.., 8], at every token of now and the future or now alone, and who is seen.
+    /// Edges of the seen pairs, normalised, [.., 8], at every token of now and the future or now alone, and the pairs.
     pub fn edges(&self, config: &ModelConfig, moved: bool) -> (Array, Pairs) {
         let future = config.future_token_times_s().into_iter().filter(|_| moved).map(|t| t as f32);
         let times: Vec<f32> = std::iter::once(0.0).chain(future).collect();
@@ -168,7 +168,7 @@ impl Batch<'_> {
 }
 
 impl Pairs {
-    /// Mean attention [R, slots] to the others over samples and tokens, zero where nobody is seen.
+    /// Mean attention [R, slots] to the others over samples and tokens, zero where none is seen.
     pub(crate) fn mean(&self, samples: &[Vec<f32>], tokens: Range<usize>) -> Vec<f32> {
         let (rows, pairs) = (self.others.start.len() - 1, self.others.other.len());
         let mut mean = vec![0.0; rows * self.slots];

@@ -6,6 +6,7 @@ use safetensors::tensor::{Dtype, SafeTensorError, SafeTensors};
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::Xxh3;
 
@@ -20,6 +21,8 @@ pub const FORMAT: u64 = 1;
 
 /// A tensor of a file: its shape and its numbers.
 pub type Entry = (Vec<usize>, Vec<f32>);
+/// Header and tensors of a file.
+pub type File = (serde_json::Value, BTreeMap<String, Entry>);
 
 /// The error of a file that cannot be read or written.
 pub fn io(path: &Path, action: &'static str) -> impl FnOnce(std::io::Error) -> ModelError {
@@ -63,7 +66,7 @@ fn bytes_of(path: &Path) -> Result<Vec<u8>> {
 ///
 /// # Errors
 /// [`ModelError::Io`] where it cannot be read, [`ModelError::Checkpoint`] where it is not such a file.
-pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
+pub fn read(path: &Path) -> Result<File> {
     parse(path, &bytes_of(path)?)
 }
 
@@ -71,7 +74,7 @@ pub fn read(path: &Path) -> Result<(serde_json::Value, BTreeMap<String, Entry>)>
 ///
 /// # Errors
 /// [`ModelError::Checkpoint`] where these are not the bytes of such a file.
-pub fn parse(path: &Path, bytes: &[u8]) -> Result<(serde_json::Value, BTreeMap<String, Entry>)> {
+pub fn parse(path: &Path, bytes: &[u8]) -> Result<File> {
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(foreign(path))?;
     let text = metadata
         .metadata()
@@ -171,9 +174,22 @@ impl Weights {
 
     /// The linear layer of a name.
     pub(crate) fn layer(&self, name: &str, inputs: usize, outputs: usize) -> Packed {
-        let rows = self.take(&format!("{name}.weight"), &[outputs, inputs]).unwrap_or_default();
-        let bias = self.take(&format!("{name}.bias"), &[outputs]).unwrap_or_default();
-        Packed::new(rows, bias, outputs, inputs)
+        self.columns(name, (inputs, outputs), 0..inputs, true)
+    }
+
+    /// Some columns of a linear layer of (inputs, outputs); none of one that is not there.
+    pub(crate) fn columns(
+        &self,
+        name: &str,
+        (inputs, outputs): (usize, usize),
+        part: Range<usize>,
+        biased: bool,
+    ) -> Packed {
+        let rows = self.take(&format!("{name}.weight"), &[outputs, inputs]);
+        let bias = biased.then(|| self.take(&format!("{name}.bias"), &[outputs])).flatten();
+        let Some(rows) = rows else { return Packed::new(&[], &[], 0, 0) };
+        let columns = rows.chunks_exact(inputs.max(1)).flat_map(|row| &row[part.clone()]).copied();
+        Packed::new(&columns.collect::<Vec<_>>(), bias.unwrap_or_default(), outputs, part.len())
     }
 
     /// Checks that all that was taken was there, and that nothing is left.

@@ -1,7 +1,6 @@
-//! What guidance knows about one world: where its agents are, how large, who may be guided, road.
+//! What guidance knows about one world: poses and sizes of its agents, those that are guided, the road.
 
 use crate::config::ModelConfig;
-use crate::error::{Result, equal};
 use crate::inputs::features::{SceneFeatures, Window};
 use ccdiff_sim::geom::{Pose2, Region};
 
@@ -23,7 +22,7 @@ pub struct WorldGuidance<'a> {
     pub collision_targets: Option<&'a [bool]>,
     /// Speed limit of the scene, metres per second, for objectives without one of their own.
     pub speed_limit_mps: Option<f32>,
-    /// Whether collision losses count who stands now as well: a draw may start.
+    /// Whether collision losses count standing agents as well: a draw may start them.
     pub starts: bool,
 }
 
@@ -65,9 +64,7 @@ pub struct GuidanceContext<'a> {
     pub guidance_scale: f32,
     /// Whether contacts with the agent count, [M].
     pub partner: Vec<bool>,
-    /// Where vehicles may drive.
-    pub road: Option<&'a Region>,
-    /// The same for each agent, [M]; empty where it is one for all.
+    /// Where each agent may drive, [M].
     pub roads: Vec<Option<&'a Region>>,
     /// Which pairs of agents are on different levels, [M, M]; empty: none.
     pub apart: Vec<bool>,
@@ -79,26 +76,15 @@ pub struct GuidanceContext<'a> {
 
 impl<'a> GuidanceContext<'a> {
     /// The agents of a scene's features; the guidance's discount, and the steps that its losses look at.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Shape`] for an array of the guide that has not one entry per agent of the window.
     pub fn new(
         guide: &WorldGuidance<'a>,
         window: &Window,
         features: &SceneFeatures,
         model: &ModelConfig,
         (discount, seen_steps): (f32, Option<usize>),
-    ) -> Result<Self> {
-        let expected = window.num_agents();
-        for (what, got) in [
-            ("guide guided", Some(guide.guided.len())),
-            ("guide roads", guide.roads.map(<[_]>::len)),
-            ("guide collision_targets", guide.collision_targets.map(<[_]>::len)),
-        ] {
-            equal(what, got.unwrap_or(expected), expected)?;
-        }
+    ) -> Self {
         let rows = &features.agents;
-        Ok(Self {
+        Self {
             num_steps: model.horizon_steps,
             dt_s: model.dt_s as f32,
             poses: features.poses.clone(),
@@ -109,12 +95,11 @@ impl<'a> GuidanceContext<'a> {
             guided: rows.iter().map(|a| guide.guided[*a]).collect(),
             guidance_scale: guide.guidance_scale,
             partner: rows.iter().map(|a| guide.collision_targets.is_none_or(|p| p[*a])).collect(),
-            road: guide.road,
-            roads: guide.roads.map_or_else(Vec::new, |roads| rows.iter().map(|a| roads[*a]).collect()),
+            roads: rows.iter().map(|a| guide.roads.map_or(guide.road, |roads| roads[*a])).collect(),
             apart: window.apart_of(rows),
             speed_limit_mps: guide.speed_limit_mps,
             step_weights: step_weights(discount, model.horizon_steps, seen_steps),
-        })
+        }
     }
 
     /// Number of agents M.

@@ -8,7 +8,6 @@ use super::objective::{Evaluation, Objective};
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
 use crate::config::ModelConfig;
-use crate::error::{ModelError, Result, equal};
 use rayon::prelude::*;
 
 /// Jobs (one sample of one world) from which on the pool is used.
@@ -171,9 +170,6 @@ impl<'s, 'a> Scratch<'s, 'a> {
 
 impl<'a> Guidance<'a> {
     /// Guidance of `sizes.len()` worlds with that many agents each. `statistics` turns the gradient statistics on.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] where worlds and sizes do not fit.
     pub fn new(
         config: &'a GuidanceConfig,
         model: &ModelConfig,
@@ -181,16 +177,7 @@ impl<'a> Guidance<'a> {
         sizes: &[usize],
         num_samples: usize,
         statistics: bool,
-    ) -> Result<Self> {
-        let found: Vec<usize> = worlds
-            .iter()
-            .zip(sizes)
-            .map(|(w, s)| w.as_ref().map_or(*s, GuidanceContext::num_agents))
-            .collect();
-        if worlds.len() != sizes.len() || found != sizes {
-            let (got, expected) = (format!("{found:?}"), format!("{sizes:?}"));
-            return Err(ModelError::Shape { what: "agents of the guided worlds", got, expected });
-        }
+    ) -> Self {
         let knots = KnotMap::new(model);
         let mask = knots.mask(config.executed_steps).into_iter().flat_map(|m| [m, m]).collect();
         let rows: usize = sizes.iter().sum();
@@ -198,7 +185,7 @@ impl<'a> Guidance<'a> {
             let empty = |size: &usize| GradientSums::new(*size, config.objectives.len());
             (0..num_samples).flat_map(|_| sizes.iter().map(empty)).collect()
         });
-        Ok(Self {
+        Self {
             config,
             knots,
             mask,
@@ -209,7 +196,7 @@ impl<'a> Guidance<'a> {
             sums,
             predicted: None,
             draws: None,
-        })
+        }
     }
 
     /// The configuration.
@@ -232,16 +219,10 @@ impl<'a> Guidance<'a> {
 
     /// Moves normalised knots [N · R, knots, 2] (sample by sample), each world and sample for itself. Rows that are not
     /// guided and knots that are not executed keep their bits.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] for knots or a score of another length.
-    pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) -> Result<()> {
+    pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) {
         let width = self.knots.width();
-        let expected = self.shift_sq.len() * width;
-        equal("knots", knots.len(), expected)?;
-        equal("score", step.score.map_or(expected, <[f32]>::len), expected)?;
         if !(step.sigma > 0.0 && step.gain > 0.0) {
-            return Ok(());
+            return;
         }
         let mut jobs = Vec::with_capacity(self.num_samples * self.sizes.len());
         let (mut knots, mut shifts, mut at) = (knots, self.shift_sq.as_mut_slice(), 0);
@@ -271,31 +252,20 @@ impl<'a> Guidance<'a> {
         } else {
             jobs.into_par_iter().for_each(run);
         }
-        Ok(())
     }
 
     /// Moves the knots of finished plans, all steps at once.
-    ///
-    /// # Errors
-    /// As [`Self::adjust`].
-    pub fn adjust_finished(&mut self, knots: &mut [f32]) -> Result<()> {
-        if !self.is_active() {
-            return Ok(());
+    pub fn adjust_finished(&mut self, knots: &mut [f32]) {
+        if self.is_active() {
+            self.adjust(knots, GuidanceStep { sigma: 1.0, gain: 1.0, score: None });
         }
-        self.adjust(knots, GuidanceStep { sigma: 1.0, gain: 1.0, score: None })
     }
 
     /// Has each agent's sample selected for itself, against predicted plans [R, knots, 2] of all others. Otherwise sample n
     /// of all agents of a world is one future. With `draws`, a guided agent chooses among its first ones, so many at a guidance
     /// scale of 1, and unguided agents take the first.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] for knots of another length.
-    pub fn choose_against(&mut self, predicted: Vec<f32>, draws: Option<usize>) -> Result<()> {
-        let expected = self.sizes.iter().sum::<usize>() * self.knots.width();
-        equal("predicted knots", predicted.len(), expected)?;
+    pub fn choose_against(&mut self, predicted: Vec<f32>, draws: Option<usize>) {
         (self.predicted, self.draws) = (Some(predicted), draws);
-        Ok(())
     }
 
     /// Samples among which each agent of a world chooses, [M].
@@ -309,75 +279,53 @@ impl<'a> Guidance<'a> {
         context.guided.iter().map(of).collect()
     }
 
-    /// Share of a move that is made of each row, 0 for rows that are not guided, [N · R].
-    pub fn guidance_scales(&self) -> Vec<f32> {
-        let of = |s: &GuidanceContext<'_>, agent: usize| if s.guided[agent] { s.guidance_scale } else { 0.0 };
-        self.per_row(&|world, agent| self.worlds[world].as_ref().map_or(0.0, |s| of(s, agent)))
-    }
-
-    /// One over the number of agents in each row's world, [N · R].
-    pub fn shares(&self) -> Vec<f32> {
-        self.per_row(&|world, _| 1.0 / self.sizes[world] as f32)
-    }
-
-    fn per_row(&self, of: &dyn Fn(usize, usize) -> f32) -> Vec<f32> {
-        let rows =
-            self.sizes.iter().enumerate().flat_map(|(world, size)| (0..*size).map(move |a| (world, a)));
-        let rows: Vec<f32> = rows.map(|(world, agent)| of(world, agent)).collect();
-        rows.repeat(self.num_samples)
+    /// Of each row the share of a move that is made, 0 for rows that are not guided, and one over the agents of its world, [N · R].
+    pub fn row_scales(&self) -> Vec<[f32; 2]> {
+        let of_world = |(world, size): (&Option<GuidanceContext<'_>>, &usize)| {
+            let guided = |agent: &usize| world.as_ref().filter(|world| world.guided[*agent]);
+            let scale = |agent| guided(&agent).map_or(0.0, |world| world.guidance_scale);
+            (0..*size).map(|agent| [scale(agent), 1.0 / *size as f32]).collect::<Vec<_>>()
+        };
+        self.worlds.iter().zip(&self.sizes).flat_map(of_world).collect::<Vec<_>>().repeat(self.num_samples)
     }
 
     /// Gradient of the total of all weighted objectives with respect to knots [N · R, knots, 2]; zero in rows that are not
     /// guided and in knots that are not executed.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] for knots of another length.
-    pub fn gradient(&self, knots: &[f32]) -> Result<Vec<f32>> {
+    pub fn gradient(&self, knots: &[f32]) -> Vec<f32> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        equal("knots", knots.len(), self.num_samples * rows * width)?;
         let offsets = crate::inputs::features::row_offsets(&self.sizes);
         let jobs: Vec<(usize, usize)> = (0..self.num_samples)
             .flat_map(|sample| (0..self.sizes.len()).map(move |world| (sample, world)))
             .collect();
-        let of_job = |&(sample, world): &(usize, usize)| -> Result<Vec<f32>> {
+        let of_job = |&(sample, world): &(usize, usize)| -> Vec<f32> {
             let first = (sample * rows + offsets[world]) * width;
             let part = &knots[first..first + self.sizes[world] * width];
             let mut total = vec![0.0; part.len()];
             let Some(context) = self.worlds[world].as_ref().filter(|s| s.guided.contains(&true)) else {
-                return Ok(total);
+                return total;
             };
-            for gradient in self.gradients(world, part)? {
+            for gradient in self.gradients(world, part) {
                 total.iter_mut().zip(gradient).for_each(|(t, g)| *t += g);
             }
             for (agent, row) in total.chunks_exact_mut(width).enumerate() {
                 let free = f32::from(u8::from(context.guided[agent]));
                 row.iter_mut().zip(&self.mask).for_each(|(g, keep)| *g *= keep * free);
             }
-            Ok(total)
+            total
         };
-        Ok(jobs.par_iter().map(of_job).collect::<Result<Vec<_>>>()?.concat())
+        jobs.par_iter().map(of_job).collect::<Vec<_>>().concat()
     }
 
     /// Gradient of each weighted objective, w · mean over agents of the loss, with respect to all knots of one sample of a
     /// world: [J][M, knots, 2]. No mask is applied. Empty for a world without guidance.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] for a world that is not there or knots of another length.
-    pub fn gradients(&self, world: usize, knots: &[f32]) -> Result<Vec<Vec<f32>>> {
-        equal("knots", knots.len(), self.sizes.get(world).map_or(0, |s| s * self.knots.width()))?;
-        let context = self.worlds.get(world).and_then(Option::as_ref);
-        Ok(context.map_or_else(Vec::new, |context| {
-            Scratch::new(self.config, &self.knots, context).gradients(knots)
-        }))
+    pub fn gradients(&self, world: usize, knots: &[f32]) -> Vec<Vec<f32>> {
+        let of = |context| Scratch::new(self.config, &self.knots, context).gradients(knots);
+        self.worlds[world].as_ref().map_or_else(Vec::new, of)
     }
 
     /// What guidance did, given the finished plans [N · R, knots, 2]: one report per guided world.
-    ///
-    /// # Errors
-    /// [`ModelError::Shape`] for knots of another length.
-    pub fn report(&self, knots: &[f32]) -> Result<Vec<Option<GuidanceReport>>> {
+    pub fn report(&self, knots: &[f32]) -> Vec<Option<GuidanceReport>> {
         let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
-        equal("knots", knots.len(), self.shift_sq.len() * width)?;
         let offsets: Vec<usize> = crate::inputs::features::row_offsets(&self.sizes);
         let of_world = |(world, context): (usize, &Option<GuidanceContext<'a>>)| {
             let context = context.as_ref()?;
@@ -426,6 +374,6 @@ impl<'a> Guidance<'a> {
                 selected_sample,
             })
         };
-        Ok(self.worlds.par_iter().enumerate().map(of_world).collect())
+        self.worlds.par_iter().enumerate().map(of_world).collect()
     }
 }

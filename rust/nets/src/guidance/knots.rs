@@ -1,13 +1,13 @@
 //! Between normalised action knots and physical actions, in plain numbers.
 
 use crate::config::ModelConfig;
-use crate::inputs::unicycle::knot_weights;
+use crate::inputs::unicycle::knot_joints;
 
 /// The linear map from normalised knots [knots, 2] to physical actions [T, 2] of one agent, and its adjoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KnotMap {
-    /// Per step: the first of its two knots and both weights; the second knot is the next one.
-    joints: Vec<(usize, f32, f32)>,
+    /// As [`knot_joints`].
+    joints: Vec<(usize, f32)>,
     num_knots: usize,
     mean: [f32; 2],
     std: [f32; 2],
@@ -17,15 +17,10 @@ pub struct KnotMap {
 impl KnotMap {
     /// The map of a network.
     pub fn new(config: &ModelConfig) -> Self {
-        let num_knots = config.num_knots();
-        let joint = |row: &[f32]| {
-            let low = row.iter().position(|w| *w != 0.0).unwrap_or(0);
-            (low, row[low], row.get(low + 1).copied().unwrap_or(0.0))
-        };
         let n = &config.normalisation;
         Self {
-            joints: knot_weights(config).chunks_exact(num_knots).map(joint).collect(),
-            num_knots,
+            joints: knot_joints(config).collect(),
+            num_knots: config.num_knots(),
             mean: n.action_mean.map(|v| v as f32),
             std: n.action_std.map(|v| v as f32),
             stride: config.knot_stride,
@@ -39,10 +34,10 @@ impl KnotMap {
 
     /// Actions [T, 2] of knots [knots, 2].
     pub fn actions(&self, knots: &[f32], out: &mut [f32]) {
-        for (action, (low, first, second)) in out.chunks_exact_mut(2).zip(&self.joints) {
+        for (action, (low, share)) in out.chunks_exact_mut(2).zip(&self.joints) {
             for c in 0..2 {
                 let next = knots.get(2 * (low + 1) + c).copied().unwrap_or(0.0);
-                let joined = first * knots[2 * low + c] + second * next;
+                let joined = (1.0 - share) * knots[2 * low + c] + share * next;
                 // the weights of a step add up to 1
                 action[c] = joined * self.std[c] + self.mean[c];
             }
@@ -52,12 +47,12 @@ impl KnotMap {
     /// Gradient with respect to the knots [knots, 2] of one with respect to the actions [T, 2].
     pub fn vjp(&self, of_actions: &[f32], out: &mut [f32]) {
         out.fill(0.0);
-        for (action, (low, first, second)) in of_actions.chunks_exact(2).zip(&self.joints) {
+        for (action, (low, share)) in of_actions.chunks_exact(2).zip(&self.joints) {
             for c in 0..2 {
                 let of_joined = action[c] * self.std[c];
-                out[2 * low + c] += first * of_joined;
+                out[2 * low + c] += (1.0 - share) * of_joined;
                 if let Some(next) = out.get_mut(2 * (low + 1) + c) {
-                    *next += second * of_joined;
+                    *next += share * of_joined;
                 }
             }
         }

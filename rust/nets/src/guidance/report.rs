@@ -39,53 +39,42 @@ pub struct GradientStatistics {
 }
 
 /// Running sums of [`GradientStatistics`] for the rows of one sample of one world.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct GradientSums {
-    inner: Vec<f64>,
-    cosine: Vec<f64>,
-    negative: Vec<u32>,
-    counted: Vec<u32>,
-    steps: u32,
-    pair_cosine: Vec<f64>,
-    pair_counted: Vec<u32>,
+    /// Inner products, cosines, how many of them are negative, and their number, [M].
+    agents: Vec<[f64; 4]>,
+    /// Cosines of two objectives and their number, [J, J].
+    pairs: Vec<[f64; 2]>,
+    steps: f64,
 }
 
 impl GradientSums {
     pub(super) fn new(num_agents: usize, num_objectives: usize) -> Self {
-        let pairs = num_objectives * num_objectives;
-        Self {
-            inner: vec![0.0; num_agents],
-            cosine: vec![0.0; num_agents],
-            negative: vec![0; num_agents],
-            counted: vec![0; num_agents],
-            steps: 0,
-            pair_cosine: vec![0.0; pairs],
-            pair_counted: vec![0; pairs],
-        }
+        let pairs = vec![[0.0; 2]; num_objectives * num_objectives];
+        Self { agents: vec![[0.0; 4]; num_agents], pairs, steps: 0.0 }
     }
 
     /// Adds one denoising step: weighted gradients [J][M, width] and the score [M, width].
     pub(super) fn add(&mut self, gradients: &[Vec<f32>], score: &[f32], width: usize) {
-        self.steps += 1;
-        for agent in 0..self.inner.len() {
+        self.steps += 1.0;
+        for (agent, sums) in self.agents.iter_mut().enumerate() {
             let part = agent * width..(agent + 1) * width;
             let mut total = vec![0.0f32; width];
             for gradient in gradients {
                 total.iter_mut().zip(&gradient[part.clone()]).for_each(|(t, g)| *t -= g);
             }
             let (inner, cosine) = compare(&total, &score[part.clone()]);
-            self.inner[agent] += inner;
+            sums[0] += inner;
             if let Some(cosine) = cosine {
-                self.cosine[agent] += cosine;
-                self.counted[agent] += 1;
-                self.negative[agent] += u32::from(cosine < 0.0);
+                sums[1] += cosine;
+                sums[2] += f64::from(u8::from(cosine < 0.0));
+                sums[3] += 1.0;
             }
-            for (a, one) in gradients.iter().enumerate() {
-                for (b, other) in gradients.iter().enumerate() {
-                    if let (_, Some(cosine)) = compare(&one[part.clone()], &other[part.clone()]) {
-                        self.pair_cosine[a * gradients.len() + b] += cosine;
-                        self.pair_counted[a * gradients.len() + b] += 1;
-                    }
+            let both = gradients.iter().flat_map(|one| gradients.iter().map(move |other| (one, other)));
+            for ((one, other), sums) in both.zip(&mut self.pairs) {
+                if let (_, Some(cosine)) = compare(&one[part.clone()], &other[part.clone()]) {
+                    sums[0] += cosine;
+                    sums[1] += 1.0;
                 }
             }
         }
@@ -93,19 +82,21 @@ impl GradientSums {
 
     /// The statistics of all samples of a world.
     pub(super) fn statistics(samples: &[Self]) -> Option<GradientStatistics> {
-        let first = samples.first()?;
-        let mean = |sum: f64, count: u32| if count == 0 { 0.0 } else { (sum / f64::from(count)) as f32 };
-        let over = |sum: &dyn Fn(&Self) -> f64, count: &dyn Fn(&Self) -> u32| {
-            mean(samples.iter().map(sum).sum(), samples.iter().map(count).sum())
-        };
-        let agents = 0..first.inner.len();
+        let (first, rest) = samples.split_first()?;
+        let mut all = first.clone();
+        for other in rest {
+            all.steps += other.steps;
+            let agents = all.agents.as_flattened_mut().iter_mut().zip(other.agents.as_flattened());
+            let pairs = all.pairs.as_flattened_mut().iter_mut().zip(other.pairs.as_flattened());
+            agents.chain(pairs).for_each(|(sum, of)| *sum += of);
+        }
+        let mean = |sum: f64, count: f64| if count == 0.0 { 0.0 } else { (sum / count) as f32 };
+        let of_agents = |of: &dyn Fn(&[f64; 4]) -> f32| all.agents.iter().map(of).collect();
         Some(GradientStatistics {
-            alignment: agents.clone().map(|a| over(&|s| s.inner[a], &|s| s.steps)).collect(),
-            cosine: agents.clone().map(|a| over(&|s| s.cosine[a], &|s| s.counted[a])).collect(),
-            conflict_share: agents.map(|a| over(&|s| f64::from(s.negative[a]), &|s| s.counted[a])).collect(),
-            objective_cosine: (0..first.pair_cosine.len())
-                .map(|p| over(&|s| s.pair_cosine[p], &|s| s.pair_counted[p]))
-                .collect(),
+            alignment: of_agents(&|sums| mean(sums[0], all.steps)),
+            cosine: of_agents(&|sums| mean(sums[1], sums[3])),
+            conflict_share: of_agents(&|sums| mean(sums[2], sums[3])),
+            objective_cosine: all.pairs.iter().map(|sums| mean(sums[0], sums[1])).collect(),
         })
     }
 }

@@ -193,7 +193,7 @@ mod tests {
         let far = segment(0.0, 90.0, 0.0, SegmentKind::Lane);
         let map = [behind, divider, far, ahead];
         assert_eq!(nearest(&map, &frame, 30.0), [ahead, divider, behind]);
-        // who stands looks less far
+        // a standing vehicle looks less far
         assert_eq!(nearest(&map, &frame, 10.0), [divider, behind, ahead]);
     }
 

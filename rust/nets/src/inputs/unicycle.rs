@@ -72,18 +72,11 @@ pub fn states_of_poses(poses: &[[f32; 3]], speed_mps: f32, dt_s: f32) -> Vec<[f3
         .collect()
 }
 
-/// The matrix [T, knots] that joins knots linearly; the identity for a stride of one.
-pub fn knot_weights(config: &ModelConfig) -> Vec<f32> {
-    let (steps, knots) = (config.horizon_steps, config.num_knots());
-    let mut weights = vec![0.0f32; steps * knots];
-    for step in 0..steps {
-        let at = ((step as f64 + 0.5) / config.knot_stride as f64 - 0.5).clamp(0.0, (knots - 1) as f64);
-        let low = (at.floor() as usize).min(knots - 1);
-        let share = (at - low as f64) as f32;
-        weights[step * knots + low] += 1.0 - share;
-        if share > 0.0 {
-            weights[step * knots + low + 1] += share;
-        }
-    }
-    weights
+/// How knots are joined linearly: of each step [T] the first of its two knots, and the share of the next one.
+pub fn knot_joints(config: &ModelConfig) -> impl Iterator<Item = (usize, f32)> {
+    let (stride, last) = (config.knot_stride as f64, (config.num_knots() - 1) as f64);
+    (0..config.horizon_steps).map(move |step| {
+        let at = ((step as f64 + 0.5) / stride - 0.5).clamp(0.0, last);
+        (at.floor() as usize, (at - at.floor()) as f32)
+    })
 }

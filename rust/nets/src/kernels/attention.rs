@@ -2,9 +2,9 @@
 
 use super::rows::{at_levels, exp, halves};
 use super::shape::PANEL;
-use super::simd::{Work, at_level};
+use super::simd::{Vector, Work, at_level};
 
-/// Whom the rows see: pairs of a row follow each other.
+/// Pairs of rows and the rows that they see; pairs of a row follow each other.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Seen {
     /// First pair of each row, and one past the last of all, [R + 1].
@@ -16,12 +16,12 @@ pub struct Seen {
 }
 
 impl Seen {
-    /// Nobody yet.
+    /// No rows yet.
     pub fn empty() -> Self {
         Self { start: vec![0], ..Self::default() }
     }
 
-    /// Whom the next row sees: rows and slots.
+    /// Adds a row with the rows that it sees and their slots.
     pub fn push(&mut self, pairs: impl Iterator<Item = (usize, usize)>) {
         for (other, slot) in pairs {
             self.other.push(other);
@@ -34,7 +34,7 @@ impl Seen {
 /// Attention of every row's tokens over the same tokens of the rows that it sees.
 #[derive(Debug, Clone, Copy)]
 pub struct Mix<'a> {
-    /// Whom the rows see.
+    /// The seen pairs.
     pub seen: &'a Seen,
     /// Tokens of a row.
     pub tokens: usize,

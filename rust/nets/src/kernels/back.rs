@@ -3,7 +3,7 @@
 use super::attention::{Mix, product_of, product_of_sum};
 use super::rows::{self, at_levels, exp, sum};
 use super::shape::PANEL;
-use super::simd::{Work, at_level};
+use super::simd::{Vector, Work, at_level};
 
 /// Gradients of attention.
 #[derive(Debug)]

@@ -16,6 +16,5 @@ pub use product::{Packed, Strided, linear, matmul};
 pub use rows::{add_cycle, gate, norm};
 pub(crate) use rows::{add_norm, groups_mish, most};
 pub use shape::PANEL;
-pub use simd::{Level, with_level};
 pub use tile::How;
 pub use within::Within;

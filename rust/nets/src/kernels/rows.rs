@@ -1,7 +1,7 @@
 //! Loops over rows of numbers, which the compiler turns into vectors of each level.
 
 use super::shape::PANEL;
-use super::simd::{Work, at_level};
+use super::simd::{Vector, Work, at_level};
 
 /// Functions that are compiled once per level; what they call must be `#[inline(always)]`.
 macro_rules! at_levels {
@@ -13,7 +13,7 @@ macro_rules! at_levels {
             struct Call<'a> { $($arg: $ty,)* lives: std::marker::PhantomData<&'a ()> }
             impl<'a> Work for Call<'a> {
                 #[inline(always)]
-                fn run(self) {
+                fn run<V: Vector, const ROWS: usize>(self) {
                     let Self { $($arg,)* lives: _ } = self;
                     $body
                 }

@@ -5,12 +5,11 @@
 
 #![allow(unsafe_code, reason = "intrinsics")]
 
-use std::cell::Cell;
 use std::sync::OnceLock;
 
 /// Which instructions are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Level {
+pub(super) enum Level {
     /// Those that every processor of the family has.
     Base,
     /// 256-bit vectors.
@@ -23,22 +22,17 @@ pub enum Level {
 
 impl Level {
     /// All that this processor has, the widest last.
-    pub fn available() -> Vec<Self> {
+    pub(super) fn available() -> Vec<Self> {
         #[allow(unused_mut, reason = "other processors have one")]
         let mut levels = vec![Self::Base];
         #[cfg(target_arch = "x86_64")]
         {
             use std::arch::is_x86_feature_detected as has;
-            if has!("avx2") {
+            let narrow = has!("avx2") && has!("fma");
+            if narrow {
                 levels.push(Self::Avx2);
             }
-            if has!("avx2")
-                && has!("avx512f")
-                && has!("avx512vl")
-                && has!("avx512bw")
-                && has!("avx512dq")
-                && has!("popcnt")
-            {
+            if narrow && has!("avx512f") && has!("avx512vl") && has!("avx512bw") && has!("avx512dq") {
                 levels.push(Self::Avx512);
             }
         }
@@ -48,24 +42,33 @@ impl Level {
 
 /// Work that is compiled once per level.
 pub(super) trait Work {
-    /// Must be `#[inline(always)]`, and so must be what it calls.
-    fn run(self);
+    /// With vectors of the level, and so many rows in a tile of products. Must be `#[inline(always)]`, and so must be what it
+    /// calls; [`at_level`] alone calls it.
+    fn run<V: Vector, const ROWS: usize>(self);
 }
 
-/// Runs work compiled for the level of this thread.
+/// Runs work compiled for the widest level that the processor has, or for the base if the process is held to it.
 pub(super) fn at_level<W: Work>(work: W) {
+    static WIDEST: OnceLock<Level> = OnceLock::new();
+    let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
+    at(if ccdiff_sim::is_held_to_base() { Level::Base } else { widest() }, work);
+}
+
+/// Runs work compiled for a level that the processor has.
+pub(super) fn at<W: Work>(level: Level, work: W) {
     #[cfg(target_arch = "x86_64")]
     {
-        #[target_feature(enable = "avx2")]
+        use std::arch::x86_64::{__m128, __m256, __m512};
+        #[target_feature(enable = "avx2,fma")]
         fn avx2<W: Work>(work: W) {
-            work.run();
+            work.run::<__m256, 6>();
         }
-        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq")]
+        #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512bw,avx512dq")]
         fn avx512<W: Work>(work: W) {
-            work.run();
+            work.run::<__m512, 12>();
         }
-        match level() {
-            Level::Base => work.run(),
+        match level {
+            Level::Base => work.run::<__m128, 6>(),
             // SAFETY: the level is one that the processor was asked for
             Level::Avx2 => unsafe { avx2(work) },
             // SAFETY: as above
@@ -73,28 +76,10 @@ pub(super) fn at_level<W: Work>(work: W) {
         }
     }
     #[cfg(not(target_arch = "x86_64"))]
-    work.run();
-}
-
-thread_local! {
-    static HELD: Cell<Option<Level>> = const { Cell::new(None) };
-}
-
-/// The level that this thread computes with, one that its processor has: the widest, unless [`with_level`] says otherwise.
-pub(super) fn level() -> Level {
-    static WIDEST: OnceLock<Level> = OnceLock::new();
-    let base = ccdiff_sim::is_held_to_base().then_some(Level::Base);
-    let widest = || *WIDEST.get_or_init(|| Level::available().pop().unwrap_or(Level::Base));
-    HELD.get().or(base).unwrap_or_else(widest)
-}
-
-/// Computes with the instructions of a level, or the widest if the processor has it not, on this thread: the bits are those of all
-/// others.
-pub fn with_level<T>(level: Level, work: impl FnOnce() -> T) -> T {
-    let before = HELD.replace(Some(level).filter(|level| Level::available().contains(level)));
-    let made = work();
-    HELD.set(before);
-    made
+    {
+        let Level::Base = level;
+        work.run::<Four, 4>();
+    }
 }
 
 /// A vector of `LANES` numbers.
@@ -276,17 +261,17 @@ mod wasm {
 
 /// The vector of processors of other families.
 #[cfg(target_arch = "aarch64")]
-pub(super) type Four = std::arch::aarch64::float32x4_t;
+type Four = std::arch::aarch64::float32x4_t;
 /// The vector of processors of other families.
 #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
-pub(super) type Four = std::arch::wasm32::v128;
+type Four = std::arch::wasm32::v128;
 /// The vector of processors of other families.
 #[cfg(not(any(
     target_arch = "x86_64",
     target_arch = "aarch64",
     all(target_arch = "wasm32", target_feature = "simd128")
 )))]
-pub(super) type Four = Plain;
+type Four = Plain;
 
 /// Four numbers in plain Rust, of which compilers make scalar sums at best.
 #[derive(Clone, Copy)]

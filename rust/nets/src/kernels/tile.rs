@@ -2,14 +2,10 @@
 //!
 //! Plans never fuse a product with its addition, so all levels, and processors of other families, compute the same bits.
 
-#![allow(unsafe_code, reason = "places of a product, whose bounds its one door has checked")]
+#![allow(unsafe_code, reason = "pointers into a product, whose bounds `multiply` has checked")]
 
 use super::shape::{PANEL, Product};
-#[cfg(not(target_arch = "x86_64"))]
-use super::simd::Four;
-use super::simd::Vector;
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Level, level};
+use super::simd::{Vector, Work, at_level};
 
 /// How sums are formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,41 +39,20 @@ pub(super) fn multiply(
         bias: bias.map_or(std::ptr::null(), <[f32]>::as_ptr),
         c: out.as_mut_ptr(),
     };
-    // SAFETY of all: `fits` has compared the farthest number of each side with its length, and the level was asked for
-    #[cfg(target_arch = "x86_64")]
-    {
-        use std::arch::x86_64::{__m128, __m256, __m512};
-        #[target_feature(enable = "avx2")]
-        unsafe fn avx2(p: &Product, s: Sides) {
-            unsafe { product::<__m256, 6, false>(p, s) }
-        }
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn avx2_fused(p: &Product, s: Sides) {
-            unsafe { product::<__m256, 6, true>(p, s) }
-        }
-        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
-        unsafe fn avx512(p: &Product, s: Sides) {
-            unsafe { product::<__m512, 12, false>(p, s) }
-        }
-        #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,popcnt")]
-        unsafe fn avx512_fused(p: &Product, s: Sides) {
-            unsafe { product::<__m512, 12, true>(p, s) }
-        }
-        let fused = how == How::Fused;
-        match level() {
-            Level::Base => unsafe { product::<__m128, 6, false>(p, sides) },
-            Level::Avx512 if fused => unsafe { avx512_fused(p, sides) },
-            Level::Avx2 if fused && std::arch::is_x86_feature_detected!("fma") => unsafe {
-                avx2_fused(p, sides);
-            },
-            Level::Avx2 => unsafe { avx2(p, sides) },
-            Level::Avx512 => unsafe { avx512(p, sides) },
-        }
+    match how {
+        How::Exact => at_level(Multiply::<false>(p, sides)),
+        How::Fused => at_level(Multiply::<true>(p, sides)),
     }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        let _ = how;
-        unsafe { product::<Four, 4, false>(p, sides) }
+}
+
+/// A product that fits its slices.
+struct Multiply<'a, const FUSED: bool>(&'a Product, Sides);
+
+impl<const FUSED: bool> Work for Multiply<'_, FUSED> {
+    #[inline(always)]
+    fn run<V: Vector, const ROWS: usize>(self) {
+        // SAFETY: `fits` has compared the farthest number of each side with its length, and the processor has the level
+        unsafe { product::<V, ROWS, FUSED>(self.0, self.1) }
     }
 }
 
@@ -195,19 +170,22 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: boo
 
 #[cfg(test)]
 mod tests {
-    use super::super::simd::{Level, Plain, with_level};
+    use super::super::simd::{Level, Plain, at};
     use super::*;
 
     #[test]
-    fn plain_vectors_compute_what_those_of_the_processor_do() {
+    fn every_level_computes_what_plain_vectors_do() {
         let (p, a, b) = super::super::shape::tests::example(7, 33, 5);
-        let (mut plain, mut own) = (vec![0.0; 7 * 80], vec![0.0; 7 * 80]);
         let bias: Vec<f32> = (0..80).map(|i| i as f32 * 0.1 - 3.0).collect();
-        with_level(Level::Base, || multiply(&p, &a, &b, Some(&bias), &mut own, How::Exact));
+        let mut plain = vec![0.0; 7 * 80];
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
         let sides = Sides { a: a.as_ptr(), b: b.as_ptr(), bias: bias.as_ptr(), c: plain.as_mut_ptr() };
         // SAFETY: it fits
         unsafe { product::<Plain, 4, false>(&p, sides) };
-        assert_eq!(plain, own);
+        for level in Level::available() {
+            let mut own = vec![0.0; 7 * 80];
+            at(level, Multiply::<false>(&p, Sides { c: own.as_mut_ptr(), ..sides }));
+            assert_eq!(plain, own, "{level:?}");
+        }
     }
 }

@@ -8,7 +8,7 @@
 //! Differs from the paper: knots stand 0.4 s apart, which is where the U-Net's second halving ends, so the way back up
 //! is left out; the condition is the trunk's.
 
-use crate::compute::backend::Backend;
+use crate::compute::backend::Convolves;
 use crate::compute::cpu::Cpu;
 use crate::compute::layers::embed::StepEmbedding;
 use crate::config::ModelConfig;
@@ -46,9 +46,9 @@ fn fits(config: &ModelConfig) -> Result<()> {
 
 /// Convolution over time, group normalisation, Mish.
 #[derive(Debug)]
-struct ConvBlock<B: Backend>(B::Filter, B::Groups);
+struct ConvBlock<B: Convolves>(B::Filter, B::Groups);
 
-impl<B: Backend> ConvBlock<B> {
+impl<B: Convolves> ConvBlock<B> {
     fn new(p: &B::Path<'_>, inputs: i64, outputs: i64) -> Self {
         let filter = B::filter(&B::sub(p, "conv"), inputs, outputs, KERNEL, 1);
         Self(filter, B::groups(&B::sub(p, "norm"), GROUPS, outputs))
@@ -61,14 +61,14 @@ impl<B: Backend> ConvBlock<B> {
 
 /// Two such blocks with the condition between them, and a shortcut.
 #[derive(Debug)]
-struct Residual<B: Backend> {
+struct Residual<B: Convolves> {
     first: ConvBlock<B>,
     condition: B::Joint,
     second: ConvBlock<B>,
     shortcut: Option<B::Filter>,
 }
 
-impl<B: Backend> Residual<B> {
+impl<B: Convolves> Residual<B> {
     fn new(p: &B::Path<'_>, inputs: i64, outputs: i64, width: i64) -> Self {
         let at = |name| B::sub(p, name);
         Self {
@@ -82,18 +82,18 @@ impl<B: Backend> Residual<B> {
     /// `x` [R, steps, inputs], embedded steps and tokens → [R, steps, outputs].
     fn forward(&self, x: B::Tensor, step: &B::Tensor, token: &B::Tensor) -> B::Tensor {
         let (of_step, of_token) = B::apply_joint(&self.condition, step, token);
-        let y = B::sum_shared(self.first.forward(&x), &B::sum_shared(of_token, &of_step));
+        let y = B::sum(self.first.forward(&x), &B::sum(of_token, &of_step));
         let y = self.second.forward(&y);
         match &self.shortcut {
-            Some(shortcut) => B::sum(&B::filtered(shortcut, &x), y),
-            None => B::sum(&x, y),
+            Some(shortcut) => B::sum(y, &B::filtered(shortcut, &x)),
+            None => B::sum(y, &x),
         }
     }
 }
 
 /// The denoiser.
 #[derive(Debug)]
-pub struct HalfUnet<B: Backend> {
+pub struct HalfUnet<B: Convolves> {
     space: PlanSpace,
     trunk: Trunk<B>,
     step: StepEmbedding<B>,
@@ -105,14 +105,14 @@ pub struct HalfUnet<B: Backend> {
 
 /// What is known of the agents.
 #[derive(Debug)]
-pub struct Condition<B: Backend> {
+pub struct Condition<B: Convolves> {
     /// Mish of their tokens [R, 1, d].
     pub token: B::Tensor,
     /// Speeds [R].
     pub speed: B::Tensor,
 }
 
-impl<B: Backend> Weighted<B> for HalfUnet<B> {
+impl<B: Convolves> Weighted<B> for HalfUnet<B> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let numbered = |name, i: usize| B::sub(&B::sub(p, name), &i.to_string());
         let residual =
@@ -138,12 +138,12 @@ impl<B: Backend> Weighted<B> for HalfUnet<B> {
     }
 }
 
-impl<B: Backend> Denoises<B> for HalfUnet<B> {
+impl<B: Convolves> Denoises<B> for HalfUnet<B> {
     type Context = Condition<B>;
 
     fn encode(&self, batch: &B::Batch<'_>) -> Condition<B> {
         let token = B::mish(&self.trunk.forward(batch).token);
-        Condition { token, speed: B::speed(batch) }
+        Condition { token, speed: B::placed(batch, B::plain(batch).speed()) }
     }
 
     fn predict(

@@ -52,7 +52,7 @@ impl<B: Backend, N: Denoises<B>> Proposes<B> for Denoising<N> {
             }
             clean
         };
-        let knots = sample(&self.schedule, num_knots, asked, predict, guide)?;
+        let knots = sample(&self.schedule, num_knots, asked, predict, guide);
         let history = config.history_token_steps().len();
         let of_plans = asked.attention.zip(N::slots(&with_graph));
         let mean = of_plans

@@ -8,7 +8,7 @@ use crate::inputs::features::{self, SceneFeatures, Window};
 use crate::inputs::segments::MapLines;
 use crate::networks::planner::{PlanOptions, PlanSampler};
 use crate::sampling::sampler::SampleOptions;
-use ccdiff_sim::policy::Kind;
+use ccdiff_sim::drivers::Kind;
 use std::collections::BTreeMap;
 use std::path::Path;
 

@@ -9,7 +9,7 @@ use ccdiff_sim::scene::{LaneIndex, Scene};
 use ccdiff_sim::stage::Route;
 use std::sync::Arc;
 
-/// What is planned for: scenes at steps, who is guided, and contacts with whom count.
+/// What is planned for: scenes at steps, guided agents, and agents with which contacts count.
 #[derive(Debug)]
 pub struct Logged<'a> {
     /// Scenes.
@@ -20,7 +20,7 @@ pub struct Logged<'a> {
     pub seeds: &'a [u64],
     /// Agents of each that guidance moves; `None`: no guidance.
     pub guided: Option<Vec<Vec<usize>>>,
-    /// Agents of each with whom contacts count; `None`: all.
+    /// Agents of each with which contacts count; `None`: all.
     pub collision_targets: Option<Vec<Vec<usize>>>,
     /// Whether the network is told the routes of all vehicles.
     pub follow_route: bool,

@@ -107,7 +107,7 @@ pub trait Denoises<B: Backend>: Weighted<B> {
     /// Encodes a batch.
     fn encode(&self, batch: &B::Batch<'_>) -> Self::Context;
 
-    /// Who sits in which slot, for a network whose plans attend to each other.
+    /// The rows in the slots of each row, for a network whose plans attend to each other.
     fn slots(_: &Self::Context) -> Option<&B::Slots> {
         None
     }

@@ -1,8 +1,8 @@
-//! Plans for the agents of many worlds at once: the network behind the background policy.
+//! Plans for the agents of many worlds at once: the network behind planned traffic.
 
 pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 
-use crate::compute::weights::{self, Entry};
+use crate::compute::weights::File;
 use crate::config::ModelConfig;
 use crate::error::{Result, require};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
@@ -11,7 +11,6 @@ use crate::inputs::segments::MapLines;
 use crate::networks::kind::NetworkKind;
 use crate::networks::kinds::{check_cpu, described};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What a model sees of one world.
@@ -23,7 +22,7 @@ pub struct PlanInput<'a> {
     pub map: Option<&'a MapLines>,
     /// Seed of this world's noise for this plan: another one for every plan.
     pub seed: u64,
-    /// Whose plans are guided and what guidance may know; `None`: nobody's. Used if the options hold a guidance.
+    /// Guided agents and what guidance knows of the world; `None`: no guidance. Used if the options hold a guidance.
     pub guide: Option<WorldGuidance<'a>>,
 }
 
@@ -72,29 +71,15 @@ pub struct TrajectoryModel {
     header: serde_json::Value,
     num_parameters: usize,
     config: ModelConfig,
-    /// The network's configuration as features are built from it.
-    inputs: ModelConfig,
     network: &'static NetworkKind,
 }
 
 impl TrajectoryModel {
-    /// Loads a weight file for the kernels of this crate, checking every name and shape.
+    /// The network of a weight file, read or parsed, on the kernels of this crate; checks every name and shape.
     ///
     /// # Errors
-    /// [`ModelError::Io`], [`ModelError::Checkpoint`]; [`ModelError::Config`] for a network that needs torch.
-    pub fn load(path: &Path) -> Result<Self> {
-        Self::own(path, weights::read(path)?)
-    }
-
-    /// As [`Self::load`], from the bytes of a file where there are no files; errors call it by `name`.
-    ///
-    /// # Errors
-    /// As [`Self::load`].
-    pub fn from_bytes(name: &str, bytes: &[u8]) -> Result<Self> {
-        Self::own(Path::new(name), weights::parse(Path::new(name), bytes)?)
-    }
-
-    fn own(path: &Path, (header, tensors): (serde_json::Value, BTreeMap<String, Entry>)) -> Result<Self> {
+    /// [`ModelError::Checkpoint`] names the path; [`ModelError::Config`] for a network that needs torch.
+    pub fn new(path: &Path, (header, tensors): File) -> Result<Self> {
         let config = described(path, &header)?;
         let num_parameters = tensors.values().map(|(_, numbers)| numbers.len()).sum();
         check_cpu(&config)?;
@@ -113,7 +98,7 @@ impl TrajectoryModel {
         num_parameters: usize,
     ) -> Result<Self> {
         let network = config.network()?;
-        Ok(Self { planner, header, num_parameters, inputs: config.clone(), config, network })
+        Ok(Self { planner, header, num_parameters, config, network })
     }
 
     /// What is known of the network.
@@ -152,8 +137,8 @@ impl TrajectoryModel {
 
     /// Replaces the thresholds of the graph G: infinite ones join all pairs.
     pub fn set_graph_thresholds(&mut self, ttc_s: f32, distance_m: f32) {
-        self.inputs.ttc_threshold_s = ttc_s;
-        self.inputs.distance_threshold_m = distance_m;
+        self.config.ttc_threshold_s = ttc_s;
+        self.config.distance_threshold_m = distance_m;
     }
 
     /// Numbers in the network.
@@ -174,7 +159,7 @@ impl TrajectoryModel {
         let options = self.network.options(options.clone().validated()?)?;
         self.check_solver_steps(options.sampling.solver_steps)?;
         let config = &self.config;
-        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.map, &self.inputs);
+        let build = |w: &PlanInput<'_>| (self.network.features)(w.window, w.map, config);
         let built: Vec<SceneFeatures> = if worlds.len() < 4 {
             worlds.iter().map(build).collect::<Result<_>>()?
         } else {
@@ -182,7 +167,7 @@ impl TrajectoryModel {
         };
         let sizes: Vec<usize> = built.iter().map(|f| f.agents.len()).collect();
         let n = options.sampling.num_samples;
-        let mut guide = guide_of(worlds, &built, config, &options, &sizes)?;
+        let mut guide = guide_of(worlds, &built, config, &options, &sizes);
         let drawn = if sizes.iter().all(|s| *s == 0) {
             Drawn::default()
         } else {
@@ -190,7 +175,7 @@ impl TrajectoryModel {
             self.planner.draw(&built, &seeds, &options, guide.as_mut())?
         };
         let mut reports = match &guide {
-            Some(guide) => guide.report(&drawn.knots)?,
+            Some(guide) => guide.report(&drawn.knots),
             None => vec![None; worlds.len()],
         };
         if !self.network.denoises {
@@ -231,15 +216,13 @@ fn guide_of<'a>(
     model: &ModelConfig,
     options: &'a PlanOptions,
     sizes: &[usize],
-) -> Result<Option<Guidance<'a>>> {
-    let Some(config) = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some())) else {
-        return Ok(None);
-    };
+) -> Option<Guidance<'a>> {
+    let config = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some()))?;
     let steps = (config.discount, config.seen_steps);
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
-        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps)).transpose()
+        world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps))
     };
-    let contexts = worlds.iter().zip(features).map(context).collect::<Result<Vec<_>>>()?;
+    let contexts = worlds.iter().zip(features).map(context).collect();
     let samples = options.sampling.num_samples;
-    Guidance::new(config, model, contexts, sizes, samples, options.gradient_statistics).map(Some)
+    Some(Guidance::new(config, model, contexts, sizes, samples, options.gradient_statistics))
 }

@@ -30,7 +30,7 @@ pub struct Encoded<B: Backend> {
     pub speed: B::Tensor,
     /// Encoded edges now.
     pub edges: B::Tensor,
-    /// Who sits in which slot.
+    /// The rows in the slots of each row.
     pub slots: B::Slots,
     /// Map tokens [R, S, feature width]; `None` without a map.
     pub map: Option<B::Tensor>,
@@ -63,17 +63,18 @@ impl<B: Backend> Trunk<B> {
     /// Encodes a batch.
     pub fn forward(&self, batch: &B::Batch<'_>) -> Encoded<B> {
         let config = &self.config;
-        let mut x = self.history.forward(&B::history(batch, config));
+        let (plain, placed) = (B::plain(batch), |x| B::placed(batch, x));
+        let mut x = self.history.forward(&placed(plain.history(config)));
         let map = self.map.as_ref().and_then(|(lines, attention)| {
             let tokens = lines.forward(batch)?;
-            x = B::sum(&x, attention.forward(&x, &attention.memory(&tokens), None));
+            x = B::sum(attention.forward(&x, &attention.memory(&tokens), None), &x);
             Some(tokens)
         });
         let (edges, slots) = B::edges(batch, config, false);
         let edges = self.edges.forward(&edges, false);
         let (x, _) = self.social.forward(&x, &x, &edges, &slots);
-        let token = B::normed(&self.norm, &x);
-        let speed = B::standard_speed(batch, config);
+        let token = B::normed(&self.norm, &x, false);
+        let speed = placed(plain.standard_speed(config));
         let state = B::beside(&token, &speed);
         Encoded { token, state, speed, edges, slots, map }
     }

@@ -1,6 +1,6 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
-use crate::error::{Result, equal};
+use crate::error::Result;
 use crate::guidance::{Guidance, GuidanceStep, Guide, Target};
 use crate::inputs::features::row_offsets;
 use crate::sampling::noise::Noise;
@@ -54,14 +54,6 @@ impl Rows<'_> {
         self.scene_sizes.iter().sum()
     }
 
-    /// Checks that there is one seed per scene.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Shape`] where there is not.
-    pub fn check_seeds(&self, seeds: &[u64]) -> Result<()> {
-        equal("seeds", seeds.len(), self.scene_sizes.len())
-    }
-
     /// Standard normal noise [N · R, numbers per row], sample by sample. A world's numbers depend on its own seed, the stream and
     /// its own agents alone, not on the worlds beside it. Rows with a seed of their own share [`KEPT_NOISE`] with theirs.
     pub fn noise(&self, seeds: &[u64], stream: u64, samples: usize, per_row: usize) -> Vec<f32> {
@@ -112,19 +104,14 @@ fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
 /// diffusion step, with G = identity if it is told so.
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
-///
-/// # Errors
-/// [`crate::ModelError::Shape`] for a wrong number of seeds, [`crate::ModelError::Config`] for bad options.
 pub fn sample(
     schedule: &Schedule,
     num_knots: usize,
     asked: &Asked<'_>,
     mut predict: impl FnMut(&[f32], usize, bool) -> Vec<f32>,
     mut guide: Guide<'_, '_>,
-) -> Result<Vec<f32>> {
-    let Asked { rows, seeds, .. } = *asked;
-    let options = asked.options.validated()?;
-    rows.check_seeds(seeds)?;
+) -> Vec<f32> {
+    let Asked { rows, seeds, options, .. } = *asked;
     let normal = |stream: u64| rows.noise(seeds, stream, options.num_samples, num_knots * 2);
     let w = options.guidance_weight;
     let mut clean = |x: &[f32], k: usize| {
@@ -132,11 +119,11 @@ pub fn sample(
         if w > 1.0 { joined(&predict(x, k, true), 1.0 - w, &cond, w) } else { cond }
     };
     // the step's mean is from_x0 · x0 + from_xk · x
-    let mut mean = |x: &[f32], k: usize, step: &Posterior| -> Result<Vec<f32>> {
+    let mut mean = |x: &[f32], k: usize, step: &Posterior| -> Vec<f32> {
         let x0 = clean(x, k);
         match guide.as_deref_mut().filter(|g| g.is_active() && step.sigma > 0.0) {
             Some(guide) => guided_mean(guide, schedule.alpha_bar[k], x, x0, step),
-            None => Ok(joined(&x0, step.from_x0, x, step.from_xk)),
+            None => joined(&x0, step.from_x0, x, step.from_xk),
         }
     };
     let mut x = normal(schedule.num_steps() as u64);
@@ -145,7 +132,7 @@ pub fn sample(
         None => {
             for k in (0..schedule.num_steps()).rev() {
                 let step = schedule.posterior(k);
-                x = mean(&x, k, &step)?;
+                x = mean(&x, k, &step);
                 if k > 0 {
                     x = joined(&x, 1.0, &normal(k as u64), step.sigma);
                 }
@@ -159,11 +146,11 @@ pub fn sample(
                     // the plan of a single step is guided against the spread of the noise that it is made of
                     step.sigma = 1.0;
                 }
-                x = mean(&x, k, &step)?;
+                x = mean(&x, k, &step);
             }
         }
     }
-    Ok(x)
+    x
 }
 
 /// The mean of a step with guidance on it, or on the clean plan that it is formed from.
@@ -173,7 +160,7 @@ fn guided_mean(
     x: &[f32],
     mut x0: Vec<f32>,
     step: &Posterior,
-) -> Result<Vec<f32>> {
+) -> Vec<f32> {
     let score = guide.wants_score().then(|| {
         let (signal, noise) = (alpha_bar.sqrt() as f32, (1.0 - alpha_bar) as f32);
         x0.iter().zip(x).map(|(x0, x)| (x0 * signal - x) / noise).collect::<Vec<f32>>()
@@ -182,12 +169,12 @@ fn guided_mean(
     match guide.config().target {
         Target::Mu => {
             let mut mean = joined(&x0, step.from_x0, x, step.from_xk);
-            guide.adjust(&mut mean, moved(1.0))?;
-            Ok(mean)
+            guide.adjust(&mut mean, moved(1.0));
+            mean
         }
         Target::X0 => {
-            guide.adjust(&mut x0, moved(step.from_x0))?;
-            Ok(joined(&x0, step.from_x0, x, step.from_xk))
+            guide.adjust(&mut x0, moved(step.from_x0));
+            joined(&x0, step.from_x0, x, step.from_xk)
         }
     }
 }

@@ -1,11 +1,11 @@
-//! A learned choice of the adversary: who is guided from a plan to the next, and how strongly, or nobody.
+//! A learned choice of the adversary: the vehicle that is guided until the next plan and how strongly, or none.
 
 use crate::compute::weights::{Weights, broken, field, read};
 use crate::error::Result;
 use crate::kernels::{How, Packed, linear};
 use crate::traffic::CcdiffConfig;
+use ccdiff_sim::drivers::PlanRequest;
 use ccdiff_sim::geom::Real;
-use ccdiff_sim::policy::PlanRequest;
 use ccdiff_sim::world::{CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 use std::path::Path;
 
@@ -16,14 +16,14 @@ const MOST_OUTPUTS: usize = 1024;
 /// Hidden units of every layer, as in `ccdiff_env.envs.selection_policy`.
 const WIDTH: usize = 64;
 
-/// A network that scores each candidate at each strength, and nobody.
+/// A network that scores each candidate at each strength, and the choice of none.
 #[derive(Debug, Clone)]
 pub(crate) struct AdversaryPolicy {
     max_candidates: usize,
     /// Criticality of each of its strengths.
     strengths: Vec<Real>,
     row: [Packed; 2],
-    /// Scores at each strength, of nobody, and a value that training needs.
+    /// Scores at each strength, of none, and a value that training needs.
     head: [Packed; 2],
 }
 
@@ -59,7 +59,7 @@ impl AdversaryPolicy {
         config.adversary_policy.as_ref().map(|file| Self::load(Path::new(file))).transpose()
     }
 
-    /// Whom of a ranking it has guided from the coming plan on, and its criticality.
+    /// The vehicle of a ranking that it has guided from the coming plan on, and its criticality.
     pub(crate) fn guided(&self, request: &PlanRequest<'_>, ranking: &[usize]) -> (Vec<usize>, Real) {
         let plan = request.plan.map(|plan| &plan.record);
         let seen = Candidates::new(&request.world, plan, |a| request.drives(a), self.max_candidates);
@@ -67,10 +67,10 @@ impl AdversaryPolicy {
         (agent.into_iter().filter(|a| ranking.contains(a)).collect(), strength.unwrap_or_default())
     }
 
-    /// The vehicle that it chooses and its criticality; `None`: nobody.
+    /// The vehicle that it chooses and its criticality; `None`: none is guided.
     fn choose(&self, seen: &Candidates) -> Option<(usize, Real)> {
         let [mut x, mut hidden] = [Vec::new(), Vec::new()];
-        // nobody is a row of what the ego does, behind the candidates
+        // the choice of none is a row of what the ego does, behind the candidates
         let (of, count) = (CANDIDATE_FEATURES.len(), seen.agents.len());
         let mut rows = seen.features[..count * of].to_vec();
         rows.extend([0.0; OWN_FEATURES].iter().chain(&seen.features[OWN_FEATURES..of]));

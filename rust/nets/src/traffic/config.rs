@@ -1,5 +1,6 @@
 //! What can be chosen about the traffic of a planning network.
 
+use crate::config::ModelConfig;
 use crate::error::{Result, require};
 use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::networks::NETWORKS;
@@ -8,33 +9,33 @@ use crate::networks::planner::PlanOptions;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, CAREFUL_STEPS, GUIDED_DRAWS};
 use crate::sampling::sampler::SampleOptions;
 use ccdiff_sim::causal::rank::{CliqueSettings, Ranker};
+use ccdiff_sim::drivers::{Kind, WorldView};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{CRITICALITY, Form, Setting, within};
-use ccdiff_sim::policy::{Kind, WorldView};
 use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// At these shares of the guidance IDM collides as often with one denoising step, and with routes, as with five steps without
-/// them (docs/results.md#one-dial); with both at their product.
+/// them (docs/results.md#equal-criticality); with both at their product.
 const ONE_STEP_SHARE: Real = 0.24;
 const ROUTES_SHARE: Real = 1.65;
 
 choices! {
-    /// Who drives the vehicles outside the guided set.
+    /// The driver of the vehicles outside the guided set.
     #[derive(Clone, Copy, Eq)]
     pub enum BackgroundDriver {
         /// The network, without guidance.
         Ccdiff = "ccdiff",
         /// The intelligent driver model along their routes.
         Idm = "idm",
-        /// The log (paper, as released). Who has left the log by being guided once never returns to it.
+        /// The log (paper, as released). A vehicle that was guided once never returns to its log.
         Replay = "replay",
     }
 }
 
 choices! {
-    /// How the vehicles to be guided are found.
+    /// How the vehicles to be guided are chosen.
     #[derive(Clone)]
     pub enum Ranking {
         /// Occurrence in heavy cliques of the time-to-contact graph over the history (as the released lists).
@@ -68,7 +69,7 @@ choices! {
 }
 
 choices! {
-    /// Contacts with whom count in the collision objectives.
+    /// Agents with which contacts count in the collision objectives.
     #[derive(Clone, Copy, Eq)]
     pub enum CollisionTargets {
         /// The ego, and every vehicle that is driven from outside.
@@ -79,7 +80,7 @@ choices! {
 }
 
 choices! {
-    /// How a vehicle stands to the nearest of those with whom contacts count.
+    /// Position of a vehicle relative to the nearest target.
     #[derive(Clone, Copy, Eq)]
     pub enum Conflict {
         /// Headings within 45 degrees, beside each other by at most 2 m: one behind the other.
@@ -101,7 +102,7 @@ choices! {
         Parked = "parked",
         /// Those slower than 0.5 m/s in the log at the start (as released).
         Standing = "standing",
-        /// None: what a log says of later is not asked.
+        /// None: the logged future is not used.
         Nobody = "nobody",
     }
 }
@@ -126,9 +127,9 @@ impl Setting for GuidanceChoice {
 options! {
     /// CCDiff as a driver: of the traffic (`traffic="ccdiff"`), or of the controlled agents.
     ///
-    /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): what means nothing
-    /// to a network must have its default. Plans are made for all worlds of a batch at once, every `replan_steps`, and
-    /// followed in between.
+    /// The options of its rivals as well, `ccdiff_env.traffic.NETWORKS` (`traffic="ctg"`, docs/rivals.md): options that
+    /// a network does not use must have their defaults. Plans are made for all worlds of a batch at once, every
+    /// `replan_steps`, and followed in between.
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct CcdiffConfig {
@@ -153,39 +154,39 @@ options! {
         /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
         /// then spread as those of the log (docs/results.md#likelihood-of-the-log).
         keep_noise: bool = false;
-        /// Whether the network is told the routes of the vehicles that it drives: the path of the log, then the lanes ahead.
-        /// For weights that were trained with routes.
+        /// Whether the network gets the routes of its vehicles: the path of the log, then the lanes ahead. It needs
+        /// weights trained with routes.
         follow_route: bool = false;
         /// The decision causal graph G that the network sees.
         graph: GraphMode = GraphMode::Causal;
         /// Vehicles that are guided K; `None`: all.
         num_guided: Option<usize> = Some(5), range within(0.0, 512.0);
-        /// How they are found; ids by the name of the scene are a list of one's own.
+        /// How they are chosen; ids by the name of the scene choose them directly.
         ranking: Ranking = Ranking::Cliques;
-        /// Who says at every plan which vehicle is guided and how strongly, or nobody, in place of the ranking: `"learned"`, the shipped
-        /// policy, or the file of one (examples/train_adversary_selection.py); `criticality` scales its strengths. It learned
-        /// with plans of 20 steps.
+        /// A policy that chooses, in place of the ranking, which vehicle is guided at every plan and how strongly, or none: `"learned"`,
+        /// the shipped one, or a file (examples/train_adversary_selection.py). `criticality` scales its strengths. It was trained
+        /// with `replan_steps` of 20.
         adversary_policy: Option<String> = None;
-        /// Whether they are found again at every plan, not only at the first one.
+        /// Whether they are chosen again at every plan, not only at the first one.
         rerank: bool = true;
-        /// Who drives the vehicles that are not guided.
+        /// The driver of the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
-        /// Share of each move of the guidance that is made: 0 is realistic traffic, 1 the guidance as configured (one
-        /// denoising step: 0.24 of it, routes: 1.65, so that an ego collides as often). Tokens: guided
-        /// vehicles take the best of 1 plus its square of draws. Worlds may be told another one at any time.
+        /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising step: 0.24 of it,
+        /// routes: 1.65, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square
+        /// of draws. Worlds can change it at any time.
         criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
-        /// Whether plans without guidance are moved off contacts and onto the road, at the cost of the gradients. Tokens:
-        /// whether they are the first of 8 draws without either in 1.5 s.
+        /// Whether unguided plans are moved away from contacts and onto the road, at the cost of the gradients. Tokens:
+        /// whether they are the first of 8 draws without contact or road departure in 1.5 s.
         careful: bool = false;
-        /// Contacts with whom count in the collision objectives.
+        /// Agents with which contacts count in the collision objectives.
         collision_targets: CollisionTargets = CollisionTargets::Ego;
-        /// Ids of the agents with whom contacts count, in place of `collision_targets`; empty: those.
+        /// Ids of the agents with which contacts count; empty: those of `collision_targets`.
         targets: Vec<String> = Vec::new();
-        /// Kinds of conflict: only vehicles that stand so to the nearest target are guided; empty: all.
+        /// Kinds of conflict: only vehicles in such a position to the nearest target are guided; empty: all.
         conflicts: Vec<Conflict> = Vec::new();
-        /// Whether guided plans that leave the ego no way out give way to plans without guidance. Ways are steady
+        /// Whether guided plans that the ego cannot evade are replaced by unguided ones. It evades by steady
         /// accelerations (−8 to 3 m/s²) on the route and up to 2.5 m beside it, between the guided vehicles.
         avoidable_only: bool = false;
         /// Time of the episode from which plans are guided.
@@ -211,17 +212,26 @@ pub static DRIVERS: [Kind; NETWORKS.len()] = {
 };
 
 impl CcdiffConfig {
-    /// Checks every range against a network and the horizon of its weights, steps.
+    /// Checks every range, and that all of it means something to a network with weights.
     ///
     /// # Errors
     /// [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] name the field.
-    pub fn validate(&self, network: &NetworkKind, horizon_steps: usize) -> Result<()> {
+    pub(super) fn check(&self, network: &NetworkKind, model: &ModelConfig) -> Result<()> {
         options::check("ccdiff", self)?;
         let (steps, expected) = (self.replan_steps, "1 up to the horizon of the plans");
-        require(steps <= horizon_steps, "ccdiff.replan_steps", steps, expected)?;
+        require(steps <= model.horizon_steps, "ccdiff.replan_steps", steps, expected)?;
         self.guided(network)?.validated()?;
         self.unguided(network).validated()?;
-        Ok(())
+        let fits = self.graph == GraphMode::Causal || network.causal;
+        require(fits, "ccdiff.graph", "full", "causal: this network sees neighbours by distance")?;
+        let fits = self.ranking != Ranking::Greedy || network.attends;
+        require(fits, "ccdiff.ranking", "greedy", "one without attention: this network has none")?;
+        let fits = self.ranking != Ranking::Gradient || network.denoises;
+        let expected = "one without scores: this network does not denoise";
+        require(fits, "ccdiff.ranking", "gradient", expected)?;
+        network.options(self.guided(network)?)?;
+        let knows = !self.follow_route || !model.route_points_m.is_empty();
+        require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")
     }
 
     /// Whether plans made now may be guided.
@@ -241,21 +251,6 @@ impl CcdiffConfig {
         let one_step = if self.denoising_steps == Some(1) { ONE_STEP_SHARE } else { 1.0 };
         let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
         criticality * one_step * routes
-    }
-
-    /// Checks that all of it means something to a network.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Config`] names the field.
-    pub fn check_network(&self, network: &NetworkKind) -> Result<()> {
-        let fits = self.graph == GraphMode::Causal || network.causal;
-        require(fits, "ccdiff.graph", "full", "causal: this network sees neighbours by distance")?;
-        let fits = self.ranking != Ranking::Greedy || network.attends;
-        require(fits, "ccdiff.ranking", "greedy", "one without attention: this network has none")?;
-        let fits = self.ranking != Ranking::Gradient || network.denoises;
-        let expected = "one without scores: this network does not denoise";
-        require(fits, "ccdiff.ranking", "gradient", expected)?;
-        network.options(self.guided(network)?).map(drop)
     }
 
     /// How the plans of worlds with guidance are drawn. Those of tokens are the best of as many draws as the criticality asks for.

@@ -1,6 +1,6 @@
 //! What a world remembers between the plans of a network, as the private bytes of its plan.
 
-use ccdiff_sim::policy::PlanState;
+use ccdiff_sim::drivers::PlanState;
 use ccdiff_sim::{Result, SimError};
 
 const PARKED: u8 = 1;

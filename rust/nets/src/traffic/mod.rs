@@ -4,7 +4,7 @@
 //! The network plans for every vehicle that is there, the ones with other drivers included: those are predicted only.
 //! Pedestrians, cyclists and motorcycles are not seen, as in the released code (reference.md#agents).
 //!
-//! Differs from the released code: vehicles that arrive later are driven too, and nobody vanishes where the log ends but
+//! Differs from the released code: vehicles that arrive later are driven too, and none vanishes where the log ends but
 //! at the edge of the map, unless the world is told otherwise (reference.md#consequences-of-contact).
 
 mod adversary_policy;
@@ -22,15 +22,15 @@ pub use config::{
 
 pub(crate) use adversary_policy::AdversaryPolicy;
 pub use planned_agents::STATIONARY_REACH_M;
-pub(crate) use planned_agents::{is_ego, select_guided};
 
+use crate::compute::weights::read;
 use crate::config::ModelConfig;
 use crate::error::{ModelError, Result, require};
 use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
+use ccdiff_sim::drivers::{AgentMotion, DriverModel, Idm, PlanRequest, PlanState, Replay, WorldView};
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
-use ccdiff_sim::policy::{AgentMotion, Idm, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView};
 use ccdiff_sim::scene::Scene;
 use memory::Memory;
 use rayon::prelude::*;
@@ -41,14 +41,14 @@ use sync_wrapper::SyncWrapper;
 
 /// Traffic of a batch of worlds that follows the plans of a network.
 pub struct PlannedTraffic {
-    /// A network for each thread of the pool; used by `plan` alone, which nobody else can enter meanwhile.
+    /// A network for each thread of the pool; used by `plan` alone, which takes them exclusively.
     copies: SyncWrapper<Vec<TrajectoryModel>>,
     /// Threads that plan. `None`: the caller's thread plans.
     pool: Option<ThreadPool>,
     /// Step and history of the weights.
     model: ModelConfig,
     config: CcdiffConfig,
-    /// Who says whom to guide, in place of the ranking.
+    /// A learned choice of guided vehicles, in place of the ranking.
     adversary_policy: Option<AdversaryPolicy>,
     /// How plans are drawn with guidance and without.
     guided: PlanOptions,
@@ -67,8 +67,8 @@ impl PlannedTraffic {
         let (fits, got) = (config.device == config::CPU, format!("{:?}", config.device));
         require(fits, "ccdiff.device", got, "\"cpu\" without torch")?;
         let pool = planning_pool(num_threads)?;
-        let copies =
-            (0..num_threads.max(1)).map(|_| TrajectoryModel::load(weights)).collect::<Result<_>>()?;
+        let (file, copies) = (read(weights)?, 0..num_threads.max(1));
+        let copies = copies.map(|_| TrajectoryModel::new(weights, file.clone())).collect::<Result<_>>()?;
         Self::of(config, copies, Some(pool))
     }
 
@@ -86,10 +86,7 @@ impl PlannedTraffic {
         }
         let model = copies[0].config().clone();
         let network = copies[0].network();
-        config.validate(network, model.horizon_steps)?;
-        config.check_network(network)?;
-        let knows = !config.follow_route || !model.route_points_m.is_empty();
-        require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")?;
+        config.check(network, &model)?;
         copies[0].check_solver_steps(config.denoising_steps)?;
         let (guided, unguided) = (config.guided(network)?, config.unguided(network));
         let copies = SyncWrapper::new(copies);
@@ -177,14 +174,14 @@ fn side_by_side<T: Send, R: Send>(
 }
 
 /// The error of this crate as the simulator passes it on.
-fn policy_error(name: &str, error: ModelError) -> SimError {
+fn driver_error(name: &str, error: ModelError) -> SimError {
     match error {
         ModelError::Sim(error) => error,
-        other => SimError::Policy { policy: name.into(), message: other.to_string() },
+        other => SimError::Driver { driver: name.into(), message: other.to_string() },
     }
 }
 
-impl TrafficPolicy for PlannedTraffic {
+impl DriverModel for PlannedTraffic {
     fn name(&self) -> &str {
         self.kind()
     }
@@ -203,7 +200,7 @@ impl TrafficPolicy for PlannedTraffic {
             requests.iter().filter(|r| r.is_due(self.config.replan_steps)).collect();
         let mut made = vec![None; requests.len()];
         if !due.is_empty() {
-            let plans = self.plan_due(&due).map_err(|e| policy_error(self.kind(), e))?;
+            let plans = self.plan_due(&due).map_err(|e| driver_error(self.kind(), e))?;
             for (request, plan) in plans {
                 let at = requests.iter().position(|r| r.world.world_idx == request.world.world_idx);
                 if let Some(slot) = at.and_then(|at| made.get_mut(at)) {

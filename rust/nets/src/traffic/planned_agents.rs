@@ -1,13 +1,15 @@
-//! Who is planned for in a world, who of them may be guided, and in which order.
+//! The vehicles of a world that are planned for, those of them that may be guided, and their ranking.
 
+use super::AdversaryPolicy;
 use super::config::{CcdiffConfig, Conflict, ParkedRule};
 use crate::error::Result;
 use crate::inputs::features::{Window, route_ahead};
 use ccdiff_sim::causal::measures::{TTC_CAP_S, normalised_distance, normalised_ttc};
 use ccdiff_sim::causal::rank::RankInput;
+use ccdiff_sim::drivers::{Driver, PlanRequest, WorldView};
 use ccdiff_sim::geom::{Pose2, Real};
-use ccdiff_sim::policy::{Driver, PlanOverride, PlanRequest, WorldView};
 use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::stage::History;
 use std::f32::consts::FRAC_1_SQRT_2;
 
 /// Vehicles that stand still are seen by the network within this distance of one that moves, metres.
@@ -21,8 +23,8 @@ const SAME_LANE_M: Real = 2.0;
 pub(super) struct PlannedAgents {
     /// Agents of the scene, one per row of the window, in the scene's order.
     pub(super) agents: Vec<usize>,
-    /// Whether this policy drives the agent and it is free to move, by row.
-    pub(super) controlled_by_policy: Vec<bool>,
+    /// Whether the agent has this driver and is free to move, by row.
+    pub(super) driven: Vec<bool>,
     /// Their states over the history.
     pub(super) window: Window,
 }
@@ -41,6 +43,23 @@ pub(crate) fn is_ego(world: &WorldView<'_>, agent_idx: usize) -> bool {
     world.drivers[agent_idx] == Driver::External || world.ego == Some(agent_idx)
 }
 
+/// The agents of a world that guided vehicles hinder: its ego, and all that are driven from outside.
+pub fn egos_of(world: &WorldView<'_>) -> Vec<usize> {
+    (0..world.states.len()).filter(|a| world.states.active[*a] && is_ego(world, *a)).collect()
+}
+
+/// The history of a world, of so many states at least.
+pub(crate) fn history_of<'a>(
+    world: &WorldView<'a>,
+    states: usize,
+    driver: &str,
+) -> ccdiff_sim::Result<&'a History> {
+    world.history.filter(|h| h.len() >= states).ok_or_else(|| {
+        let message = "the world keeps too short a history".into();
+        ccdiff_sim::SimError::Driver { driver: driver.into(), message }
+    })
+}
+
 /// Which agents of a scene do not move in an episode.
 pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
     let (scene, start) = (&world.scene.scene, world.step_idx - world.elapsed_steps);
@@ -55,16 +74,20 @@ pub(super) fn parked(world: &WorldView<'_>, rule: ParkedRule) -> Vec<bool> {
         .collect()
 }
 
-/// Agents that are to be guided: those asked for, else the first K of the ranking that `fits`.
+/// Agents of a ranking that are guided from the coming plan on, and how strongly: those asked for; else the choice of a
+/// learned policy, else the first of those that `fits`.
 pub(crate) fn select_guided(
+    request: &PlanRequest<'_>,
+    config: &CcdiffConfig,
+    policy: Option<&AdversaryPolicy>,
     ranking: &[usize],
-    wanted: &PlanOverride,
-    num_guided: Option<usize>,
     fits: impl Fn(&usize) -> bool,
-) -> Vec<usize> {
-    match &wanted.guided {
-        Some(agents) => agents.iter().copied().filter(|a| ranking.contains(a)).collect(),
-        None => ranking.iter().copied().filter(fits).take(num_guided.unwrap_or(usize::MAX)).collect(),
+) -> (Vec<usize>, Real) {
+    let ranked = ranking.iter().copied();
+    match (&request.plan_override.guided, policy) {
+        (Some(agents), _) => (agents.iter().copied().filter(|a| ranking.contains(a)).collect(), 1.0),
+        (None, Some(policy)) => policy.guided(request, ranking),
+        (None, None) => (ranked.filter(fits).take(config.num_guided.unwrap_or(usize::MAX)).collect(), 1.0),
     }
 }
 
@@ -78,7 +101,7 @@ impl PlannedAgents {
         radius_m: Option<Real>,
     ) -> Result<Self> {
         let (world, states) = (&request.world, request.world.states);
-        let egos: Vec<usize> = (0..states.len()).filter(|a| states.active[*a] && is_ego(world, *a)).collect();
+        let egos = egos_of(world);
         let in_radius = |a: usize| match radius_m {
             Some(radius_m) if !egos.is_empty() => {
                 let p = states.position(a);
@@ -95,14 +118,11 @@ impl PlannedAgents {
             moving.any(|b| (states.position(*b) - p).norm() < STATIONARY_REACH_M)
         };
         let agents: Vec<usize> = there.iter().copied().filter(|a| !parked[*a] || near_moving(*a)).collect();
-        let controlled_by_policy = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();
-        let history = world.history.filter(|h| h.len() >= num_steps).ok_or_else(|| {
-            let message = "the world keeps too short a history".into();
-            ccdiff_sim::SimError::Policy { policy: "planned traffic".into(), message }
-        })?;
+        let driven = agents.iter().map(|a| request.drives(*a) && !parked[*a]).collect();
+        let history = history_of(world, num_steps, "planned traffic")?;
         let window = Window::from_history(history, &world.scene.scene, &agents, num_steps);
         let window = Window { apart: states.apart(&agents), ..window };
-        Ok(Self { agents, controlled_by_policy, window })
+        Ok(Self { agents, driven, window })
     }
 
     /// How an agent of the scene stands to the nearest of `collision_targets`, itself not among them; `None` without any.
@@ -125,7 +145,7 @@ impl PlannedAgents {
         })
     }
 
-    /// How soon each agent meets one of `collision_targets`, [M]; the greater the sooner, below those who meet none.
+    /// How soon each agent meets one of `collision_targets`, [M]; the greater the sooner; those that meet none come last.
     pub(super) fn contact_scores(&self, collision_targets: &[bool]) -> Vec<Real> {
         let m = self.agents.len();
         let now = (self.window.num_steps - 1) * m * m;
@@ -141,21 +161,13 @@ impl PlannedAgents {
         (0..m).map(score).collect()
     }
 
-    /// Tells the network the routes of the vehicles that this policy drives.
+    /// Tells the network the routes of the vehicles that this driver drives.
     pub(super) fn tell_routes(&mut self, world: &WorldView<'_>, points_m: &[Real]) {
         let told = |(agent, controlled): (&usize, &bool)| match controlled {
             true => route_ahead(&world.scene.routes[*agent], world.route_s_m[*agent], points_m),
             false => Vec::new(),
         };
-        self.window.routes = self.agents.iter().zip(&self.controlled_by_policy).map(told).collect();
-    }
-
-    /// Whether this policy may drive an agent of the scene.
-    pub(super) fn is_controlled_by_policy(&self, agent_idx: usize) -> bool {
-        self.agents
-            .iter()
-            .zip(&self.controlled_by_policy)
-            .any(|(a, controlled_by_policy)| *a == agent_idx && *controlled_by_policy)
+        self.window.routes = self.agents.iter().zip(&self.driven).map(told).collect();
     }
 
     /// Agents of the scene that may be guided, by falling importance, from the times to contact in the window.
@@ -179,11 +191,6 @@ impl PlannedAgents {
         let ids: Vec<&str> = self.agents.iter().map(|a| world.scene.scene.agents[*a].id.as_str()).collect();
         let ranker = config.ranker(&world.scene.scene.name, &ids, world.noise_seed);
         let ranked = ranker.rank(&input, m)?;
-        Ok(ranked
-            .agents
-            .into_iter()
-            .filter(|row| self.controlled_by_policy[*row])
-            .map(|row| self.agents[row])
-            .collect())
+        Ok(ranked.agents.into_iter().filter(|row| self.driven[*row]).map(|row| self.agents[row]).collect())
     }
 }

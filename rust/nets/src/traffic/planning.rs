@@ -1,7 +1,7 @@
-//! One round of planning: planned agents, rankings, the network, and who follows what.
+//! One round of planning: planned agents, rankings, the network, and the plans that agents follow.
 
 use super::config::{BackgroundDriver, CollisionTargets, Ranking};
-use super::planned_agents::{self, PlannedAgents, RankingInputs};
+use super::planned_agents::{self, PlannedAgents, RankingInputs, select_guided};
 use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic, side_by_side};
 use crate::error::Result;
@@ -10,8 +10,8 @@ use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use crate::sampling::noise::Noise;
 use crate::sampling::sampler::SampleOptions;
+use ccdiff_sim::drivers::{PlanRecord, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::geom::{Real, Region, Vector2};
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, WorldView};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -31,7 +31,7 @@ struct PreparedRequest<'a> {
     criticality: Real,
     /// Rows of the window whose plans are moved.
     guided: Vec<bool>,
-    /// Rows of the window with whom contacts count.
+    /// Rows of the window with which contacts count.
     collision_targets: Vec<bool>,
 }
 
@@ -147,7 +147,7 @@ impl PlannedTraffic {
         }
     }
 
-    /// Fills in rankings and who is guided.
+    /// Fills in rankings and the guided agents.
     fn rank(&mut self, due: &mut [PreparedRequest<'_>]) -> Result<()> {
         let mut ranking_inputs = self.ranking_inputs(due)?;
         ranking_inputs.resize_with(due.len(), RankingInputs::default);
@@ -162,19 +162,15 @@ impl PlannedTraffic {
             } else {
                 d.memory.first_ranking.clone()
             };
-            let wanted = d.request.plan_override;
             let fits = |a: &usize| {
                 let conflict = || d.planned.conflict(*a, &d.collision_targets);
                 config.conflicts.is_empty() || conflict().is_some_and(|c| config.conflicts.contains(&c))
             };
-            d.chosen = planned_agents::select_guided(&d.ranking, wanted, config.num_guided, fits);
-            let mut criticality = wanted.criticality.unwrap_or(config.criticality);
-            if let Some(policy) = traffic.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let strength;
-                (d.chosen, strength) = policy.guided(d.request, &d.ranking);
-                criticality *= strength;
-            }
-            d.criticality = if config.guides_at(&d.request.world) { criticality } else { 0.0 };
+            let policy = traffic.adversary_policy.as_ref();
+            let (chosen, strength) = select_guided(d.request, config, policy, &d.ranking, fits);
+            let criticality = d.request.plan_override.criticality.unwrap_or(config.criticality);
+            d.chosen = chosen;
+            d.criticality = if config.guides_at(&d.request.world) { criticality * strength } else { 0.0 };
             d.guided = d.planned.agents.iter().map(|a| d.chosen.contains(a)).collect();
             Ok(())
         };
@@ -213,7 +209,7 @@ impl PlannedTraffic {
         // with the scale of the guidance
         let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
             (true, true, _) => (d.guided.clone(), self.config.guidance_scale(tokens, d.criticality)),
-            (true, false, true) => (d.planned.controlled_by_policy.clone(), 1.0),
+            (true, false, true) => (d.planned.driven.clone(), 1.0),
             _ => (vec![false; d.guided.len()], d.criticality),
         };
         let moved: Vec<Vec<(Vec<bool>, Real)>> =
@@ -250,15 +246,15 @@ impl PlannedTraffic {
         let (n, m) = (plan.num_samples, plan.agents.len());
         let steps = plan.states.len() / (n * m * 6).max(1);
         let agents: Vec<usize> = plan.agents.iter().map(|row| due.planned.agents[*row]).collect();
-        let follows = |a: &usize| {
-            due.planned.is_controlled_by_policy(*a)
+        let follows = |(row, a): (&usize, &usize)| {
+            due.planned.driven[*row]
                 && match background {
                     BackgroundDriver::Ccdiff => true,
                     BackgroundDriver::Idm => due.chosen.contains(a),
                     BackgroundDriver::Replay => due.chosen.contains(a) || memory.left_log[*a],
                 }
         };
-        let follows_plan: Vec<bool> = agents.iter().map(follows).collect();
+        let follows_plan: Vec<bool> = plan.agents.iter().zip(&agents).map(follows).collect();
         for (agent, follows) in agents.iter().zip(&follows_plan) {
             memory.left_log[*agent] |= *follows;
         }

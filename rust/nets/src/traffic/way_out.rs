@@ -1,8 +1,8 @@
 //! Whether guided plans leave the ego a way out: by steady accelerations on and beside its route.
 
-use super::planned_agents::is_ego;
+use super::planned_agents::egos_of;
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{Polyline, Pose2, Real, Vector2};
-use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::state::Footprint;
 
 /// Accelerations that are tried, each held until the ego stands, m/s²: those of `ccdiff_env.record.counterfactual.ego_plans`.
@@ -34,7 +34,6 @@ pub(super) struct PlannedPoses<'a> {
 /// All others are left out of account.
 pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool {
     let (states, scene) = (world.states, world.scene);
-    let egos = (0..states.len()).filter(|a| states.active[*a] && is_ego(world, *a));
     let has_way_out = |ego: usize| {
         let others = plans.iter().filter(|p| states.same_level(ego, p.agent_idx));
         let others: Vec<(Footprint, &[Real])> =
@@ -50,7 +49,7 @@ pub(super) fn exists(world: &WorldView<'_>, plans: &[PlannedPoses<'_>]) -> bool 
         };
         start.has_way_out(&others, world.dt_s)
     };
-    egos.into_iter().all(has_way_out)
+    egos_of(world).into_iter().all(has_way_out)
 }
 
 impl Start<'_> {
@@ -90,47 +89,5 @@ impl Start<'_> {
         let on_route = self.route.at(self.s_m + ahead_m);
         let left = Vector2::new(-on_route.sin, on_route.cos);
         Pose2 { position: on_route.position + left * offset_m, ..on_route }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const DT_S: Real = 0.1;
-
-    /// An ego at 10 m/s on a straight route along x, and whether it has a way out between vehicles that keep their velocities.
-    fn has_way_out(others: &[([Real; 2], Real)]) -> bool {
-        let route = Polyline::straight(&Pose2::new(0.0, 0.0, 0.0), 200.0);
-        let footprint = Footprint::new(4.0, 2.0);
-        let start = Start { route: &route, s_m: 20.0, offset_m: 0.0, speed_mps: 10.0, footprint };
-        let plan = |([x, y], speed): &([Real; 2], Real)| -> Vec<Real> {
-            (1..=50).flat_map(|t| [20.0 + x + speed * DT_S * t as Real, *y, 0.0]).collect()
-        };
-        let plans: Vec<Vec<Real>> = others.iter().map(plan).collect();
-        let others: Vec<_> = plans.iter().map(|p| (footprint, p.as_slice())).collect();
-        start.has_way_out(&others, DT_S)
-    }
-
-    #[test]
-    fn a_vehicle_that_stands_beyond_the_braking_distance_leaves_a_way_out() {
-        // 10 m/s: 6.3 m at 8 m/s², and 4 m of footprints
-        assert!(has_way_out(&[]));
-        assert!(has_way_out(&[([10.6, 0.0], 0.0), ([10.6, 2.5], 0.0), ([10.6, -2.5], 0.0)]));
-        assert!(!has_way_out(&[([10.0, 0.0], 0.0), ([10.0, 2.5], 0.0), ([10.0, -2.5], 0.0)]));
-    }
-
-    #[test]
-    fn one_that_comes_from_behind_is_outrun_or_let_past_unless_the_way_ahead_and_the_sides_are_closed() {
-        assert!(has_way_out(&[([-12.0, 0.0], 14.0)]));
-        let ahead = [([25.0, 0.0], 0.0), ([25.0, 3.0], 0.0), ([25.0, -3.0], 0.0)];
-        assert!(has_way_out(&ahead));
-        let behind = [([-12.0, 0.0], 14.0), ([-12.0, 3.0], 14.0), ([-12.0, -3.0], 14.0)];
-        assert!(!has_way_out(&[ahead, behind].concat()));
-    }
-
-    #[test]
-    fn nobody_escapes_from_a_vehicle_that_stands_on_the_ego() {
-        assert!(!has_way_out(&[([0.0, 0.0], 10.0)]));
     }
 }

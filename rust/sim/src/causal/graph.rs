@@ -1,4 +1,4 @@
-//! The decision causal graph G: who may influence whose decision.
+//! The decision causal graph G: which agents may influence which decisions.
 
 use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;

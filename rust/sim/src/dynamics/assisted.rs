@@ -13,7 +13,7 @@ const MAX_CORRECTION_MPS2: Real = 2.5;
 const LEAST_SPEED_MPS: Real = 2.0;
 
 choices! {
-    /// Whose driving actions change.
+    /// Rule whose driving the actions change.
     #[derive(Clone, Copy, Eq)]
     pub enum AssistedBase {
         /// IDM on the route.
@@ -26,16 +26,16 @@ choices! {
 options! {
     /// Limits of assisted driving: actions change what IDM or PDM-Closed would do.
     ///
-    /// The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance from its base's way;
-    /// the action zero is the base.
+    /// The vehicle is a unicycle with the acceleration of its base plus a change, steered to a distance from its base's path;
+    /// the zero action is the base.
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct AssistedLimits {
-        /// What is changed.
+        /// The rule that is changed.
         base: AssistedBase = AssistedBase::Idm;
         /// Change of the acceleration at -1 and +1, about zero.
         delta_mps2: [Real; 2] = [-6.0, 2.0], unit "m/s²", range MOTION;
-        /// Distance from the way at -1 and +1, left positive, about zero.
+        /// Distance from the path at -1 and +1, left positive, about zero.
         offset_m: [Real; 2] = [-1.5, 1.5], unit "m", range MOTION;
         /// Lowest and highest acceleration, about zero.
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²", range MOTION;
@@ -47,16 +47,6 @@ options! {
         /// Lowest and highest speed.
         speed_mps: [Real; 2] = [0.0, 30.0], unit "m/s", range MOTION;
     }
-}
-
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BesideRoute {
-    /// Signed distance from the route, left positive, metres.
-    pub(crate) distance_m: Real,
-    /// Sine of the heading against the route's.
-    pub(crate) sin: Real,
-    /// Curvature of the route, left positive, 1/m.
-    pub(crate) curvature_1pm: Real,
 }
 
 impl AssistedLimits {
@@ -98,12 +88,13 @@ impl AssistedLimits {
         };
         (base_mps2 + delta_mps2).clamp(low, high).clamp(self.acceleration_mps2[0], self.acceleration_mps2[1])
     }
+}
 
-    /// Yaw rate that leads to a distance from the route: that of the route, and a critically damped return.
-    pub(crate) fn yaw_rate(&self, at: &BesideRoute, offset_m: Real, speed_mps: Real) -> Real {
-        let (f, lateral_mps) = (FREQUENCY_RADPS, speed_mps * at.sin);
-        let wanted = f * f * (offset_m - at.distance_m) - 2.0 * f * lateral_mps;
-        let correction = wanted.clamp(-MAX_CORRECTION_MPS2, MAX_CORRECTION_MPS2);
-        at.curvature_1pm * speed_mps + correction / speed_mps.max(LEAST_SPEED_MPS)
-    }
+/// Yaw rate that corrects a distance from a route, left positive: that of its curvature, and a critically damped return.
+/// `error_sin`: of the heading from the route's.
+pub(crate) fn yaw_rate(distance_m: Real, error_sin: Real, curvature_1pm: Real, speed_mps: Real) -> Real {
+    let (f, lateral_mps) = (FREQUENCY_RADPS, speed_mps * error_sin);
+    let wanted = f * f * -distance_m - 2.0 * f * lateral_mps;
+    let correction = wanted.clamp(-MAX_CORRECTION_MPS2, MAX_CORRECTION_MPS2);
+    curvature_1pm * speed_mps + correction / speed_mps.max(LEAST_SPEED_MPS)
 }

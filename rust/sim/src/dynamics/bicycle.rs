@@ -1,7 +1,7 @@
 //! Kinematic bicycle: acceleration and steering angle.
 
 use super::{Action, KinState};
-use crate::geom::{Real, math};
+use crate::geom::{Real, Vector2, math};
 use crate::options;
 use crate::options::{MOTION, POSITIVE_MOTION, within};
 use crate::state::Footprint;
@@ -53,8 +53,7 @@ impl BicycleLimits {
     pub(super) fn advance(
         &self,
         state: &mut KinState,
-        cos: Real,
-        sin: Real,
+        heading: Vector2,
         action: Action,
         dt_s: Real,
         footprint: &Footprint,
@@ -68,6 +67,7 @@ impl BicycleLimits {
         let yaw_rate = self.yaw_rate(mean_speed, curvature);
         // heading midway through the step, by turning the known direction
         let (turn_sin, turn_cos) = math::sin_cos(0.5 * yaw_rate * dt_s);
+        let [cos, sin] = heading.into();
         let (mid_cos, mid_sin) = (cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin);
         let rear_m = 0.5 * wheelbase_m;
         let (along, left) = (mean_speed * dt_s, yaw_rate * rear_m * dt_s);

@@ -1,7 +1,7 @@
 //! Delta pose: the agent is put where the action says.
 
 use super::{Action, KinState};
-use crate::geom::{Real, math};
+use crate::geom::{Real, Vector2, math};
 use crate::options;
 use crate::options::{MOTION, within};
 
@@ -12,11 +12,11 @@ options! {
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct DeltaPoseLimits {
-        /// Least and most way forward per step.
+        /// Lowest and highest displacement forwards per step.
         dx_m: [Real; 2] = [-1.0, 4.0], unit "m", range MOTION;
-        /// Least and most way to the left per step.
+        /// Lowest and highest displacement to the left per step.
         dy_m: [Real; 2] = [-1.0, 1.0], unit "m", range MOTION;
-        /// Least and most turn to the left per step.
+        /// Lowest and highest turn to the left per step.
         dheading_rad: [Real; 2] = [-0.5, 0.5], unit "rad", range within(-3.1, 3.1);
     }
 }
@@ -28,19 +28,12 @@ impl DeltaPoseLimits {
     }
 
     #[inline]
-    pub(super) fn advance(
-        &self,
-        state: &mut KinState,
-        cos: Real,
-        sin: Real,
-        action: Action,
-        dt_s: Real,
-    ) -> Real {
+    pub(super) fn advance(&self, state: &mut KinState, heading: Vector2, action: Action, dt_s: Real) -> Real {
         let dx = action[0].clamp(self.dx_m[0], self.dx_m[1]);
         let dy = action[1].clamp(self.dy_m[0], self.dy_m[1]);
         let turn_rad = action[2].clamp(self.dheading_rad[0], self.dheading_rad[1]);
-        state.x += cos * dx - sin * dy;
-        state.y += sin * dx + cos * dy;
+        state.x += heading.x * dx - heading.y * dy;
+        state.y += heading.y * dx + heading.x * dy;
         state.heading_rad += turn_rad;
         // the mean velocity of the step, seen along the new heading
         let (turn_sin, turn_cos) = math::sin_cos(turn_rad);

@@ -22,7 +22,7 @@ mod delta_pose;
 mod unicycle;
 
 pub use action_grid::ActionGrid;
-pub(crate) use assisted::BesideRoute;
+pub(crate) use assisted::yaw_rate;
 pub use assisted::{AssistedBase, AssistedLimits};
 pub use bicycle::BicycleLimits;
 pub use delta_pose::DeltaPoseLimits;
@@ -117,7 +117,7 @@ impl Dynamics {
     #[inline]
     pub fn step(&self, state: &mut KinState, action: Action, dt_s: Real, footprint: &Footprint) {
         let (sin, cos) = math::sin_cos(state.heading_rad);
-        self.advance(state, cos, sin, action, dt_s, footprint);
+        self.advance(state, Vector2::new(cos, sin), action, dt_s, footprint);
     }
 
     /// Moves one agent of a world by one step and refreshes everything derived: cosine, sine, velocity,
@@ -133,8 +133,8 @@ impl Dynamics {
     ) {
         let before = states.kin_state(agent_idx);
         let mut after = before;
-        let lateral_mps =
-            self.advance(&mut after, states.cos[agent_idx], states.sin[agent_idx], action, dt_s, footprint);
+        let heading = Vector2::new(states.cos[agent_idx], states.sin[agent_idx]);
+        let lateral_mps = self.advance(&mut after, heading, action, dt_s, footprint);
         let pose = Pose2::new(after.x, after.y, after.heading_rad);
         states.set_pose(agent_idx, pose, pose.rotate(Vector2::new(after.speed_mps, lateral_mps)));
         // `place` rounds the speed through the rotation
@@ -143,22 +143,21 @@ impl Dynamics {
         states.yaw_rate_radps[agent_idx] = (after.heading_rad - before.heading_rad) / dt_s;
     }
 
-    /// As [`Self::step`], with cosine and sine of the heading; returns the speed to the left of the new one, m/s.
+    /// As [`Self::step`], with the direction of the heading; returns the speed to the left of the new one, m/s.
     #[inline]
-    pub(crate) fn advance(
+    fn advance(
         &self,
         state: &mut KinState,
-        cos: Real,
-        sin: Real,
+        heading: Vector2,
         action: Action,
         dt_s: Real,
         footprint: &Footprint,
     ) -> Real {
         match self {
-            Self::Unicycle(limits) => limits.advance(state, cos, sin, action, dt_s),
-            Self::Bicycle(limits) => limits.advance(state, cos, sin, action, dt_s, footprint),
-            Self::DeltaPose(limits) => limits.advance(state, cos, sin, action, dt_s),
-            Self::Assisted(limits) => limits.unicycle().advance(state, cos, sin, action, dt_s),
+            Self::Unicycle(limits) => limits.advance(state, heading, action, dt_s),
+            Self::Bicycle(limits) => limits.advance(state, heading, action, dt_s, footprint),
+            Self::DeltaPose(limits) => limits.advance(state, heading, action, dt_s),
+            Self::Assisted(limits) => limits.unicycle().advance(state, heading, action, dt_s),
         }
     }
 

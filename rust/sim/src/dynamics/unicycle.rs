@@ -1,7 +1,7 @@
 //! Unicycle: acceleration and yaw rate.
 
 use super::{Action, KinState};
-use crate::geom::{Real, math};
+use crate::geom::{Real, Vector2, math};
 use crate::options;
 use crate::options::{MOTION, POSITIVE_MOTION, within};
 use std::f32::consts::TAU;
@@ -46,21 +46,14 @@ impl UnicycleLimits {
     }
 
     #[inline(always)]
-    pub(crate) fn advance(
-        &self,
-        state: &mut KinState,
-        cos: Real,
-        sin: Real,
-        action: Action,
-        dt_s: Real,
-    ) -> Real {
+    pub(crate) fn advance(&self, state: &mut KinState, heading: Vector2, action: Action, dt_s: Real) -> Real {
         let acceleration = math::within(action[0], self.acceleration_mps2[0], self.acceleration_mps2[1]);
         let next_speed =
             math::within(state.speed_mps + acceleration * dt_s, self.speed_mps[0], self.speed_mps[1]);
         let bound = self.yaw_rate_bound(state.speed_mps);
         let distance = 0.5 * (state.speed_mps + next_speed) * dt_s;
-        state.x += distance * cos;
-        state.y += distance * sin;
+        state.x += distance * heading.x;
+        state.y += distance * heading.y;
         state.heading_rad += math::within(action[1], -bound, bound) * dt_s;
         state.speed_mps = next_speed;
         0.0

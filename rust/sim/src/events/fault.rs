@@ -1,4 +1,4 @@
-//! Whom nuPlan's closed-loop metrics blame for a contact, and whom they expect to meet.
+//! Contacts at fault and expected contacts, as in nuPlan's closed-loop metrics.
 
 use super::limits::{AHEAD_COS, STANDING_MPS};
 use crate::geom::{OrientedBox, Point2, Real, Vector2};
@@ -51,9 +51,9 @@ pub(crate) fn is_at_fault(
 /// Time after which an agent touches another one when all go on along their headings at their speeds, seconds; `None`
 /// where it does not within the horizon. It is nuPlan's `time_to_collision_within_bound`.
 ///
-/// Boxes are looked at every 0.1 s, beginning with the first. An agent that stands meets nobody, and it meets nobody but
-/// who is ahead of it (within 30 degrees, seen from the rear axle); where it may be hit `from_sides`, which is in
-/// intersections and while it straddles lanes, whoever is not behind it. Others that it `ignores` do not count.
+/// Boxes are checked every 0.1 s, beginning with the first. A standing agent has no contact; others have those with
+/// agents ahead (within 30 degrees, seen from the rear axle) or, `from_sides`, in intersections and between lanes, with
+/// all that are not behind. Others that it `ignores` do not count.
 pub fn expected_contact_s(
     states: &AgentStates,
     footprints: &[Footprint],

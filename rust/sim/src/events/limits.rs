@@ -16,9 +16,9 @@ pub const YAW_RATE_RADPS: Real = 0.95;
 pub const YAW_ACCELERATION_RADPS2: Real = 1.93;
 /// Least time to contact, seconds.
 pub const TTC_S: Real = 0.95;
-/// Speed up to which an ego meets nobody, m/s.
+/// Speed up to which an ego has no time to contact, m/s.
 pub const STANDING_MPS: Real = 5e-3;
 /// Speed up to which an agent counts as stopped in a contact, m/s.
 pub const STOPPED_MPS: Real = 0.05;
-/// Cosine of the bearing from the rear axle above which somebody is ahead, and below minus which behind (30 degrees).
+/// Cosine of the bearing from the rear axle above which an agent is ahead, and below minus which behind (30 degrees).
 pub const AHEAD_COS: Real = 0.866_025_4;

@@ -1,4 +1,4 @@
-//! What happens to agents at one step: contacts, leaving the road, driving against traffic, who is ahead.
+//! What happens to agents at one step: contacts, leaving the road, driving against traffic, leaders.
 //!
 //! In: states, footprints and kinds of the agents of one world and the indices built from its map. Out: pairs and flags.
 //! Decides nothing about what follows from an event, and allocates nothing after its first calls.

@@ -19,7 +19,7 @@ const NUM_COLUMNS: usize = 5;
 pub struct LeastTimes {
     /// Agents that are asked about; where they are many, then those others that are there.
     agents: Vec<u32>,
-    /// Their numbers, then those of the others; whole blocks, in which those that are left never meet anybody.
+    /// Their numbers, then those of the others; whole blocks, padded by agents that never meet any.
     columns: [Vec<Real>; NUM_COLUMNS],
     /// 1 for agents that may be met.
     may_meet: Vec<[u8; LANES]>,
@@ -71,7 +71,7 @@ impl LeastTimes {
         }
         radii.resize(num_padded, Real::NEG_INFINITY);
         self.may_meet.resize(num_padded / LANES, [0; LANES]);
-        // who is not there would meet the others, but they do not meet it
+        // absent agents are measured against the others, not the others against them
         for a in agents.filter(|a| !states.active[*a]) {
             for other in (0..states.len()).filter(|other| states.active[*other]) {
                 let time_s = time_to_contact(states, footprints, a, other, self.least_s[a]);

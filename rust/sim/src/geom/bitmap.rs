@@ -104,8 +104,7 @@ impl Bitmap {
     }
 }
 
-/// Visits places at most half a pixel apart along and across the band round a segment, as far as they lie in the
-/// rectangle from the origin to `bounds` (exclusive). Pixels.
+/// Visits places at most half a pixel apart in the band round a segment and in the rectangle from the origin to `bounds`.
 pub(crate) fn visit_band(
     a: [Real; 2],
     b: [Real; 2],
@@ -136,27 +135,6 @@ pub(crate) fn visit_band(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn ring(points: &[(f32, f32)]) -> Vec<Point2> {
-        points.iter().map(|(x, y)| Point2::new(*x, *y)).collect()
-    }
-
-    #[test]
-    fn nothing_is_set_outside() {
-        let everywhere = Polygon {
-            exterior: ring(&[(-99.0, -99.0), (99.0, -99.0), (99.0, 99.0), (-99.0, 99.0)]),
-            holes: Vec::new(),
-        };
-        let mut bitmap = Bitmap::new(Point2::new(-5.0, -5.0), Point2::new(5.0, 5.0), 1.0);
-        bitmap.fill(&everywhere, 3);
-        bitmap.stroke(&ring(&[(-99.0, 0.0), (99.0, 0.0)]), 2.0, 4);
-        let at = |x: f32, y: f32| {
-            let [column, row] = bitmap.to_px(Point2::new(x, y));
-            bitmap.at_px(column, row)
-        };
-        assert_eq!((at(4.5, 4.5), at(-4.5, 0.5), at(4.5, -0.5)), (3, 7, 7));
-        assert_eq!((at(6.5, 0.0), at(-6.5, 0.0), at(0.0, 1e9), at(f32::NAN, 0.0)), (0, 0, 0, 0));
-    }
 
     #[test]
     fn a_large_ground_gets_large_pixels() {

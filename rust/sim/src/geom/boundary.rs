@@ -1,6 +1,6 @@
 //! The edge of a union of polygons, for distances to it.
 
-use super::polygon::ring_edges;
+use super::polygon::{edge_distance_sq, ring_edges};
 use super::{Point2, Polygon, Real, Region};
 
 /// Side of a cell, and longest piece of an edge, metres.
@@ -9,7 +9,7 @@ const CELL_M: f64 = 4.0;
 const ASIDE_M: f64 = 1e-3;
 /// The same for places far from the origin, in shares of their coordinates.
 const ASIDE_SHARE: f64 = 1e-6;
-/// Cells round a point that are looked at one by one; whoever is farther away looks at all pieces.
+/// Cells round a point that are looked at one by one; a point farther away looks at all pieces.
 const NEAR_CELLS: i64 = 8;
 
 /// A cell: column and row.
@@ -27,8 +27,9 @@ impl Boundary {
     /// What bounds the union of polygons whose region is given.
     ///
     /// What several polygons share is no boundary; nor is a gap or an overlap of less than two millimetres.
-    pub fn new(polygons: &[Polygon], region: &Region) -> Self {
-        let edges: Vec<[Point2; 2]> = polygons.iter().flat_map(Polygon::rings).flat_map(pieces_of).collect();
+    pub fn new(polygons: &[&Polygon], region: &Region) -> Self {
+        let rings = polygons.iter().flat_map(|polygon| polygon.rings());
+        let edges: Vec<[Point2; 2]> = rings.flat_map(pieces_of).collect();
         let cells = by_cell(&edges);
         let mut pieces = Vec::new();
         let mut others = Vec::new();
@@ -52,7 +53,8 @@ impl Boundary {
 
     /// Distance of a point to the nearest piece, metres; infinite where there is none.
     pub fn distance_m(&self, point: Point2) -> Real {
-        let nearer = |least: Real, piece: &[Point2; 2]| least.min(distance_sq(piece, point));
+        let nearer =
+            |least: Real, piece: &[Point2; 2]| least.min(edge_distance_sq(piece[0], piece[1], point));
         let (mut least, (column, row)) = (Real::INFINITY, cell(point));
         for ring in 0..=NEAR_CELLS {
             for i in -ring..=ring {
@@ -111,13 +113,6 @@ fn in_cell(cells: &[(Cell, u32)], cell: Cell) -> &[(Cell, u32)] {
 fn along([a, b]: &[Point2; 2], share: f64) -> Point2 {
     let mix = |a: Real, b: Real| (f64::from(a) + share * (f64::from(b) - f64::from(a))) as Real;
     Point2::new(mix(a.x, b.x), mix(a.y, b.y))
-}
-
-fn distance_sq([a, b]: &[Point2; 2], point: Point2) -> Real {
-    let (d, p) = (b - a, point - a);
-    let length_sq = d.norm_squared();
-    let share = if length_sq > 0.0 { (p.dot(&d) / length_sq).clamp(0.0, 1.0) } else { 0.0 };
-    (p - d * share).norm_squared()
 }
 
 /// Shares of a piece's way at which another one crosses it or ends on it, from 0 to 1 in rising order, both included.

@@ -18,7 +18,7 @@ pub(crate) use bitmap::visit_band;
 pub use boundary::Boundary;
 pub use obb::OrientedBox;
 pub use polygon::{BOUNDARY_TOLERANCE_M, Polygon};
-pub(crate) use polygon::{even_odd, ring_edges};
+pub(crate) use polygon::{edge_distance_sq, even_odd, ring_edges, signed_area};
 pub use polyline::{Polyline, Projection};
 pub use pose::Pose2;
 pub(crate) use region::Grid;

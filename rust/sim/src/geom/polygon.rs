@@ -21,8 +21,7 @@ pub(crate) fn ring_edges(ring: &[Point2]) -> impl Iterator<Item = (Point2, Point
     closing.into_iter().chain(ring.iter().copied()).zip(ring.iter().copied())
 }
 
-/// [`Polygon::contains`] of the edges of its rings; `inside` by those that are left out, which the ray from the point to +x
-/// may cross.
+/// [`Polygon::contains`] by some edges of its rings; `inside` by those that are left out.
 pub(crate) fn even_odd(
     mut inside: bool,
     edges: impl Iterator<Item = (Point2, Point2)>,
@@ -62,7 +61,7 @@ impl Polygon {
 
     /// Area of the outer ring minus that of the holes, square metres.
     pub fn area(&self) -> Real {
-        let mut rings = self.rings().map(ring_area);
+        let mut rings = self.rings().map(|ring| signed_area(ring).abs());
         let exterior = rings.next().unwrap_or(0.0);
         (exterior - rings.sum::<f64>()) as Real
     }
@@ -86,6 +85,13 @@ impl Polygon {
     }
 }
 
+/// Squared distance of a point from the edge between two others.
+pub(crate) fn edge_distance_sq(a: Point2, b: Point2, point: Point2) -> Real {
+    let (way, to) = (b - a, point - a);
+    let share = to.dot(&way) / way.norm_squared().max(Real::MIN_POSITIVE);
+    (to - way * share.clamp(0.0, 1.0)).norm_squared()
+}
+
 /// Whether the origin lies within the boundary tolerance of the segment from (ax, ay) to (bx, by).
 #[inline]
 pub(crate) fn near_origin(ax: Real, ay: Real, bx: Real, by: Real) -> bool {
@@ -101,8 +107,8 @@ pub(crate) fn near_origin(ax: Real, ay: Real, bx: Real, by: Real) -> bool {
     x * x + y * y <= TOLERANCE_SQ
 }
 
-/// Area of a ring whichever way it runs, square metres.
-fn ring_area(ring: &[Point2]) -> f64 {
+/// Area of a ring, square metres; negative where it runs clockwise.
+pub(crate) fn signed_area(ring: &[Point2]) -> f64 {
     let Some(origin) = ring.first() else { return 0.0 };
     let local = |p: Point2| (f64::from(p.x - origin.x), f64::from(p.y - origin.y));
     let twice: f64 = ring_edges(ring)
@@ -111,7 +117,7 @@ fn ring_area(ring: &[Point2]) -> f64 {
             ax * by - ay * bx
         })
         .sum();
-    0.5 * twice.abs()
+    0.5 * twice
 }
 
 fn clip_ring(ring: &[Point2], min: Point2, max: Point2) -> Vec<Point2> {

@@ -129,8 +129,7 @@ simd_dispatch! {
         *best = nearest_of(segments, first, end, point);
     }
 
-    /// The nearest segment to each of up to eight places among those next to the nearest of every fourth point from the
-    /// start of segment `first` to that of `last`.
+    /// The nearest segment to each of up to eight places among those next to the nearest of every fourth point.
     fn nearest_segments(
         segments: &Segments, first: usize, last: usize, places: &[Point2], nearest: &mut [Nearest; LANES],
     ) {

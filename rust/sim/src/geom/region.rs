@@ -48,23 +48,47 @@ struct Part {
 }
 
 /// Uniform grid over a rectangle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Grid {
-    pub(crate) min: Point2,
+    min: Point2,
     pub(crate) cell_m: Real,
     cells_per_m: Real,
-    pub(crate) num_columns: usize,
-    pub(crate) num_rows: usize,
+    num_columns: usize,
+    num_rows: usize,
 }
 
 impl Grid {
     pub(crate) fn new(min: Point2, max: Point2, wanted_cell_m: f64, max_cells: f64) -> Self {
         let (width, height) = (f64::from(max.x - min.x), f64::from(max.y - min.y));
-        let cell_m =
-            wanted_cell_m.max((width * height / max_cells).sqrt()).max((width + height) / max_cells) as Real;
-        let count = |extent: f64| (extent / f64::from(cell_m)) as usize + 1;
-        let (num_columns, num_rows) = (count(width), count(height));
+        let cell_m = wanted_cell_m.max((width * height / max_cells).sqrt()).max((width + height) / max_cells);
+        Self::with_cells(min, max, cell_m as Real)
+    }
+
+    /// Grid of cells of a given side, metres.
+    pub(crate) fn with_cells(min: Point2, max: Point2, cell_m: Real) -> Self {
+        let count = |extent: Real| (f64::from(extent) / f64::from(cell_m)) as usize + 1;
+        let (num_columns, num_rows) = (count(max.x - min.x), count(max.y - min.y));
         Self { min, cell_m, cells_per_m: 1.0 / cell_m, num_columns, num_rows }
+    }
+
+    pub(crate) fn num_cells(&self) -> usize {
+        self.num_columns * self.num_rows
+    }
+
+    /// The cell nearest to a point.
+    pub(crate) fn nearest_cell(&self, point: Point2) -> usize {
+        let index = |from: Real, to: Real, count: usize| {
+            (((to - from) * self.cells_per_m).max(0.0) as usize).min(count - 1)
+        };
+        index(self.min.y, point.y, self.num_rows) * self.num_columns
+            + index(self.min.x, point.x, self.num_columns)
+    }
+
+    /// Middle of a cell.
+    pub(crate) fn middle(&self, cell: usize) -> Point2 {
+        let at = |index: usize| (index as Real + 0.5) * self.cell_m;
+        let (column, row) = (cell % self.num_columns, cell / self.num_columns);
+        Point2::new(self.min.x + at(column), self.min.y + at(row))
     }
 
     /// Cell of a point; `None` off the grid and for NaN.
@@ -109,10 +133,10 @@ type Edge = [f64; 4];
 
 impl Region {
     /// Union of polygons; `None` when none has an area to speak of (three finite points).
-    pub fn new(polygons: &[Polygon]) -> Option<Self> {
+    pub fn new<'a>(polygons: impl IntoIterator<Item = &'a Polygon>) -> Option<Self> {
         let finite = |p: &Polygon| p.rings().flatten().all(|q| q.x.is_finite() && q.y.is_finite());
         let polygons: Vec<&Polygon> =
-            polygons.iter().filter(|p| p.exterior.len() >= 3 && finite(p)).collect();
+            polygons.into_iter().filter(|p| p.exterior.len() >= 3 && finite(p)).collect();
         let (min, max) = bounds(polygons.iter().flat_map(|p| p.rings().flatten().copied()))?;
         let margin = 0.1;
         let (min, max) =
@@ -186,7 +210,7 @@ struct Builder {
 
 impl Builder {
     fn new(grid: Grid) -> Self {
-        let is_inside = vec![false; grid.num_columns * grid.num_rows];
+        let is_inside = vec![false; grid.num_cells()];
         Self { grid, is_inside, meetings: Vec::new(), edges: Vec::new(), rows: Vec::new() }
     }
 

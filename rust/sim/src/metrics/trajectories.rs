@@ -25,8 +25,7 @@ pub struct Trajectories {
 
 impl Trajectories {
     /// The states of x, y (metres) and heading (radians), each row-major [A, T]; where `valid` [A, T] is false they mean
-    /// nothing. `elevation_m` [A, T] is that of the ground below the agents: who is on another level is out of reach; empty
-    /// in a flat scene. A footprints.
+    /// nothing. `elevation_m` [A, T] is that of the ground below the agents, which parts levels; empty in a flat scene. A footprints.
     ///
     /// Velocities are taken from the step before, or to the step after where the agent was absent before; they are zero
     /// where both are missing.
@@ -124,7 +123,7 @@ impl Trajectories {
         (contacts, first_kind)
     }
 
-    /// Who is off the drivable area of a map: flags [A, T], false where the agent is absent. `None` where the area has no
+    /// Agents off the drivable area of a map: flags [A, T], false where the agent is absent. `None` where the area has no
     /// polygon of three finite points. Agents with an elevation are on the road of their own level, where the map has levels.
     ///
     /// Differs from the release: polygons of the map in place of pixels of a raster that is clamped at its border.
@@ -152,7 +151,7 @@ impl Trajectories {
 
     /// Least time to contact of every agent with any other over all steps, seconds, capped at 20.
     ///
-    /// Boxes move on at the velocity of their last step. 0 from the first contact on; 20 for agents that meet nobody.
+    /// Boxes move on at the velocity of their last step. 0 from the first contact on; 20 for agents without any contact.
     pub fn min_ttc_s(&self) -> Vec<Real> {
         let mut least = vec![TTC_CAP_S; self.num_agents()];
         for states in &self.states {

@@ -50,7 +50,7 @@ pub(super) struct AgentRows {
     moving: Vec<Moving>,
     /// Factor and bounds of the column of the speed.
     speed: [Real; 3],
-    /// Whether there are many observers, for whom the numbers of all agents are made at once.
+    /// Whether there are many observers: the numbers of all agents are then made at once.
     many: bool,
     all: Vec<u32>,
     /// Vectors and speeds of all agents, see [`PLACE`].

@@ -59,19 +59,9 @@ const LINES: [u8; 4] = [0, 128, 255, 255];
 const ROUTE_HALF_WIDTH_M: Real = 1.0;
 
 impl BevConfig {
-    /// Bytes of a raster.
-    pub fn num_bytes(&self) -> usize {
-        BEV_CHANNELS.len() * self.size_px * self.size_px
-    }
-
     /// What does not move on a map; of lanes what is on the level of an elevation.
     pub(crate) fn ground(&self, map: &Map, elevation_m: Option<Real>) -> Bitmap {
-        let lane_areas = map.lanes.iter().map(|l| &l.polygon);
-        let areas: Vec<_> = if map.drivable_area.is_empty() {
-            lane_areas.collect()
-        } else {
-            map.drivable_area.iter().collect()
-        };
+        let areas = map.road();
         let dividers = || map.road_dividers.iter().chain(&map.lane_dividers).map(Vec::as_slice);
         let centrelines =
             || map.lanes.iter().flat_map(|l| l.on_level(elevation_m).map(|run| &l.centreline[run]));
@@ -99,7 +89,7 @@ impl BevConfig {
         ]
     }
 
-    /// Draws the raster of one agent, [`Self::num_bytes`] bytes.
+    /// Draws the raster of one agent [channels, S, S].
     pub(crate) fn draw(&self, view: &View<'_>, ground: &Bitmap, out: &mut [u8]) {
         let frame = view.states.pose(view.agent_idx);
         let plane = self.size_px * self.size_px;

@@ -200,8 +200,7 @@ impl RowTransform {
 
 /// Fills the columns of groups in the rows of items, `width` numbers from row to row. `numbers` [N, groups] are those of all
 /// items, lane by lane, `origin` the vectors of the observer.
-///
-/// Columns of a row that follow those of the groups are left with something in them.
+/// Later columns of a row are overwritten.
 pub(super) fn fill_rows(
     groups: &[Group],
     frame: &Frame,

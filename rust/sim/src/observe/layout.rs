@@ -184,11 +184,6 @@ impl Layout {
         self
     }
 
-    /// Bytes of a raster; 0 without one.
-    pub fn raster_size(&self) -> usize {
-        self.config.bev.map_or(0, |bev| bev.num_bytes())
-    }
-
     /// The entry of a name.
     pub fn entry(&self, name: &str) -> Option<&Entry> {
         self.entries.iter().find(|e| e.name == name)

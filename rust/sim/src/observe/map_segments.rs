@@ -1,7 +1,7 @@
 //! The map as short straight segments, and the nearest of them for every place.
 
 use super::frame::F32x8;
-use crate::geom::{Point2, Polygon, Real, Region, Vector2, bounds, math};
+use crate::geom::{Grid, Point2, Polygon, Real, Region, Vector2, bounds, math};
 use crate::named::named;
 use crate::scene::{LaneKind, Map};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -22,7 +22,7 @@ const MAX_CELLS: Real = 65_536.0;
 pub(crate) const MAX_SEGMENTS: usize = 256;
 
 named! {
-    /// What a segment belongs to; its name stands after `is_` in observations.
+    /// What a segment belongs to; observations name it after `is_`.
     pub enum SegmentKind {
         /// Centre line of a lane.
         Lane = "lane",
@@ -69,18 +69,13 @@ pub struct Segment {
 /// "nearest" is meant up to the cell's half diagonal, 2.8 m (places off the map take the cell at its border). Ties go
 /// to the lower index.
 ///
-/// Memory: 24 bytes a segment, 32 more for each eight columns of rows, 24 bytes a cell and 1 KiB for each cell in which
-/// somebody has been.
+/// Memory: 24 bytes a segment, 32 more for each eight columns of rows, 24 bytes a cell and 1 KiB for each cell asked for.
 #[derive(Debug, Default)]
 pub struct MapSegments {
     segments: Vec<Segment>,
     /// What rows are made from, for each choice of columns.
     numbers: Mutex<Vec<NumbersOf>>,
-    low: [Real; 2],
-    cell_m: Real,
-    /// One over the side of a cell, which is a power of two.
-    cells_per_m: Real,
-    num_cells: [usize; 2],
+    grid: Grid,
     cells: Vec<OnceLock<Box<[u32]>>>,
 }
 
@@ -93,8 +88,7 @@ impl MapSegments {
         Self::on_level(map, map, None, None)
     }
 
-    /// Cuts the lines of the part of a map that is on the level of an elevation, see [`Map::on_level`]. Edges of the drivable
-    /// area with its `road` on both sides are where levels join, and are left out.
+    /// The same of the part of a map on the level of an elevation, without edges that have the `road` on both sides.
     pub(crate) fn on_level(map: &Map, part: &Map, elevation_m: Option<Real>, road: Option<&Region>) -> Self {
         let mut segments = Self::default();
         for lane in &part.lanes {
@@ -159,17 +153,8 @@ impl MapSegments {
         if self.is_empty() {
             return &[];
         }
-        let cell = |v: Real, axis: usize| {
-            (((v - self.low[axis]) * self.cells_per_m).max(0.0) as usize).min(self.num_cells[axis] - 1)
-        };
-        let (i, j) = (cell(at.x, 0), cell(at.y, 1));
-        self.cells[j * self.num_cells[0] + i].get_or_init(|| {
-            let centre = Point2::new(
-                self.low[0] + (i as Real + 0.5) * self.cell_m,
-                self.low[1] + (j as Real + 0.5) * self.cell_m,
-            );
-            self.sorted_from(centre)
-        })
+        let cell = self.grid.nearest_cell(at);
+        self.cells[cell].get_or_init(|| self.sorted_from(self.grid.middle(cell)))
     }
 
     fn sorted_from(&self, centre: Point2) -> Box<[u32]> {
@@ -250,14 +235,12 @@ impl MapSegments {
         let middles = self.segments.iter().map(|s| Point2::new(s.x, s.y));
         let Some((low, high)) = bounds(middles) else { return };
         let (width, height) = (high.x - low.x, high.y - low.y);
-        self.low = [low.x, low.y];
-        self.cell_m = CELL_M;
-        while (width / self.cell_m + 1.0) * (height / self.cell_m + 1.0) > MAX_CELLS {
-            self.cell_m *= 2.0;
+        let mut cell_m = CELL_M;
+        while (width / cell_m + 1.0) * (height / cell_m + 1.0) > MAX_CELLS {
+            cell_m *= 2.0;
         }
-        self.cells_per_m = 1.0 / self.cell_m;
-        self.num_cells = [width, height].map(|extent| (extent / self.cell_m) as usize + 1);
-        self.cells = (0..self.num_cells[0] * self.num_cells[1]).map(|_| OnceLock::new()).collect();
+        self.grid = Grid::with_cells(low, high, cell_m);
+        self.cells = (0..self.grid.num_cells()).map(|_| OnceLock::new()).collect();
     }
 }
 

@@ -4,11 +4,7 @@ use crate::geom::Real;
 use crate::simd_dispatch::simd_dispatch;
 use crate::state::AgentStates;
 
-/// Finds the nearest agents of one observer after the other.
-///
-/// Each search begins with the order that the observer found last, which is almost that of now.
-///
-/// Memory: 16 bytes for each agent, and 4 for each observer and agent.
+/// Finds the nearest agents of one observer after the other; each search begins with the observer's last order.
 #[derive(Debug, Clone)]
 pub(super) struct NearestAgents {
     most: usize,

@@ -22,8 +22,7 @@ pub(super) fn is_calm(rollout: &Rollout, acceleration_mps2: Real, dt_s: Real) ->
         && turns_calmly(rollout, dt_s)
 }
 
-/// Yaw rate and yaw acceleration within their limits: derivatives of parabola and cubic through five headings
-/// (Savitzky and Golay 1964), at both ends those of the outermost five.
+/// Yaw rate and acceleration within their limits: derivatives through five headings (Savitzky and Golay 1964).
 fn turns_calmly(rollout: &Rollout, dt_s: Real) -> bool {
     let last = rollout.poses.len().saturating_sub(5);
     let (most_rate, most_change) =

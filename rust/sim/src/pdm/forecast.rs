@@ -69,12 +69,12 @@ impl Other {
     }
 }
 
-/// The others who can matter: who touches the ego already is no matter of this plan.
+/// The other agents that matter; those that already touch the ego do not.
 #[derive(Debug)]
 pub(super) struct Forecast {
     pub others: Vec<Other>,
     pub num_steps: usize,
-    /// Boxes of those who are ever beside the centre line so near that a proposal may follow them, step after step.
+    /// Boxes of agents ever near enough to the centre line to be a leader, step after step.
     beside: Vec<Beside>,
 }
 

@@ -2,9 +2,9 @@
 
 use super::Scene;
 use super::forecast::{Beside, Forecast, MOST_OFFSET_M};
+use crate::drivers::{IdmConfig, idm_with, share_of};
 use crate::dynamics::{KinState, UnicycleLimits};
 use crate::geom::{Point2, Pose2, Real, Vector2, math};
-use crate::policy::{IdmConfig, idm_with, share_of};
 use crate::simd_dispatch::simd_dispatch;
 use crate::stage::CentreLine;
 
@@ -236,7 +236,7 @@ impl Drive {
         let acceleration = last + dt_s / (dt_s + LAG_S) * (wanted - last);
         let yaw_rate = beside.yaw_rate(&pace.limits, speed, offset_m, last_yaw_rate, dt_s);
         let mut state = self.state;
-        pace.limits.advance(&mut state, self.heading.x, self.heading.y, [acceleration, yaw_rate, 0.0], dt_s);
+        pace.limits.advance(&mut state, self.heading, [acceleration, yaw_rate, 0.0], dt_s);
         let s_m = self.s_m + (beside.ahead_m + 0.5 * (speed + state.speed_mps) * dt_s * beside.error.x);
         let heading = turned(self.heading, state.heading_rad - self.state.heading_rad);
         Self { state, heading, s_m, last: [acceleration, yaw_rate] }
@@ -292,8 +292,7 @@ simd_dispatch! {
     }
 }
 
-/// Drives all proposals, every share at each distance, against the forecast. The speeds planned for two distances from the line are the same where the
-/// same boxes are in the way.
+/// Rolls out all proposals against the forecast. Distances with the same boxes in the way share their planned speeds.
 pub(super) fn roll(scene: &Scene<'_>, forecast: &Forecast) -> Vec<Rollout> {
     let own = scene.footprint(scene.ego);
     let look = (LOOK_S / scene.dt_s).round().max(1.0) as usize;

@@ -27,8 +27,7 @@ const BRAKE_MPS2: Real = -8.0;
 /// Below this speed with the most that is comfortable, m/s.
 const SLOW_MPS: Real = 5.0;
 
-/// What the best proposal does, or an emergency brake where it has a contact. Of equals the first. Proposals whose
-/// progress cannot make up for the best so far are not looked at.
+/// The action of the best proposal, of equals the first, or an emergency brake where it has a contact.
 pub(super) fn best(scene: &Scene<'_>, forecast: &Forecast, rollouts: &[Rollout]) -> Plan {
     let scores = Scores::new(scene, forecast, rollouts);
     let mut order: Vec<(usize, Real)> = (0..rollouts.len()).map(|i| (i, scores.bound(i))).collect();
@@ -129,7 +128,7 @@ impl<'a> Scores<'a> {
         })
     }
 
-    /// Progress as a share of the most; all have made it where nobody gets on.
+    /// Progress as a share of the most; 1 for all where none makes any.
     fn progress(&self, i: usize, product: Real) -> Real {
         if self.most_m > LEAST_PROGRESS_M {
             (product * self.rollouts[i].progress_m / self.most_m).clamp(0.0, 1.0)
@@ -161,8 +160,7 @@ impl<'a> Scores<'a> {
     }
 }
 
-/// Contacts with all others. A contact ahead is one that comes soon at constant speed: with who is ahead, or beside where
-/// the ego is not in one lane alone; the first one with another who is elsewhere ends the matter.
+/// Contacts with all others; close ones come soon at constant speed, ahead or beside an ego between lanes.
 pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout) -> Contacts {
     let (mut left, mut first, mut close) = (1.0, None::<usize>, false);
     let (own, dt_s) = (scene.footprint(scene.ego), scene.dt_s);
@@ -186,7 +184,7 @@ pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout
                 if clear_m <= 0.0 {
                     return Some(t);
                 }
-                // nearer by this much a step; where nobody moves, never
+                // nearer by this much a step; where nothing moves, never
                 t = t.saturating_add(1 + (clear_m / (most_mps * dt_s)).min(1e6) as usize);
             }
             None
@@ -213,8 +211,7 @@ pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout
     Contacts { left, first, close }
 }
 
-/// Whether a body is in several lanes and in none of them whole, or off the road; or in an intersection, where that is
-/// asked for.
+/// Whether a body is off the road or in several lanes and in none of them whole; or, where asked for, in an intersection.
 fn is_between_lanes(scene: &Scene<'_>, body: &OrientedBox, or_in_intersection: bool) -> bool {
     let (centre, corners) = (body.centre, body.corners());
     let ground = scene.ground(centre);
@@ -262,8 +259,7 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
     (if near { 0.5 * left } else { left }, off as Real / rollout.poses.len() as Real)
 }
 
-/// What driving direction leaves of the score, by the longest way against traffic. Steps between which the ego drives less
-/// than [`AGAINST_M`] are not looked at if it is not against traffic at either.
+/// What driving direction leaves of the score, by the longest way against traffic from [`AGAINST_M`] on.
 pub(super) fn direction(scene: &Scene<'_>, rollout: &Rollout) -> Real {
     let way_m = |step: usize| (rollout.poses[step].position - rollout.poses[step - 1].position).norm();
     let against = |step: usize| is_against_traffic(scene, &rollout.poses[step]);

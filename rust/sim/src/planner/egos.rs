@@ -1,15 +1,13 @@
 //! The policy of an ego as traffic: vehicles decide on what they would observe as the ego, and drive as it would.
 
 use super::network_of_ego::{NetworkOfEgo, Tensors};
+use crate::drivers::{AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView};
 use crate::dynamics::Dynamics;
 use crate::error::{Result, SimError};
 use crate::events::off_road;
 use crate::geom::Real;
 use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use crate::options;
-use crate::policy::{
-    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
-};
 use crate::scene::AgentKind;
 use crate::state::AgentStates;
 use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
@@ -52,7 +50,7 @@ const REMEMBERED: usize = 3;
 
 /// Traffic in which each vehicle decides as the policy does, and holds what it decided.
 ///
-/// Vehicles that never move in the log stay parked; who is at the end of its route leaves; all but vehicles do as logged.
+/// Vehicles that never move in the log stay parked; those at the end of their route leave; all other agents follow the log.
 #[derive(Debug)]
 pub struct Egos {
     observer: Observer,
@@ -172,7 +170,7 @@ fn remembered(memory: &[u8], a: usize) -> [Real; REMEMBERED] {
     for (number, bytes) in numbers.iter_mut().zip(memory.chunks_exact(4).skip(a * REMEMBERED)) {
         *number = bytes.try_into().map_or(0.0, Real::from_le_bytes);
     }
-    // what a snapshot says may be anything
+    // a snapshot may hold anything
     if numbers.iter().all(|n| n.is_finite()) { numbers } else { [0.0; REMEMBERED] }
 }
 
@@ -180,7 +178,7 @@ fn stands(states: &AgentStates, a: usize) -> AgentMotion {
     AgentMotion::Place(states.pose(a), Default::default())
 }
 
-impl TrafficPolicy for Egos {
+impl DriverModel for Egos {
     fn name(&self) -> &str {
         EGOS.name
     }
@@ -207,7 +205,7 @@ impl TrafficPolicy for Egos {
         }
         match plan.and_then(|p| p.follow(world, agent_idx)) {
             Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
-            // it came after the decision
+            // it entered after the decision
             None => stands(world.states, agent_idx),
         }
     }

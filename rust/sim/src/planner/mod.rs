@@ -6,12 +6,12 @@ mod network_of_ego;
 pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
 pub use network_of_ego::{NetworkOfEgo, Tensors};
 
+use crate::drivers::{IdmConfig, idm_towards};
 use crate::dynamics::{Action, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan, steering};
-use crate::policy::{IdmConfig, idm_towards};
 use crate::world::VecWorld;
 
 /// What an ego does from here: its acceleration (m/s²) and yaw rate (rad/s).
@@ -57,7 +57,7 @@ impl Planner {
         Ok(Self { act: kind.act })
     }
 
-    /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros where nobody is in it.
+    /// The actions of the first slots of some worlds in the form that [`VecWorld::step`] takes; zeros for empty slots.
     ///
     /// # Errors
     /// As [`VecWorld::status`], and [`SimError::Config`] for assisted dynamics.
@@ -99,7 +99,7 @@ fn pdm(asked: &Asked<'_>) -> [Real; 2] {
     [plan.acceleration_mps2, asked.scene.yaw_rate(plan.offset_m)]
 }
 
-/// Acceleration of the worlds' IDM behind whoever is ahead on the centre line, and the yaw rate that follows the line.
+/// Acceleration of the worlds' IDM behind the leader on the centre line, and the yaw rate that follows the line.
 fn idm(asked: &Asked<'_>) -> [Real; 2] {
     let Asked { scene, idm } = asked;
     let (states, ego, line, place) = (scene.states, scene.ego, scene.line, scene.place);

@@ -72,7 +72,7 @@ fn rectify(x: &mut [Real]) {
 pub struct NetworkOfEgo {
     mean: Vec<Real>,
     std: Vec<Real>,
-    /// Numbers of an agent in the row, one agent after another, and where their mask stands.
+    /// Numbers of an agent in the row, one agent after another, and places of their mask.
     agents: Range<usize>,
     mask: Range<usize>,
     encoder: Vec<Linear>,
@@ -168,53 +168,5 @@ impl NetworkOfEgo {
             std::mem::swap(&mut features, a);
         }
         features.iter().map(|x| x.clamp(-1.0, 1.0)).collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::observe::ObservationConfig;
-
-    /// The ego's speed and one other agent's place ahead: 1 + 1 numbers and a mask.
-    fn layout() -> Layout {
-        let config = ObservationConfig {
-            num_neighbors: 2,
-            num_route_points: 0,
-            num_map_segments: 0,
-            ego_columns: Some(vec!["speed".into()]),
-            agent_columns: Some(vec!["x".into()]),
-            ..ObservationConfig::default()
-        };
-        Layout::new(&config).unwrap()
-    }
-
-    /// Doubles the greatest of the agents' numbers and adds the ego's.
-    fn tensors() -> Tensors {
-        let one = |shape: &[usize], numbers: &[Real]| (shape.to_vec(), numbers.to_vec());
-        let mut found: Tensors = BTreeMap::new();
-        found.insert("mean".into(), one(&[5], &[0.5, 0.0, 0.0, 0.0, 0.0]));
-        found.insert("std".into(), one(&[5], &[0.5, 1.0, 1.0, 1.0, 1.0]));
-        for (name, shape, numbers) in [
-            ("encoder.0", [1, 1], vec![1.0]),
-            ("encoder.2", [1, 1], vec![1.0]),
-            ("policy.0", [1, 2], vec![1.0, 2.0]),
-            ("policy.2", [1, 1], vec![1.0]),
-            ("policy.4", [1, 1], vec![1.0]),
-        ] {
-            found.insert(format!("{name}.weight"), one(&shape, &numbers));
-            found.insert(format!("{name}.bias"), one(&[1], &[0.0]));
-        }
-        found
-    }
-
-    #[test]
-    fn the_greatest_of_those_who_are_there_counts() {
-        let mut network = NetworkOfEgo::new(&layout(), 1, tensors()).unwrap();
-        // speed 0.6 is 0.2 deviations above the mean; the second agent is not there
-        assert!((network.act(&[0.6, 0.1, 0.9, 1.0, 0.0])[0] - 0.4).abs() < 1e-6);
-        assert!((network.act(&[0.6, 0.1, 0.2, 1.0, 1.0])[0] - 0.6).abs() < 1e-6);
-        assert_eq!(network.act(&[0.0; 5]), [0.0]);
-        assert_eq!(network.act(&[1.0, 0.9, 0.9, 1.0, 1.0]), [1.0]);
     }
 }

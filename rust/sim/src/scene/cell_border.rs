@@ -1,6 +1,6 @@
 //! Which points of a cell of a grid a surface holds, found without most of the edges of its polygon.
 
-use crate::geom::{Point2, Polygon, Real, Vector2, even_odd, math, ring_edges};
+use crate::geom::{Point2, Polygon, Real, Vector2, edge_distance_sq, even_odd, math, ring_edges};
 
 /// Parts of a cell, 8 x 8, that a surface holds whole, and parts with none of it; see `Grid::part`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,11 +22,6 @@ impl Parts {
             parts.outside |= u64::from(!holds && clear_m > reach_m) << part;
         }
         parts
-    }
-
-    /// Parts of which the surface may hold some, a bit each.
-    pub(super) fn held(&self) -> u64 {
-        !self.outside
     }
 
     /// Whether the surface holds a part; `None` where its border goes through it.
@@ -70,11 +65,7 @@ impl Border {
 
     /// Distance of a point of the cell to the edges near it, metres.
     pub(super) fn distance_m(&self, point: Point2) -> Real {
-        let distance_sq = |(a, b): &(Point2, Point2)| {
-            let (way, to) = (b - a, point - a);
-            let share = to.dot(&way) / way.norm_squared().max(Real::MIN_POSITIVE);
-            (to - way * share.clamp(0.0, 1.0)).norm_squared()
-        };
-        self.near.iter().map(distance_sq).fold(Real::INFINITY, Real::min).sqrt()
+        let distances_sq = self.near.iter().map(|(a, b)| edge_distance_sq(*a, *b, point));
+        distances_sq.fold(Real::INFINITY, Real::min).sqrt()
     }
 }

@@ -1,6 +1,6 @@
 //! Where a function on a grid is positive, as polygons: marching squares with linear interpolation (Lorensen and Cline 1987).
 
-use crate::geom::{Point2, Polygon, Real};
+use crate::geom::{Point2, Polygon, Real, signed_area};
 
 /// Distance between nodes, metres.
 pub(super) const CELL_M: f64 = 0.5;
@@ -95,14 +95,6 @@ impl Grid<'_> {
         let (x, y) = if up { (column, row + share) } else { (column + share, row) };
         Point2::new((self.min[0] + x * CELL_M) as Real, (self.min[1] + y * CELL_M) as Real)
     }
-}
-
-fn signed_area(ring: &[Point2]) -> f64 {
-    let cross = |a: Point2, b: Point2| {
-        f64::from(a.x - ring[0].x) * f64::from(b.y - ring[0].y)
-            - f64::from(a.y - ring[0].y) * f64::from(b.x - ring[0].x)
-    };
-    0.5 * ring.windows(2).map(|pair| cross(pair[0], pair[1])).sum::<f64>()
 }
 
 /// A ring with fewer points (Douglas and Peucker 1973), from its first point and the one farthest from it.

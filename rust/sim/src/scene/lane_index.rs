@@ -7,9 +7,8 @@
 use super::cell_border::{Border, Parts};
 use super::road_area::HALF_LANE_M;
 use super::{LaneKind, Map};
-use crate::geom::{Grid, Point2, Real, Vector2, bounds, math, ring_edges};
+use crate::geom::{Grid, Point2, Real, Vector2, bounds, edge_distance_sq, math, ring_edges};
 use crate::simd_dispatch::{pick, simd_dispatch};
-use std::f32::consts::FRAC_1_SQRT_2;
 use std::sync::OnceLock;
 
 /// Side of a cell, metres.
@@ -54,8 +53,7 @@ struct Block {
 
 /// Finds the nearest lane centre line.
 ///
-/// Memory: 28 bytes a segment, 48 bytes a cell, and 24 bytes for each segment that matters in a cell in which somebody has
-/// been.
+/// Memory: 28 bytes a segment, 48 bytes a cell, and 24 bytes for each segment that matters in a cell once asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaneIndex {
     grid: Grid,
@@ -71,15 +69,7 @@ pub struct LaneIndex {
 #[derive(Debug, Clone, PartialEq, Default)]
 struct Cell {
     segments: OnceLock<Box<[Block]>>,
-    surfaces: OnceLock<Box<Surfaces>>,
-}
-
-/// The lanes whose surfaces reach into a cell.
-#[derive(Debug, Clone, PartialEq)]
-struct Surfaces {
-    /// Parts of the cell where a lane may be that does not agree for certain with all headings of an [`octant`], a bit each.
-    in_doubt: [u64; 8],
-    all: Box<[Surface]>,
+    surfaces: OnceLock<Box<[Surface]>>,
 }
 
 /// A lane whose surface reaches into a cell.
@@ -158,18 +148,14 @@ impl LaneIndex {
         let (min, max) =
             (Point2::new(min.x - REACH_M, min.y - REACH_M), Point2::new(max.x + REACH_M, max.y + REACH_M));
         let grid = Grid::new(min, max, CELL_M, MAX_CELLS);
-        let num_cells = grid.num_columns * grid.num_rows;
-        let cells = vec![Cell::default(); num_cells];
+        let cells = vec![Cell::default(); grid.num_cells()];
         let speed_limits_mps = map.lanes.iter().map(|lane| lane.speed_limit_mps).collect();
         Some(Self { grid, segments, cells, first_segment, speed_limits_mps })
     }
 
     /// Lanes and connectors whose surface holds a point, in the order of the map. A lane without a polygon is 3.5 m wide.
     pub fn holding<'a>(&'a self, map: &'a Map, point: Point2) -> impl Iterator<Item = usize> + 'a {
-        let list = self
-            .grid
-            .cell(point)
-            .map(|c| &*self.cells[c].surfaces.get_or_init(|| self.surfaces_in(map, c)).all);
+        let list = self.grid.cell(point).map(|cell| self.surfaces(map, cell));
         let holds = move |s: &&Surface| self.surface_holds(map, s, point);
         list.into_iter().flatten().filter(holds).map(|s| s.lane_idx as usize)
     }
@@ -201,8 +187,8 @@ impl LaneIndex {
         if surface.exterior.len() < 3 {
             return self.distance_sq(lane_idx, point).sqrt() - HALF_LANE_M;
         }
-        let edges = surface.rings().flat_map(ring_edges).map(|(a, b)| Segment::between(a, b));
-        edges.map(|e| e.distance_sq(point)).fold(Real::INFINITY, Real::min).sqrt()
+        let edges = surface.rings().flat_map(ring_edges);
+        edges.map(|(a, b)| edge_distance_sq(a, b, point)).fold(Real::INFINITY, Real::min).sqrt()
     }
 
     /// The nearest point of one lane's centre line to a pose given by its position, cosine and sine of its heading.
@@ -229,7 +215,12 @@ impl LaneIndex {
         self.of_lane(lane_idx).iter().map(|s| s.distance_sq(point)).fold(Real::INFINITY, Real::min)
     }
 
-    fn surfaces_in(&self, map: &Map, cell: usize) -> Box<Surfaces> {
+    /// The lanes whose surfaces reach into a cell, found when they are first asked for.
+    fn surfaces(&self, map: &Map, cell: usize) -> &[Surface] {
+        self.cells[cell].surfaces.get_or_init(|| self.surfaces_in(map, cell))
+    }
+
+    fn surfaces_in(&self, map: &Map, cell: usize) -> Box<[Surface]> {
         let (centre, half_m) = self.middle(cell);
         let (low, high) = (centre - Vector2::new(half_m, half_m), centre + Vector2::new(half_m, half_m));
         let meets = |lane_idx: usize| {
@@ -263,17 +254,7 @@ impl LaneIndex {
             let parts = Parts::new(centre, self.grid.cell_m, look);
             Surface { lane_idx: lane_idx as u32, is_lane, direction, agrees_above, parts, border }
         };
-        let all: Box<[Surface]> = found.map(surface).collect();
-        let in_doubt = std::array::from_fn(|octant| {
-            let sign = |bit: usize| if octant >> bit & 1 == 1 { -1.0 } else { 1.0 };
-            let (x, y) = (sign(1), sign(2));
-            let ends =
-                [if octant & 1 == 1 { [0.0, y] } else { [x, 0.0] }, [x * FRAC_1_SQRT_2, y * FRAC_1_SQRT_2]];
-            let agrees = |s: &Surface, [cos, sin]: [Real; 2]| s.along(cos, sin) > s.agrees_above + 1e-3;
-            let in_doubt = all.iter().filter(|s| s.is_lane && !ends.iter().all(|end| agrees(s, *end)));
-            in_doubt.fold(0, |parts, s| parts | s.parts.held())
-        });
-        Box::new(Surfaces { in_doubt, all })
+        found.map(surface).collect()
     }
 
     /// Whether the surface of a lane holds a point, and all lanes whose surface does run against a direction; `agrees` tells
@@ -286,13 +267,9 @@ impl LaneIndex {
         agrees: impl Fn(usize) -> bool,
     ) -> bool {
         let Some(cell) = self.grid.cell(point) else { return false };
-        let surfaces = self.cells[cell].surfaces.get_or_init(|| self.surfaces_in(map, cell));
-        if surfaces.in_doubt[octant(cos, sin)] >> self.grid.part(point) & 1 == 0 {
-            return false;
-        }
         let agrees_surely = |s: &&Surface| s.along(cos, sin) > s.agrees_above;
         let holds = |s: &Surface| self.surface_holds(map, s, point);
-        let lanes = || surfaces.all.iter().filter(|s| s.is_lane);
+        let lanes = || self.surfaces(map, cell).iter().filter(|s| s.is_lane);
         let mut is_held = false;
         for s in lanes().filter(|s| !agrees_surely(s) && holds(s)) {
             if s.along(cos, sin) > -s.agrees_above && agrees(s.lane_idx as usize) {
@@ -305,12 +282,8 @@ impl LaneIndex {
 
     /// The middle of a cell, and a bit more than half its diagonal, metres.
     fn middle(&self, cell: usize) -> (Point2, Real) {
-        let (grid, cell_m) = (&self.grid, self.grid.cell_m);
-        let at = |index: usize| (index as Real + 0.5) * cell_m;
-        let (column, row) = (cell % grid.num_columns, cell / grid.num_columns);
         // the margin covers rounding
-        let half_m = 0.5 * math::hypot(cell_m, cell_m) + 0.01;
-        (Point2::new(grid.min.x + at(column), grid.min.y + at(row)), half_m)
+        (self.grid.middle(cell), 0.5 * math::hypot(self.grid.cell_m, self.grid.cell_m) + 0.01)
     }
 
     /// Nearest lane to a pose given by its position and the cosine and sine of its heading.
@@ -359,12 +332,8 @@ impl LaneIndex {
         REACH_M
     }
 
-    /// The segments that may matter in a cell.
-    ///
-    /// With c the centre of the cell and h half its diagonal, a segment at distance d from c lies within [d − h, d + h]
-    /// of every point of the cell. It can be nearest somewhere only if d − h does not exceed the smallest d + h, and
-    /// nearest among those that agree with a heading only if that holds among the segments that agree with every heading
-    /// of the heading's sector.
+    /// The segments that may matter in a cell of half diagonal h: at a distance d from its centre, a segment can be nearest
+    /// to a point of it only if d − h does not exceed the smallest d + h, likewise among those that agree with a heading.
     fn list(&self, cell: usize) -> Box<[Block]> {
         let (centre, half_m) = self.middle(cell);
         let farthest_m = REACH_M + 2.0 * half_m;
@@ -411,8 +380,8 @@ impl LaneIndex {
 }
 
 simd_dispatch! {
-    /// Keys of the nearest of all segments and of those that agree with a direction: bits of the squared distance (ordered
-    /// like the distance, which is not negative), then the place in the list. The smaller key is the nearer segment.
+    /// Keys of the nearest of all segments and of those that agree with a direction: bits of the squared distance, which
+    /// are ordered like it, then the place in the list.
     fn nearest_of(list: &[Block], point: Point2, direction: [Real; 2], keys: &mut [u64; 2]) {
         let (mut any_sq, mut agreeing_sq) = ([Real::INFINITY; LANES], [Real::INFINITY; LANES]);
         let (mut any, mut agreeing) = ([0u32; LANES], [0u32; LANES]);
@@ -446,11 +415,6 @@ simd_dispatch! {
     }
 }
 
-/// The eighth of all directions that a heading is in: where its sine is negative, its cosine, and which is the greater one.
-fn octant(cos: Real, sin: Real) -> usize {
-    usize::from(sin < 0.0) << 2 | usize::from(cos < 0.0) << 1 | usize::from(sin.abs() > cos.abs())
-}
-
 impl Surface {
     /// Cosine between the lane's mean direction and a heading.
     fn along(&self, cos: Real, sin: Real) -> Real {
@@ -459,14 +423,6 @@ impl Surface {
 }
 
 impl Segment {
-    /// A segment of no lane.
-    fn between(start: Point2, end: Point2) -> Self {
-        let way = end - start;
-        let length_m = math::hypot(way.x, way.y);
-        let unit = if length_m > 0.0 { way / length_m } else { way };
-        Self { start, cos: unit.x, sin: unit.y, length_m, s_m: 0.0, s_per_m: 1.0, lane_idx: u32::MAX }
-    }
-
     fn end(&self) -> Point2 {
         Point2::new(self.start.x + self.cos * self.length_m, self.start.y + self.sin * self.length_m)
     }

@@ -59,19 +59,10 @@ fn ends_of(line: &[Point2]) -> Option<[(Point2, Vector2); 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::LaneKind;
 
     fn lane(points: &[(Real, Real)]) -> Lane {
-        Lane {
-            id: String::new(),
-            kind: LaneKind::Lane,
-            centreline: points.iter().map(|(x, y)| Point2::new(*x, *y)).collect(),
-            polygon: Default::default(),
-            successors: vec![],
-            predecessors: vec![],
-            speed_limit_mps: None,
-            elevation_m: Vec::new(),
-        }
+        let centreline = points.iter().map(|(x, y)| Point2::new(*x, *y)).collect();
+        Lane { centreline, ..Lane::default() }
     }
 
     #[test]

@@ -29,9 +29,7 @@ impl Lane {
         let all = (!known).then_some(0..self.centreline.len());
         all.into_iter().chain(runs(&self.elevation_m, is_on))
     }
-}
 
-impl Lane {
     /// Elevation of the centre line at an arc length, clamped to its ends, metres; `None` where it is not known.
     pub(crate) fn height(&self, s_m: Real) -> Option<Real> {
         let mut last = *self.elevation_m.first()?;
@@ -147,8 +145,8 @@ pub struct PartElevations<'a> {
     pub seeds: &'a [Real],
 }
 
-/// Makes the road of each level from its own parts, between bounds of [`level_bounds`]: polygons, and the elevations at
-/// which somebody is on each. Lanes have elevations.
+/// Makes the road of each level from its own parts, between bounds of [`level_bounds`]: polygons, and the range of
+/// elevations of each. Lanes have elevations.
 pub fn road_areas(
     parts: RoadParts<'_>,
     heights: PartElevations<'_>,
@@ -200,38 +198,4 @@ pub fn cut_by_level(line: &[Point2], heights: &[Real], bounds: &[Real]) -> Vec<(
 pub fn range_of(heights: &[Real]) -> [Real; 2] {
     let none = [Real::INFINITY, Real::NEG_INFINITY];
     heights.iter().fold(none, |[low, high], z| [low.min(*z), high.max(*z)])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A straight line along an axis at a height that depends on the place.
-    fn line(along_x: bool, height: impl Fn(Real) -> Real) -> (Vec<Point2>, Vec<Real>) {
-        let places = (-10..=10).map(|i| i as Real * 5.0);
-        let point = |s: Real| if along_x { Point2::new(s, 0.0) } else { Point2::new(0.0, s) };
-        places.map(|s| (point(s), height(s))).unzip()
-    }
-
-    fn bounds(lines: &[(Vec<Point2>, Vec<Real>)]) -> Vec<Real> {
-        level_bounds(lines.iter().map(|(p, z)| (p.as_slice(), z.as_slice())), std::iter::empty())
-    }
-
-    #[test]
-    fn bounds_lie_between_roads_that_pass_over_each_other_and_hills_have_none() {
-        assert_eq!(bounds(&[line(true, |_| 8.0), line(false, |_| 0.0)]), [4.0]);
-        assert_eq!(bounds(&[line(true, |_| 6.0), line(false, |_| 0.0), line(true, |_| 13.0)]), [3.0, 9.5]);
-        // two roads that meet on a hill, 20 % steep, and a step of less than a level
-        assert!(bounds(&[line(true, |x| 0.2 * x), line(false, |_| 0.0)]).is_empty());
-        assert!(bounds(&[line(true, |_| 2.4), line(false, |_| 0.0)]).is_empty());
-    }
-
-    #[test]
-    fn lines_are_cut_where_the_level_changes() {
-        let (points, heights) = line(true, |x| 4.0 + 0.1 * x);
-        let pieces = cut_by_level(&points, &heights, &[4.2]);
-        let lengths: Vec<usize> = pieces.iter().map(|(piece, _)| piece.len()).collect();
-        assert_eq!(lengths, [12, 10]);
-        assert_eq!(cut_by_level(&points, &heights, &[]), [(points.clone(), [-1.0, 9.0])]);
-    }
 }

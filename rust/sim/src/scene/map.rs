@@ -13,17 +13,18 @@ pub const LEVEL_M: Real = 2.5;
 pub const HIGHEST_M: Real = 9e3;
 
 /// What a lane is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LaneKind {
     /// A marked lane.
+    #[default]
     Lane,
     /// A path through an intersection, from one lane to another.
     Connector,
 }
 
 /// One lane or lane connector.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Lane {
     /// Token of the data set.
     pub id: String,
@@ -47,7 +48,7 @@ pub struct Lane {
 /// to all levels. Lanes have elevations of their own.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Elevations {
-    /// Of the drivable area: the elevations at which somebody is on it.
+    /// Of the drivable area: the elevations of agents on it.
     pub drivable_area: Vec<[Real; 2]>,
     /// Of the lines between directions of traffic.
     pub road_dividers: Vec<[Real; 2]>,
@@ -161,6 +162,14 @@ impl Map {
         let lines = self.lanes.iter().map(|l| &l.centreline);
         let lines = lines.chain(&self.road_dividers).chain(&self.lane_dividers);
         rings.chain(lines).map(|points| along(points)).sum()
+    }
+
+    /// Where vehicles may drive: the drivable area, else the lanes' surfaces.
+    pub(crate) fn road(&self) -> Vec<&Polygon> {
+        match self.drivable_area.is_empty() {
+            true => self.lanes.iter().map(|lane| &lane.polygon).collect(),
+            false => self.drivable_area.iter().collect(),
+        }
     }
 
     /// Whether the map has a drivable area.

@@ -1,6 +1,4 @@
-//! What a recorded log needs before it is played: short gaps filled, boxes that were annotated backwards turned.
-//!
-//! What flows in: a scene as its data set has it. What flows out: the same scene, mended, and what was done to whom.
+//! Repairs of a recorded log before it is played: short gaps are filled, boxes annotated backwards are turned.
 
 use super::{AgentKind, Scene, Tracks};
 use crate::geom::{Real, Vector2, math};
@@ -118,9 +116,7 @@ impl Scene {
         }
     }
 
-    /// Fills the entries between two of a track: position by the cubic with the velocities of both ends, velocity by its
-    /// slope, heading evenly the short way. Of the ways tried on Waymo's tracks this is nearest to steps left out, with
-    /// no more acceleration or jerk than they have.
+    /// Fills the entries between two of a track by the cubic with the velocities of both ends, headings evenly.
     fn fill(&mut self, before: usize, after: usize) -> bool {
         let tracks = &mut self.tracks;
         let time_s = (after - before) as Real * self.dt_s;

@@ -25,7 +25,7 @@ pub use road_area::{RoadParts, road_area};
 pub use road_blocks::progress_along_log;
 
 use crate::error::{Result, SimError};
-use crate::geom::{Point2, Real, Vector2};
+use crate::geom::{Point2, Pose2, Real, Vector2};
 use crate::named::named;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -203,44 +203,34 @@ impl Scene {
 
     /// The first field of elevations that has not as many as there are entries, or one that is no height on Earth.
     fn height_fault(&self) -> Option<(String, String)> {
-        let fault = |field: &dyn Fn() -> String,
-                     heights: &[Real],
-                     entries: usize,
-                     counts: &dyn Fn(usize) -> bool| {
+        type Heights<'a> = (String, &'a [Real], usize, Option<&'a [bool]>);
+        let fault = |(field, heights, entries, counts): Heights<'_>| {
             if !heights.is_empty() && heights.len() != entries {
-                return Some((field(), format!("{} entries for {entries}", heights.len())));
+                return Some((field, format!("{} entries for {entries}", heights.len())));
             }
-            let bad =
-                heights.iter().enumerate().find(|(i, z)| counts(*i) && (z.is_nan() || z.abs() > HIGHEST_M));
-            bad.map(|(i, z)| (format!("{}[{i}]", field()), z.to_string()))
+            let is_bad = |i: usize| heights[i].is_nan() || heights[i].abs() > HIGHEST_M;
+            let bad = (0..heights.len()).find(|i| counts.is_none_or(|counts| counts[*i]) && is_bad(*i))?;
+            Some((format!("{field}[{bad}]"), heights[bad].to_string()))
         };
-        let (tracks, map, ranges) = (&self.tracks, &self.map, &self.map.elevation_m);
-        let counts = |i: usize| tracks.valid[i];
-        let of_lane = |(i, lane): (usize, &Lane)| {
-            fault(
-                &|| format!("map.lanes[{i}].elevation_m"),
-                &lane.elevation_m,
-                lane.centreline.len(),
-                &|_| true,
-            )
-        };
-        fault(&|| "tracks.elevation_m".into(), &tracks.elevation_m, tracks.valid.len(), &counts)
-            .or_else(|| map.lanes.iter().enumerate().find_map(of_lane))
-            .or_else(|| {
-                let entries = [
-                    map.drivable_area.len(),
-                    map.road_dividers.len(),
-                    map.lane_dividers.len(),
-                    map.ped_crossings.len(),
-                    map.walkways.len(),
-                    map.stop_lines.len(),
-                    map.carpark_areas.len(),
-                ];
-                ranges.layers().into_iter().zip(entries).find_map(|((name, ranges), entries)| {
-                    let field = || format!("map.elevation_m.{name}");
-                    fault(&field, ranges.as_flattened(), 2 * entries, &|_| true)
-                })
-            })
+        let (tracks, map) = (&self.tracks, &self.map);
+        let of_tracks: Heights<'_> =
+            ("tracks.elevation_m".into(), &tracks.elevation_m, tracks.valid.len(), Some(&tracks.valid));
+        let of_lanes = map.lanes.iter().enumerate().map(|(i, lane)| -> Heights<'_> {
+            (format!("map.lanes[{i}].elevation_m"), &lane.elevation_m, lane.centreline.len(), None)
+        });
+        let parts = [
+            map.drivable_area.len(),
+            map.road_dividers.len(),
+            map.lane_dividers.len(),
+            map.ped_crossings.len(),
+            map.walkways.len(),
+            map.stop_lines.len(),
+            map.carpark_areas.len(),
+        ];
+        let of_layers = map.elevation_m.layers().into_iter().zip(parts).map(|((name, ranges), parts)| {
+            (format!("map.elevation_m.{name}"), ranges.as_flattened(), 2 * parts, None)
+        });
+        std::iter::once(of_tracks).chain(of_lanes).chain(of_layers).find_map(fault)
     }
 
     /// Whether agents are told apart by their height.
@@ -273,6 +263,12 @@ impl Scene {
     #[inline]
     pub fn at(&self, agent_idx: usize, step_idx: usize) -> usize {
         agent_idx * self.num_steps + step_idx
+    }
+
+    /// Logged pose of an agent at a step; it means nothing where the agent is not logged.
+    pub fn pose(&self, agent_idx: usize, step_idx: usize) -> Pose2 {
+        let (tracks, at) = (&self.tracks, self.at(agent_idx, step_idx));
+        Pose2::new(tracks.position[at].x, tracks.position[at].y, tracks.heading_rad[at])
     }
 
     /// Whether an agent is logged at a step; false past the end.

@@ -58,18 +58,49 @@ pub fn road_area(parts: RoadParts<'_>) -> Vec<Polygon> {
     field.keep_used(&parts);
     let gap_m2 = if parts.edges.is_empty() { GAP_M2 } else { GAP_BETWEEN_EDGES_M2 };
     field.fill_gaps((gap_m2 / (CELL_M * CELL_M)) as usize);
-    polygons(&field.inside_m, field.columns, field.min)
+    polygons(&field.inside_m, field.nodes.columns, field.nodes.min)
 }
 
-/// The nodes, row by row from the lower left.
-struct Field {
+/// The nodes of a grid, row by row from the lower left.
+#[derive(Clone, Copy)]
+struct Nodes {
     min: [f64; 2],
     columns: usize,
     rows: usize,
+}
+
+struct Field {
+    nodes: Nodes,
     /// How far inside the road a node is, metres; negative outside.
     inside_m: Vec<Real>,
     /// Distance from the nearest edge, metres; infinite beyond reach.
     edge_m: Vec<Real>,
+}
+
+impl Nodes {
+    /// Each node of a box that is wider by a distance, and its place.
+    fn near(self, corners: [[f64; 2]; 2], wider_m: f64) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let index =
+            |v: f64, i: usize, count: usize| ((v - self.min[i]) / CELL_M).clamp(0.0, (count - 1) as f64);
+        let span = |i: usize, count: usize| {
+            let from = index(corners[0][i] - wider_m, i, count).ceil() as usize;
+            from..=index(corners[1][i] + wider_m, i, count).floor() as usize
+        };
+        let (rows, columns) = (span(1, self.rows), span(0, self.columns));
+        let nodes = rows.flat_map(move |row| columns.clone().map(move |column| (column, row)));
+        nodes.map(move |(column, row)| (row * self.columns + column, self.place(column, row)))
+    }
+
+    /// The node nearest to a place; `None` off the grid.
+    fn node(&self, at: [f64; 2]) -> Option<usize> {
+        let [x, y] = [0, 1].map(|i| ((at[i] - self.min[i]) / CELL_M).round());
+        let within = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
+        within.then(|| y as usize * self.columns + x as usize)
+    }
+
+    fn place(&self, column: usize, row: usize) -> [f64; 2] {
+        [self.min[0] + column as f64 * CELL_M, self.min[1] + row as f64 * CELL_M]
+    }
 }
 
 impl Field {
@@ -102,35 +133,14 @@ impl Field {
             return None;
         }
         let (columns, rows) = (columns as usize, rows as usize);
-        let nodes = columns * rows;
-        let (inside_m, edge_m) = (vec![Real::NEG_INFINITY; nodes], vec![Real::INFINITY; nodes]);
-        Some(Self { min, columns, rows, inside_m, edge_m })
+        let (inside_m, edge_m) =
+            (vec![Real::NEG_INFINITY; columns * rows], vec![Real::INFINITY; columns * rows]);
+        Some(Self { nodes: Nodes { min, columns, rows }, inside_m, edge_m })
     }
 
-    /// Calls with each node of a box that is wider by a distance, and with its place.
-    fn nodes_near(&self, corners: [[f64; 2]; 2], wider_m: f64, mut call: impl FnMut(usize, [f64; 2])) {
-        let index =
-            |v: f64, i: usize, count: usize| ((v - self.min[i]) / CELL_M).clamp(0.0, (count - 1) as f64);
-        let span = |i: usize, count: usize| {
-            let from = index(corners[0][i] - wider_m, i, count).ceil() as usize;
-            from..=index(corners[1][i] + wider_m, i, count).floor() as usize
-        };
-        for row in span(1, self.rows) {
-            for column in span(0, self.columns) {
-                call(row * self.columns + column, self.place(column, row));
-            }
-        }
-    }
-
-    /// The node nearest to a place; `None` off the grid.
-    fn node(&self, at: [f64; 2]) -> Option<usize> {
-        let [x, y] = [0, 1].map(|i| ((at[i] - self.min[i]) / CELL_M).round());
-        let within = x >= 0.0 && y >= 0.0 && x < self.columns as f64 && y < self.rows as f64;
-        within.then(|| y as usize * self.columns + x as usize)
-    }
-
-    fn place(&self, column: usize, row: usize) -> [f64; 2] {
-        [self.min[0] + column as f64 * CELL_M, self.min[1] + row as f64 * CELL_M]
+    /// Takes a node to be so far inside at least.
+    fn join(&mut self, node: usize, inside_m: Real) {
+        self.inside_m[node] = self.inside_m[node].max(inside_m);
     }
 
     /// Nodes to the left of their nearest edge are road.
@@ -138,16 +148,18 @@ impl Field {
         let pieces: Vec<Piece> = edges.iter().flat_map(|line| Piece::of_line(line)).collect();
         let mut nearest = vec![Nearest::NONE; self.inside_m.len()];
         for (i, piece) in pieces.iter().enumerate() {
-            self.nodes_near(piece.corners(), EXACT_M, |node, at| nearest[node].offer(piece.seen(i, at)));
+            for (node, at) in self.nodes.near(piece.corners(), EXACT_M) {
+                nearest[node].offer(piece.seen(i, at));
+            }
         }
         // neighbours have the same nearest piece, or almost: two sweeps there and back (Danielsson 1980)
-        let (columns, rows) = (self.columns as isize, self.rows as isize);
+        let (columns, rows) = (self.nodes.columns as isize, self.nodes.rows as isize);
         for sweep in 0..4 {
             let back = sweep % 2 == 1;
             for i in 0..columns * rows {
                 let node = if back { columns * rows - 1 - i } else { i };
                 let (column, row) = (node % columns, node / columns);
-                let at = self.place(column as usize, row as usize);
+                let at = self.nodes.place(column as usize, row as usize);
                 for (dx, dy) in [(-1, 0), (-1, -1), (0, -1), (1, -1)] {
                     let (x, y) = if back { (column - dx, row - dy) } else { (column + dx, row + dy) };
                     if x < 0 || y < 0 || x >= columns || y >= rows {
@@ -162,7 +174,7 @@ impl Field {
         }
         // the middles of lanes are road: where they lie to the right of most edges, the data draws edges the other way
         let told = lanes.iter().flat_map(|lane| Piece::of_line(&lane.centreline)).filter_map(|piece| {
-            let near = nearest[self.node(piece.middle())?];
+            let near = nearest[self.nodes.node(piece.middle())?];
             (near.distance_m <= REACH_M).then_some(near.left_m >= 0.0)
         });
         let (left, right): (Vec<_>, Vec<_>) = told.partition(|left| *left);
@@ -178,14 +190,9 @@ impl Field {
     fn join_lanes(&mut self, parts: &RoadParts<'_>) {
         for lane in parts.lanes.iter().filter(|lane| lane.polygon.exterior.len() < 3) {
             for piece in Piece::of_line(&lane.centreline) {
-                let wider_m = f64::from(HALF_LANE_M) + EXACT_M;
-                let mut found = Vec::new();
-                self.nodes_near(piece.corners(), wider_m, |node, at| {
-                    found.push((node, piece.seen(0, at).distance_m as Real));
-                });
-                for (node, distance_m) in found {
+                for (node, at) in self.nodes.near(piece.corners(), f64::from(HALF_LANE_M) + EXACT_M) {
                     let half_m = self.edge_m[node].clamp(LANE_CORE_M, HALF_LANE_M);
-                    self.inside_m[node] = self.inside_m[node].max(half_m - distance_m);
+                    self.join(node, half_m - piece.seen(0, at).distance_m as Real);
                 }
             }
         }
@@ -200,65 +207,56 @@ impl Field {
         let reach_m = f64::from(HALF_LANE_M) + EXACT_M;
         for seed in seeds {
             let at = [f64::from(seed.x), f64::from(seed.y)];
-            let mut found = Vec::new();
-            self.nodes_near([at, at], reach_m, |node, [x, y]| {
+            for (node, [x, y]) in self.nodes.near([at, at], reach_m) {
                 let distance_m = ((x - at[0]).powi(2) + (y - at[1]).powi(2)).sqrt() as Real;
-                found.push((node, HALF_LANE_M - distance_m));
-            });
-            self.join(found);
-        }
-    }
-
-    fn join(&mut self, found: Vec<(usize, Real)>) {
-        for (node, inside_m) in found {
-            self.inside_m[node] = self.inside_m[node].max(inside_m);
+                self.join(node, HALF_LANE_M - distance_m);
+            }
         }
     }
 
     fn join_surface(&mut self, surface: &Polygon) {
         let Some(corners) = bounds(surface.rings().flatten()) else { return };
-        let pieces: Vec<Piece> = surface.rings().flat_map(Piece::of_ring).collect();
+        let (nodes, pieces) = (self.nodes, surface.rings().flat_map(Piece::of_ring).collect::<Vec<_>>());
         let mut near = std::collections::BTreeMap::<usize, f64>::new();
         for piece in &pieces {
-            self.nodes_near(piece.corners(), EXACT_M, |node, at| {
+            for (node, at) in self.nodes.near(piece.corners(), EXACT_M) {
                 let distance_m = piece.seen(0, at).distance_m;
                 near.entry(node).and_modify(|least| *least = least.min(distance_m)).or_insert(distance_m);
-            });
+            }
         }
         // crossings of each row of nodes with the rings: between the first and the second it is inside, and so on
         let mut crossings: Vec<(usize, f64)> = Vec::new();
         for piece in &pieces {
             let (lo, hi) = (piece.from[1].min(piece.to[1]), piece.from[1].max(piece.to[1]));
-            let first = ((lo - self.min[1]) / CELL_M).ceil().max(0.0) as usize;
-            for row in (first..self.rows).take_while(|row| self.place(0, *row)[1] < hi) {
-                let share = (self.place(0, row)[1] - piece.from[1]) / (piece.to[1] - piece.from[1]);
+            let first = ((lo - nodes.min[1]) / CELL_M).ceil().max(0.0) as usize;
+            for row in (first..nodes.rows).take_while(|row| nodes.place(0, *row)[1] < hi) {
+                let share = (nodes.place(0, row)[1] - piece.from[1]) / (piece.to[1] - piece.from[1]);
                 crossings.push((row, piece.from[0] + share * (piece.to[0] - piece.from[0])));
             }
         }
         crossings.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        let mut found = Vec::new();
-        self.nodes_near(corners, EXACT_M, |node, at| {
-            let row = node / self.columns;
+        for (node, at) in nodes.near(corners, EXACT_M) {
+            let row = node / nodes.columns;
             let count = |x: f64| crossings.partition_point(|c| c.0 < row || (c.0 == row && c.1 <= x));
             let before = count(at[0]) - count(f64::NEG_INFINITY);
             let distance_m = near.get(&node).copied().unwrap_or(EXACT_M).min(EXACT_M) as Real;
-            found.push((node, if before % 2 == 1 { distance_m } else { -distance_m }));
-        });
-        self.join(found);
+            self.join(node, if before % 2 == 1 { distance_m } else { -distance_m });
+        }
     }
 
     /// Takes away what is not joined to a lane or to where a vehicle was.
     fn keep_used(&mut self, parts: &RoadParts<'_>) {
+        let Nodes { columns, rows, .. } = self.nodes;
         for node in 0..self.inside_m.len() {
-            let (column, row) = (node % self.columns, node / self.columns);
-            if column == 0 || row == 0 || column + 1 == self.columns || row + 1 == self.rows {
+            let (column, row) = (node % columns, node / columns);
+            if column == 0 || row == 0 || column + 1 == columns || row + 1 == rows {
                 self.inside_m[node] = -CELL_M as Real;
             }
         }
         let pieces = parts.lanes.iter().flat_map(|lane| Piece::of_line(&lane.centreline));
         let seeds = parts.seeds.iter().map(|p| [f64::from(p.x), f64::from(p.y)]);
         let starts: Vec<usize> =
-            pieces.map(|piece| piece.middle()).chain(seeds).filter_map(|at| self.node(at)).collect();
+            pieces.map(|piece| piece.middle()).chain(seeds).filter_map(|at| self.nodes.node(at)).collect();
         if starts.is_empty() {
             return;
         }
@@ -288,19 +286,19 @@ impl Field {
 
     /// Marks the nodes that fit and are joined to the starts by others that do, and returns them.
     fn flood(&self, starts: Vec<usize>, seen: &mut [bool], fits: impl Fn(Real) -> bool) -> Vec<usize> {
-        let (mut todo, mut found) = (starts, Vec::new());
+        let (Nodes { columns, rows, .. }, mut todo, mut found) = (self.nodes, starts, Vec::new());
         while let Some(node) = todo.pop() {
             if seen[node] || !fits(self.inside_m[node]) {
                 continue;
             }
             seen[node] = true;
             found.push(node);
-            let (column, row) = (node % self.columns, node / self.columns);
+            let (column, row) = (node % columns, node / columns);
             let neighbours = [
                 (column > 0).then(|| node - 1),
-                (column + 1 < self.columns).then(|| node + 1),
-                (row > 0).then(|| node - self.columns),
-                (row + 1 < self.rows).then(|| node + self.columns),
+                (column + 1 < columns).then(|| node + 1),
+                (row > 0).then(|| node - columns),
+                (row + 1 < rows).then(|| node + columns),
             ];
             todo.extend(neighbours.into_iter().flatten());
         }

@@ -10,13 +10,13 @@ const APART_M: std::ops::Range<Real> = 1.5..6.5;
 const BEYOND_M: Real = 3.0;
 /// Least cosine between the directions of neighbours.
 const AGREE_COS: Real = 0.9;
-/// Who leaves a connector by less than this for another one is still in it, metres.
+/// A path that leaves a connector by less than this for another one is still in it, metres.
 const STILL_IN_M: Real = 5.0;
 
 /// How far two paths go along the road blocks of the second one, metres; `None` where that one is in no lane.
 ///
 /// nuPlan's `ego_progress_along_expert_route`: within a block ways are differences along the centre line of the lane that
-/// the log takes in it. In the blocks that follow ways go on, elsewhere they do not. Who comes back is where it comes back.
+/// the log takes in it. Progress continues in the blocks that follow, nowhere else.
 pub fn progress_along_log(
     lanes: &LaneIndex,
     map: &Map,

@@ -1,6 +1,6 @@
 //! A city of straight two-way roads on a square grid, for tests and benchmarks: any number of agents, any size.
 
-use super::{Agent, AgentKind, EGO_ID, Lane, LaneKind, Map, Scene, Tracks};
+use super::{Agent, AgentKind, EGO_ID, Lane, Map, Scene, Tracks};
 use crate::geom::{Point2, Polygon, Real, Vector2, math};
 use std::sync::Arc;
 
@@ -39,14 +39,9 @@ impl GridCity {
                 let point = |along: Real, across: Real| {
                     if vertical { Point2::new(across, along) } else { Point2::new(along, across) }
                 };
-                let rectangle = |low: Real, high: Real| Polygon {
-                    exterior: vec![
-                        point(-half, low),
-                        point(half, low),
-                        point(half, high),
-                        point(-half, high),
-                    ],
-                    holes: Vec::new(),
+                let rectangle = |low: Real, high: Real| {
+                    let ends = [(-half, low), (half, low), (half, high), (-half, high)];
+                    Polygon::from_exterior(ends.map(|(along, across)| point(along, across)).to_vec())
                 };
                 map.drivable_area.push(rectangle(at - LANE_M, at + LANE_M));
                 map.road_dividers.push(vec![point(-half, at), point(half, at)]);
@@ -59,13 +54,9 @@ impl GridCity {
                     let centreline = (0..=n).map(|i| point(sign * (i as Real - half), across)).collect();
                     map.lanes.push(Lane {
                         id: format!("lane-{}", map.lanes.len()),
-                        kind: LaneKind::Lane,
                         centreline,
                         polygon: rectangle(across - 0.5 * LANE_M, across + 0.5 * LANE_M),
-                        successors: Vec::new(),
-                        predecessors: Vec::new(),
-                        speed_limit_mps: None,
-                        elevation_m: Vec::new(),
+                        ..Lane::default()
                     });
                 }
             }

@@ -2,7 +2,7 @@
 
 use crate::geom::{Point2, Polyline, Projection, Real, Vector2, bounds, math};
 use crate::scene::{LEVEL_M, Map};
-use crate::stage::route::Route;
+use crate::stage::route::{APPROACH_MPS2, CURVE_MPS2, Route};
 
 /// Spacing of what is tabulated along the line, metres.
 const STEP_M: Real = 0.5;
@@ -18,9 +18,6 @@ const LEAVE_M2: Real = 4.0;
 const CHANGE_M2: Real = 12.0;
 /// Samples to either side over which the way from one lane to the next is spread.
 const SPREAD: usize = 4;
-/// Lateral acceleration at which curves are taken, and braking ahead of them, m/s².
-const CURVE_MPS2: Real = 3.0;
-const APPROACH_MPS2: Real = 2.0;
 
 /// The line at a place.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,6 +1,6 @@
 //! The ground of a scene: its road, its lanes and its lines, as a whole and level by level.
 
-use crate::geom::{Bitmap, Boundary, Point2, Polygon, Real, Region};
+use crate::geom::{Bitmap, Boundary, Point2, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
 use crate::scene::{LaneIndex, Map, Scene};
 use std::sync::OnceLock;
@@ -20,8 +20,9 @@ pub struct Ground {
     pub segments: MapSegments,
     /// What does not move in bird's-eye rasters; `None` without rasters.
     pub(crate) raster: Option<Bitmap>,
-    /// The road's polygons, where there are levels, and its edge, made when somebody asks for distances to it.
-    polygons: Vec<Polygon>,
+    /// Elevation of its level; `None` for the whole map.
+    elevation_m: Option<Real>,
+    /// The road's edge, made when a distance to it is first asked for.
     edge: OnceLock<Boundary>,
 }
 
@@ -30,13 +31,12 @@ impl Ground {
     fn new(map: &Map, elevation_m: Option<Real>, bev: Option<&BevConfig>) -> Self {
         let part = elevation_m.map(|z| map.on_level(z));
         let shown = part.as_ref().unwrap_or(map);
-        let polygons = road_polygons(shown);
-        let road = Region::new(&polygons);
+        let road = Region::new(shown.road());
         Self {
             lanes: LaneIndex::on_level(map, elevation_m),
             segments: MapSegments::on_level(map, shown, elevation_m, road.as_ref()),
             raster: bev.map(|bev| bev.ground(shown, elevation_m)),
-            polygons: if part.is_some() { polygons } else { Vec::new() },
+            elevation_m,
             road,
             edge: OnceLock::new(),
         }
@@ -45,16 +45,16 @@ impl Ground {
     /// Distance of a place to the edge of the road, metres, negative off the road; `None` where there is no road.
     pub(crate) fn road_distance_m(&self, map: &Map, point: Point2) -> Option<Real> {
         let road = self.road.as_ref()?;
-        let edge = self.edge.get_or_init(|| match self.polygons.is_empty() {
-            true => Boundary::new(&road_polygons(map), road),
-            false => Boundary::new(&self.polygons, road),
+        let edge = self.edge.get_or_init(|| {
+            let part = self.elevation_m.map(|z| map.on_level(z));
+            Boundary::new(&part.as_ref().unwrap_or(map).road(), road)
         });
         let distance_m = edge.distance_m(point);
         Some(if road.contains(point) { distance_m } else { -distance_m })
     }
 }
 
-/// The ground of a scene, and that of each of its levels, made when somebody is there for the first time.
+/// The ground of a scene, and that of each of its levels, made when first asked for.
 #[derive(Debug)]
 pub(crate) struct Grounds {
     pub(crate) whole: Ground,
@@ -96,12 +96,5 @@ impl Grounds {
         let slot = (((elevation_m - self.low_m) / SLOT_M).max(0.0) as usize).min(self.levels.len() - 1);
         let middle_m = self.low_m + (slot as Real + 0.5) * SLOT_M;
         self.levels[slot].get_or_init(|| Box::new(Ground::new(map, Some(middle_m), self.bev.as_ref())))
-    }
-}
-
-fn road_polygons(map: &Map) -> Vec<Polygon> {
-    match map.drivable_area.is_empty() {
-        true => map.lanes.iter().map(|l| l.polygon.clone()).collect(),
-        false => map.drivable_area.clone(),
     }
 }

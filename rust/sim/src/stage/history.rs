@@ -1,4 +1,4 @@
-//! The last H states of every agent of a world, for policies that look back.
+//! The last H states of every agent of a world, for drivers that look back.
 
 use crate::geom::math::is_sound;
 use crate::geom::{Point2, Real};
@@ -49,13 +49,10 @@ impl History {
         for k in 0..len {
             let Some(t) = (step_idx + k + 1).checked_sub(len) else { continue };
             for a in (0..num_agents).filter(|a| scene.is_valid(*a, t)) {
-                let (at, to) = (scene.at(a, t), a * len + k);
-                let heading = scene.tracks.heading_rad[at];
-                let (sin, cos) = crate::geom::math::sin_cos(heading);
-                let v = scene.tracks.velocity[at];
-                history.position[to] = scene.tracks.position[at];
-                history.heading_rad[to] = heading;
-                history.speed_mps[to] = v.x * cos + v.y * sin;
+                let (pose, v, to) = (scene.pose(a, t), scene.tracks.velocity[scene.at(a, t)], a * len + k);
+                history.position[to] = pose.position;
+                history.heading_rad[to] = pose.heading_rad;
+                history.speed_mps[to] = v.x * pose.cos + v.y * pose.sin;
                 history.valid[to] = true;
             }
         }

@@ -1,4 +1,4 @@
-//! Trucks with trailers and buses of two boxes: who is towed by whom, and how the towed box follows.
+//! Trucks with trailers and buses of two boxes: which box tows which, and how the towed one follows.
 //!
 //! Two vehicles whose boxes overlap in line and that move together in the log are hitched. The box behind is towed: its
 //! hitch goes with the leader, and its axle rolls towards the hitch at the distance that it has (a tractrix).
@@ -41,7 +41,7 @@ pub fn hitches(scene: &Scene) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// The chain of each of n agents, by its first vehicle; empty where nobody is towed.
+/// The chain of each of n agents, by its first vehicle; empty where none is towed.
 pub(crate) fn chains(hitches: &[(usize, usize)], num_agents: usize) -> Vec<u32> {
     if hitches.is_empty() {
         return Vec::new();
@@ -51,12 +51,6 @@ pub(crate) fn chains(hitches: &[(usize, usize)], num_agents: usize) -> Vec<u32> 
     chains
 }
 
-fn pose(scene: &Scene, a: usize, t: usize) -> Pose2 {
-    let at = scene.at(a, t);
-    let p = scene.tracks.position[at];
-    Pose2::new(p.x, p.y, scene.tracks.heading_rad[at])
-}
-
 /// Whether one vehicle tows another one in the log.
 fn are_hitched(scene: &Scene, leader: usize, towed: usize) -> bool {
     let common = || (0..scene.num_steps).filter(|t| scene.is_valid(leader, *t) && scene.is_valid(towed, *t));
@@ -64,7 +58,7 @@ fn are_hitched(scene: &Scene, leader: usize, towed: usize) -> bool {
     let ((length_a_m, width_a_m), (length_b_m, width_b_m)) = (size(leader), size(towed));
     let (own, other) = (Footprint::new(length_a_m, width_a_m), Footprint::new(length_b_m, width_b_m));
     let in_line = |t: usize| {
-        let (a, b) = (pose(scene, leader, t), pose(scene, towed, t));
+        let (a, b) = (scene.pose(leader, t), scene.pose(towed, t));
         let place = a.to_local(b.position);
         let height = |agent: usize| scene.tracks.elevation_m.get(scene.at(agent, t));
         let heights = height(leader).zip(height(towed));
@@ -78,11 +72,11 @@ fn are_hitched(scene: &Scene, leader: usize, towed: usize) -> bool {
     }
     let steps: Vec<usize> = common().filter(|t| in_line(*t)).collect();
     let moved = |a: usize| {
-        let from = pose(scene, a, first).position;
-        common().map(|t| (pose(scene, a, t).position - from).norm()).fold(0.0, Real::max)
+        let from = scene.pose(a, first).position;
+        common().map(|t| (scene.pose(a, t).position - from).norm()).fold(0.0, Real::max)
     };
     let distances =
-        || steps.iter().map(|t| (pose(scene, leader, *t).position - pose(scene, towed, *t).position).norm());
+        || steps.iter().map(|t| (scene.pose(leader, *t).position - scene.pose(towed, *t).position).norm());
     let play_m = distances().fold(0.0, Real::max) - distances().fold(Real::INFINITY, Real::min);
     let least = MOST * common().count() as Real;
     steps.len() as Real >= least.max(TOGETHER_S / scene.dt_s)
@@ -98,7 +92,7 @@ pub(crate) fn towed_pose(
     pose: &Pose2,
     own: &Footprint,
 ) -> Pose2 {
-    // the hitch: the middle of what the boxes share when they stand in line
+    // the hitch: the middle of what the boxes share when in line
     let reach_m = 0.5 * (leader.half_length_m - own.half_length_m + (pose.position - from.position).norm());
     let hitch = Point2::new(-reach_m, 0.0);
     let axle_m = 2.0 * AXLE * own.half_length_m;

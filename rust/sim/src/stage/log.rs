@@ -18,8 +18,6 @@ const GRADE_STEPS: usize = 100;
 pub(super) const STEEPEST: Real = 0.3;
 
 /// Logged states of A agents at T steps, each column [T, A].
-///
-/// Memory: 33 bytes for each agent and step, and 4 bytes more for agents whose positions along the route were asked for.
 #[derive(Debug)]
 pub(crate) struct Log {
     num_agents: usize,
@@ -40,10 +38,8 @@ impl Log {
         let mut states = AgentStates::new(num_agents * num_steps);
         for (step_idx, first) in (0..num_steps).map(|t| (t, t * num_agents)) {
             for a in (0..num_agents).filter(|a| scene.is_valid(*a, step_idx)) {
-                let at = scene.at(a, step_idx);
-                let p = scene.tracks.position[at];
-                let pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
-                states.set_pose(first + a, pose, scene.tracks.velocity[at]);
+                let velocity = scene.tracks.velocity[scene.at(a, step_idx)];
+                states.set_pose(first + a, scene.pose(a, step_idx), velocity);
                 states.active[first + a] = true;
             }
         }
@@ -84,8 +80,7 @@ impl Log {
     pub(crate) fn rates(&self, agent_idx: usize, step_idx: usize, dt_s: Real) -> (Real, Real) {
         let at = |t: usize| {
             let at = t * self.num_agents + agent_idx;
-            let is_logged = self.valid.get(at).is_some_and(|valid| *valid);
-            is_logged.then(|| (self.columns[SPEED][at], self.columns[HEADING][at]))
+            self.has(agent_idx, t).then(|| (self.columns[SPEED][at], self.columns[HEADING][at]))
         };
         let (before, here) = (step_idx.checked_sub(1).and_then(at), at(step_idx));
         let (from, to) = if before.is_some() { (before, here) } else { (here, at(step_idx + 1)) };
@@ -112,10 +107,10 @@ impl Log {
     /// Pose and velocity of an agent at a step; `None` where it is not logged.
     #[inline]
     pub(crate) fn at(&self, agent_idx: usize, step_idx: usize) -> Option<(Pose2, Vector2)> {
-        let at = step_idx * self.num_agents + agent_idx;
-        if !self.valid.get(at).is_some_and(|valid| *valid) {
+        if !self.has(agent_idx, step_idx) {
             return None;
         }
+        let at = step_idx * self.num_agents + agent_idx;
         let [x, y, heading_rad, cos, sin, _, vx, vy] = std::array::from_fn(|column| self.columns[column][at]);
         Some((Pose2 { position: [x, y].into(), heading_rad, cos, sin }, Vector2::new(vx, vy)))
     }
@@ -168,17 +163,8 @@ impl Log {
             take_rates(log[HEADING], &s.heading_rad, goes, dt_s, &mut s.yaw_rate_radps);
         }
         take_rates(log[SPEED], &s.speed_mps, goes, dt_s, &mut s.acceleration_mps2);
-        let columns = [
-            &mut *s.x,
-            &mut s.y,
-            &mut s.heading_rad,
-            &mut s.cos,
-            &mut s.sin,
-            &mut s.speed_mps,
-            &mut s.velocity_x_mps,
-            &mut s.velocity_y_mps,
-        ];
-        take(&log, goes, columns);
+        let [columns @ .., _, _] = s.columns_mut();
+        take(&log, goes, columns.map(Vec::as_mut_slice));
         if let Some(heights) = self.heights.get(here) {
             for ((to, from), goes) in s.heights.iter_mut().zip(heights).zip(&*goes) {
                 *to = if *goes == 0 { *to } else { *from };
@@ -220,9 +206,7 @@ pub fn apart_in_log(scene: &Scene, step_idx: usize, agents: &[usize]) -> Vec<boo
     }
     let mut states = AgentStates::new(scene.num_agents());
     for a in (0..scene.num_agents()).filter(|a| scene.is_valid(*a, step_idx)) {
-        let (p, heading_rad) = (scene.at(a, step_idx), scene.tracks.heading_rad[scene.at(a, step_idx)]);
-        let p = scene.tracks.position[p];
-        states.set_pose(a, Pose2::new(p.x, p.y, heading_rad), Vector2::zeros());
+        states.set_pose(a, scene.pose(a, step_idx), Vector2::zeros());
     }
     states.heights = (0..scene.num_agents()).map(|a| height(scene, a, step_idx)).collect();
     states.apart(agents)
@@ -272,53 +256,37 @@ mod tests {
     #[test]
     fn followers_are_where_the_tracks_say_and_change_as_these_do() {
         let scene = scene();
-        let (log, n) = (Log::new(&scene), scene.num_agents());
+        let (log, n, mut masks) = (Log::new(&scene), scene.num_agents(), Vec::new());
         let follow: Vec<bool> = (0..n).map(|a| a % 6 != 1).collect();
         let mut states = AgentStates::new(n);
-        for a in 0..n {
-            states.active[a] = true;
-            states.heading_rad[a] = scene.tracks.heading_rad[scene.at(a, 0)];
-        }
-        let mut masks = Vec::new();
+        states.active.fill(true);
+        states.heading_rad = (0..n).map(|a| scene.tracks.heading_rad[scene.at(a, 0)]).collect();
         for t in 0..scene.num_steps {
             let before = states.clone();
             log.follow(t, &follow, &mut states, &mut masks, DT_S);
             for a in 0..n {
-                let at = scene.at(a, t);
-                let logged = log.at(a, t);
-                assert_eq!(logged.is_some(), scene.tracks.valid[at]);
-                assert_eq!(log.position(a, t), logged.map(|(pose, _)| pose.position));
+                let (at, logged) = (scene.at(a, t), log.at(a, t));
+                let (valid, velocity) = (scene.tracks.valid[at], scene.tracks.velocity[at]);
+                let expected = valid.then(|| (scene.pose(a, t), velocity));
+                assert_eq!((logged, log.position(a, t)), (expected, expected.map(|(pose, _)| pose.position)));
                 if !follow[a] {
                     assert_eq!((states.x[a], states.speed_mps[a], states.active[a]), (0.0, 0.0, true));
                     continue;
                 }
-                assert_eq!(
-                    states.active[a],
-                    before.active[a] && scene.tracks.valid[at],
-                    "agent {a} step {t}"
-                );
-                if !scene.tracks.valid[at] {
-                    continue;
+                assert_eq!(states.active[a], before.active[a] && valid, "agent {a} step {t}");
+                if let Some((pose, velocity)) = expected {
+                    assert_eq!((pose, velocity), (states.pose(a), states.velocity(a)));
+                    let heading = f64::from(pose.heading_rad);
+                    let speed = f64::from(velocity.x) * heading.cos() + f64::from(velocity.y) * heading.sin();
+                    near(states.speed_mps[a], speed);
+                    near(states.acceleration_mps2[a] * DT_S, speed - f64::from(before.speed_mps[a]));
+                    let turn = heading - f64::from(before.heading_rad[a]);
+                    near(states.yaw_rate_radps[a] * DT_S, turn.sin().atan2(turn.cos()));
                 }
-                let (p, v) = (scene.tracks.position[at], scene.tracks.velocity[at]);
-                let heading = f64::from(scene.tracks.heading_rad[at]);
-                assert_eq!((states.x[a], states.y[a]), (p.x, p.y));
-                assert_eq!((states.velocity_x_mps[a], states.velocity_y_mps[a]), (v.x, v.y));
-                assert_eq!(states.heading_rad[a], scene.tracks.heading_rad[at]);
-                near(states.cos[a], heading.cos());
-                near(states.sin[a], heading.sin());
-                let speed = f64::from(v.x) * heading.cos() + f64::from(v.y) * heading.sin();
-                near(states.speed_mps[a], speed);
-                near(states.acceleration_mps2[a] * DT_S, speed - f64::from(before.speed_mps[a]));
-                let turn = heading - f64::from(before.heading_rad[a]);
-                near(states.yaw_rate_radps[a] * DT_S, turn.sin().atan2(turn.cos()));
-                let (pose, velocity) = logged.unwrap();
-                assert_eq!((pose, velocity), (states.pose(a), states.velocity(a)));
             }
         }
         // past the log's end
         log.follow(scene.num_steps, &follow, &mut states, &mut masks, DT_S);
-        assert!((0..n).all(|a| states.active[a] != follow[a]));
-        assert!(log.at(0, scene.num_steps).is_none());
+        assert!((0..n).all(|a| states.active[a] != follow[a]) && log.at(0, scene.num_steps).is_none());
     }
 }

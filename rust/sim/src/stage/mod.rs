@@ -1,4 +1,4 @@
-//! What worlds of a scene stand on: the scene made ready, its routes and log, and what agents did last.
+//! A scene prepared for simulation: its ground, routes and log; and past states of agents.
 
 mod centre_line;
 mod ground;

@@ -35,14 +35,14 @@ impl Deref for PreparedScene {
 impl Deref for Stage {
     type Target = Ground;
 
-    /// The ground as a whole, whatever level anybody is on.
+    /// The ground as a whole, of all levels.
     #[inline]
     fn deref(&self) -> &Ground {
         &self.grounds.whole
     }
 }
 
-/// What a scene is made ready with, whatever the sizes of its agents.
+/// What is derived from a scene, whatever the sizes of its agents.
 #[derive(Debug)]
 pub struct Stage {
     /// The scene itself.
@@ -50,9 +50,9 @@ pub struct Stage {
     /// Kinds of the agents.
     pub kinds: Vec<AgentKind>,
     grounds: Grounds,
-    /// Who is towed, and by whom, see [`hitches`].
+    /// Towed vehicles, each with the one that tows it, see [`hitches`].
     pub hitches: Vec<(usize, usize)>,
-    /// The chain of each agent; empty where nobody is towed.
+    /// The chain of each agent; empty where none is towed.
     pub(crate) chains: Vec<u32>,
     /// Route of each agent.
     pub routes: Vec<Route>,

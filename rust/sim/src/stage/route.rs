@@ -13,9 +13,9 @@ const MIN_STEP_M: Real = 0.5;
 /// How far a route goes on past the end of the log, metres.
 const EXTENSION_M: Real = 80.0;
 /// Lateral acceleration at which curves are taken, m/s².
-const CURVE_MPS2: Real = 3.0;
+pub(super) const CURVE_MPS2: Real = 3.0;
 /// Braking assumed ahead of a curve, m/s².
-const APPROACH_MPS2: Real = 2.0;
+pub(super) const APPROACH_MPS2: Real = 2.0;
 /// How far along the route an agent is looked for from where it was, metres: more where it moves far in a step.
 const REACH_M: Real = 8.0;
 /// A vehicle whose log never exceeds this speed is parked, m/s.
@@ -55,24 +55,17 @@ impl Route {
         let (mut logged_speed_mps, mut logged_reach_m): (Real, Real) = (0.0, 0.0);
         for t in steps {
             let at = scene.at(agent_idx, t);
-            let p = scene.tracks.position[at];
+            pose = scene.pose(agent_idx, t);
             logged_speed_mps = logged_speed_mps.max(scene.tracks.velocity[at].norm());
-            pose = Pose2::new(p.x, p.y, scene.tracks.heading_rad[at]);
-            let height = scene.tracks.elevation_m.get(at);
-            match points.last() {
-                None => {
-                    points.push(p);
-                    heights.extend(height);
-                }
-                Some(last) => {
-                    let step = p - last;
-                    logged_reach_m = logged_reach_m.max((p - points[0]).norm());
-                    // what is driven backwards is not part of the route
-                    if step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0 {
-                        points.push(p);
-                        heights.extend(height);
-                    }
-                }
+            logged_reach_m = points.first().map_or(0.0, |p| logged_reach_m.max((pose.position - p).norm()));
+            let goes_on = points.last().is_none_or(|last| {
+                let step = pose.position - last;
+                // what is driven backwards is not part of the route
+                step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0
+            });
+            if goes_on {
+                points.push(pose.position);
+                heights.extend(scene.tracks.elevation_m.get(at));
             }
         }
         let level = heights.last().and_then(|z| LaneIndex::on_level(&scene.map, Some(*z)));

@@ -1,12 +1,11 @@
-//! Who comes into a world after its start: late arrivals, and agents that the log has again after a gap.
+//! Agents that enter a world after its start: late arrivals, and agents that the log has again after a gap.
 //!
-//! An agent that follows its log is there whenever the log has it, also where its logged place overlaps others' there:
-//! such contacts are the log's. It waits only where its body would appear in somebody who is not where the log has it,
-//! which nobody could have foreseen: a driven ego, driven traffic, who was stopped by a contact. Who was lost from the log
-//! for no longer than loaders fill has not been away and waits for nobody. Agents that others drive enter once, by the same rule.
+//! An agent that follows its log is there whenever the log has it, also where logged boxes overlap. It waits only where
+//! its body would appear inside an agent that is not at its own logged place, such as a driven ego. After a gap no longer
+//! than loaders fill it does not wait. Agents with other drivers enter once, by the same rule.
 
+use crate::drivers::Driver;
 use crate::geom::Real;
-use crate::policy::Driver;
 use crate::scene::{AgentKind, LEVEL_M, LONGEST_GAP_S};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;
@@ -16,7 +15,7 @@ use crate::world::tow;
 /// Agents nearer to their logged place are at it, metres.
 const AT_LOG_M: Real = 0.01;
 
-/// Lets those in whom the log has at the present step and who may come. Contacts in which an agent appears are given.
+/// Lets in the agents that are logged at the present step and may enter. Contacts in which one appears are given.
 pub(super) fn let_in(e: &mut Episode, scene: &PreparedScene, config: &WorldConfig) {
     for a in 0..e.states.len() {
         if e.states.active[a] || !scene.log.has(a, e.step_idx) {
@@ -59,7 +58,7 @@ fn overlaps(e: &Episode, scene: &PreparedScene, a: usize, j: usize) -> bool {
         && scene.footprints[a].at(&pose).overlaps(&e.states.oriented_box(j, &scene.footprints[j]))
 }
 
-/// Whether nobody is at the logged place of an agent who is not there by the log.
+/// Whether the logged place of an agent is free of agents that are not there by the log.
 fn place_is_free(e: &Episode, scene: &PreparedScene, a: usize) -> bool {
     let by_log = |j: usize| {
         let logged = scene.log.position(j, e.step_idx);

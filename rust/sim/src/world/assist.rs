@@ -1,10 +1,10 @@
 //! From the action of assisted driving to that of the unicycle: IDM or PDM-Closed, and their ways come in here.
 
-use crate::dynamics::{Action, AssistedBase, AssistedLimits, BesideRoute};
+use crate::drivers::{WorldView, idm_acceleration};
+use crate::dynamics::{Action, AssistedBase, AssistedLimits, yaw_rate};
 use crate::events::limits::ACCELERATION_MPS2;
 use crate::geom::{Real, math};
 use crate::pdm::{Scene, plan};
-use crate::policy::{WorldView, idm_acceleration};
 
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;
@@ -21,9 +21,7 @@ pub(crate) fn assisted_action(
         return [-states.speed_mps[agent_idx] / view.dt_s, 0.0, 0.0];
     }
     let (base, yaw_rate) = match limits.base {
-        AssistedBase::Idm => {
-            (idm_acceleration(view, agent_idx), beside_route(limits, view, agent_idx, command[1]))
-        }
+        AssistedBase::Idm => (idm_acceleration(view, agent_idx), beside_route(view, agent_idx, command[1])),
         AssistedBase::Pdm => {
             let scene = Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps);
             let plan = plan(&scene);
@@ -43,7 +41,7 @@ fn held(limits: &AssistedLimits, base_mps2: Real, before_mps2: Real, dt_s: Real)
 }
 
 /// Yaw rate that leads to a distance from the route.
-fn beside_route(limits: &AssistedLimits, view: &WorldView<'_>, agent_idx: usize, offset_m: Real) -> Real {
+fn beside_route(view: &WorldView<'_>, agent_idx: usize, offset_m: Real) -> Real {
     let (pose, speed) = (view.states.pose(agent_idx), view.states.speed_mps[agent_idx]);
     let (path, s_m) = (&view.scene.routes[agent_idx].path, view.route_s_m[agent_idx]);
     let at = path.at(s_m);
@@ -53,10 +51,6 @@ fn beside_route(limits: &AssistedLimits, view: &WorldView<'_>, agent_idx: usize,
         behind.cos * ahead.sin - behind.sin * ahead.cos,
         behind.cos * ahead.cos + behind.sin * ahead.sin,
     );
-    let beside = BesideRoute {
-        distance_m: d.y * at.cos - d.x * at.sin,
-        sin: pose.sin * at.cos - pose.cos * at.sin,
-        curvature_1pm: turn / (2.0 * CURVATURE_REACH_M),
-    };
-    limits.yaw_rate(&beside, offset_m, speed)
+    let (distance_m, error_sin) = (d.y * at.cos - d.x * at.sin, pose.sin * at.cos - pose.cos * at.sin);
+    yaw_rate(distance_m - offset_m, error_sin, turn / (2.0 * CURVATURE_REACH_M), speed)
 }

@@ -1,9 +1,9 @@
 //! What a choice of adversaries is made from: a row for each vehicle that may become one, nearest to the ego first.
 
 use crate::causal::measures::{TTC_CAP_S, normalised_ttc};
+use crate::drivers::{Driver, PlanRecord, WorldView};
 use crate::error::Result;
 use crate::geom::{Point2, Real, Vector2, math};
-use crate::policy::{Driver, PlanRecord, WorldView};
 use crate::scene::AgentKind;
 use crate::world::VecWorld;
 use std::array::from_fn;
@@ -60,9 +60,9 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// The vehicles that `may_be_chosen` among those that are there and move, at most `num_rows` of them; nobody, and zeros, without an ego.
+    /// At most `num_rows` vehicles that `may_be_chosen` among those that are there and move; none without an ego.
     ///
-    /// `plan` is the latest plan of who drives them.
+    /// `plan` is the latest plan of their driver.
     pub fn new(
         world: &WorldView<'_>,
         plan: Option<&PlanRecord>,
@@ -103,10 +103,10 @@ impl VecWorld {
     /// # Errors
     /// As [`VecWorld::status`].
     pub fn candidates(&self, world_idx: usize, num_rows: usize) -> Result<Candidates> {
-        let (world, planners) = (self.begun(world_idx)?, &self.policies.planners);
+        let (world, planners) = (self.begun(world_idx)?, &self.drivers.planners);
         let plan = planners.first().and_then(|p| world.episode.plans[usize::from(*p)].as_ref());
         let plans = |a: usize| match world.episode.drivers[a] {
-            Driver::Policy(p) => planners.contains(&p) && !world.episode.has_slot(a),
+            Driver::Model(p) => planners.contains(&p) && !world.episode.has_slot(a),
             Driver::External | Driver::Towed => false,
         };
         Ok(Candidates::new(&world.view(&self.config), plan.map(|p| &p.record), plans, num_rows))

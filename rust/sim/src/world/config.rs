@@ -1,13 +1,13 @@
 //! Everything that can be chosen about a world, checked once.
 
 use crate::choices;
+use crate::drivers::IdmConfig;
 use crate::dynamics::{ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
 use crate::options::{POSITIVE_MOTION, Table, WEIGHT, within};
-use crate::policy::IdmConfig;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::world::differences::{self, Randomization};
 use crate::world::reward_columns::RewardConfig;
@@ -15,7 +15,7 @@ use crate::world::traffic::{EXTERNAL, Traffic};
 use std::collections::BTreeMap;
 
 choices! {
-    /// Agents with a slot: they are observed, rewarded and, by default, driven from outside.
+    /// Agents with a slot: they are observed, rewarded and, by default, controlled by actions.
     #[derive(Clone, Eq)]
     pub enum Controlled {
         /// The ego.
@@ -158,11 +158,11 @@ options! {
     pub struct WorldConfig {
         /// Step; must equal the scenes' own.
         dt_s: Real = 0.1, unit "s", range within(0.0, 1.0).open_below();
-        /// Logged steps before the first free one; episodes start at this step of the log. Drivers that look back farther
-        /// are told that the states before were not there.
+        /// Logged steps before the first free one; episodes start at this step of the log. Drivers that use more
+        /// history see the earlier states as missing.
         history_steps: usize = 30, range within(0.0, 10_000.0);
-        /// Episodes start up to this many steps later, sampled for each episode. Egos that are
-        /// drawn start anywhere by default.
+        /// Episodes start up to this many steps later, sampled for each episode. Sampled egos start anywhere by
+        /// default.
         start_spread_steps: usize = 0, range within(0.0, 10_000.0);
         /// Steps of an episode at most.
         horizon_steps: usize = 100, range within(1.0, 100_000.0);
@@ -175,17 +175,17 @@ options! {
         num_slots: usize = 1, range within(1.0, 512.0);
         /// Which vehicles get the slots of `controlled="vehicles"`, behind the ego.
         ranking: VehicleRanking = VehicleRanking::First;
-        /// Who drives the agents that have a slot: `"external"` (actions), or a driver by name.
+        /// Driver of the agents with a slot: `"external"` (actions), or a name.
         driver: String = EXTERNAL.into();
         /// Who drives the other vehicles: a driver by name, or shares by name that sum to 1, drawn for each vehicle and
-        /// episode from the world's seed. Cyclists, motorcycles and obstacles follow the log. A `PythonTraffic`
-        /// stands for itself.
+        /// episode from the world's seed. Cyclists, motorcycles and obstacles follow the log. A `PythonTraffic` is also
+        /// accepted.
         traffic: Traffic = "replay".into();
         /// Who moves pedestrians.
         pedestrians: Pedestrians = Pedestrians::Replay;
-        /// Drivers of single vehicles by id, whatever `driver` and `traffic` say.
+        /// Drivers of single vehicles by id, in place of `driver` and `traffic`.
         drivers: BTreeMap<String, String> = BTreeMap::new();
-        /// Whether agents that the log brings later enter. Their bodies never appear in driven agents.
+        /// Whether agents that appear later in the log enter. They never appear inside driven agents.
         late_arrivals: bool = true;
         /// Whether background agents leave at the end of their log; else they drive on.
         vanish_with_log: bool = false;
@@ -199,14 +199,14 @@ options! {
         on_off_road: Consequence = Consequence::Terminate;
         /// Whether an agent's episode ends at its goal, the logged position at the episode's last step; else it drives on.
         terminate_at_goal: bool = true;
-        /// Agents with a slot that play against the others, ids by the name of the scene. The reward of an adversary is minus
-        /// the mean reward of the others; once only adversaries are left, their episodes are cut off.
+        /// Agents with a slot that play against the others, ids by the name of the scene. The reward of an adversary is
+        /// minus the mean reward of the others; once only adversaries are left, their episodes are truncated.
         adversaries: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        /// Slots behind the first one that hold adversaries, too.
+        /// Slots after the first one that also hold adversaries.
         num_adversaries: usize = 0, range within(0.0, 511.0);
-        /// Share of the rewards for its own road departures and discomfort that an adversary gets besides.
+        /// Share of the rewards for its own road departures and discomfort that an adversary also gets.
         adversary_shaping: Real = 0.0, range WEIGHT;
-        /// Share of the way to the goal that makes an episode without accident a success.
+        /// Share of the route to the goal that makes an episode without accident a success.
         success_completion: Real = 0.95, range within(0.0, 1.0);
         /// Speed limit where the map has none.
         speed_limit_mps: Real = 15.0, unit "m/s", range POSITIVE_MOTION;
@@ -219,7 +219,7 @@ options! {
         /// Lowest and highest factors of weights of the reward by name, drawn for each episode or set by a reset, and
         /// observed as `style`.
         style: BTreeMap<String, [Real; 2]> = BTreeMap::new(), range within(0.0, 1e6);
-        /// Hidden differences.
+        /// Unobserved changes of the dynamics.
         randomization: Randomization = Randomization::default();
         /// Options of the driver `"idm"`.
         idm: IdmConfig = IdmConfig::default();
@@ -274,23 +274,20 @@ impl WorldConfig {
     }
 
     fn check_together(&self) -> Result<()> {
-        check(
-            !matches!(self.controlled, Controlled::Ego | Controlled::Any) || self.num_slots == 1,
-            "num_slots",
-            self.num_slots,
-            "1 when only the ego is controlled",
-        )?;
-        if let Controlled::Ids(ids) = &self.controlled {
-            let expected = "as many slots as there are ids, ids not empty";
-            check(!ids.is_empty() && ids.len() == self.num_slots, "num_slots", self.num_slots, expected)?;
-        }
-        if let Controlled::PerScene(scenes) = &self.controlled {
-            let longest = scenes.values().map(Vec::len).max().unwrap_or(0);
-            let expected = "at least as many slots as any scene has ids";
-            check(longest <= self.num_slots, "num_slots", self.num_slots, expected)?;
-        }
+        let slots = self.num_slots;
+        let (fits, expected) = match &self.controlled {
+            Controlled::Ego | Controlled::Any => (slots == 1, "1 when only the ego is controlled"),
+            Controlled::Ids(ids) => {
+                (!ids.is_empty() && ids.len() == slots, "as many slots as there are ids, ids not empty")
+            }
+            Controlled::PerScene(scenes) => {
+                (scenes.values().all(|ids| ids.len() <= slots), "at least as many slots as any scene has ids")
+            }
+            Controlled::Vehicles => (true, ""),
+        };
+        check(fits, "num_slots", slots, expected)?;
         let external = self.traffic.shares().iter().any(|(name, _)| *name == EXTERNAL);
-        check(!external, "traffic", EXTERNAL, "a background policy")?;
+        check(!external, "traffic", EXTERNAL, "a driver of traffic")?;
         if let Traffic::Mix(shares) = &self.traffic {
             let sum: Real = shares.values().sum();
             let good = shares.values().all(|s| *s >= 0.0) && (sum - 1.0).abs() < 1e-3;
@@ -313,9 +310,9 @@ impl WorldConfig {
         Ok(())
     }
 
-    /// Whether somebody drives under a name from the start of an episode.
-    pub fn names(&self, policy: &str) -> bool {
-        let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == policy);
-        in_traffic || self.driver == policy || self.drivers.values().any(|name| name == policy)
+    /// Whether agents may have a driver of this name from the start of an episode.
+    pub fn names(&self, driver: &str) -> bool {
+        let in_traffic = self.traffic.shares().iter().any(|(name, _)| *name == driver);
+        in_traffic || self.driver == driver || self.drivers.values().any(|name| name == driver)
     }
 }

@@ -1,8 +1,8 @@
-//! Phase "decide" of a tick: the physical actions of the agents driven from outside, and what policies do with theirs.
+//! Phase "decide" of a tick: the physical actions of the agents driven from outside, and what drivers do with theirs.
 
+use crate::drivers::Driver;
 use crate::dynamics::Dynamics;
 use crate::geom::Real;
-use crate::policy::Driver;
 use crate::scene::AgentKind;
 use crate::world::assist;
 use crate::world::tick::{Shared, World};
@@ -36,11 +36,11 @@ impl World {
             *action = slot.drawn.times_gains(*action);
         }
         for a in (0..view.states.len()).filter(|a| !self.scratch.follow_log[*a]) {
-            let Driver::Policy(policy_idx) = view.drivers[a] else { continue };
+            let Driver::Model(driver_idx) = view.drivers[a] else { continue };
             // obstacles do not move
             if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {
-                let plan = self.episode.plans[usize::from(policy_idx)].as_ref();
-                motions.push((a as u32, shared.policies.get(policy_idx).act(&view, plan, a)));
+                let plan = self.episode.plans[usize::from(driver_idx)].as_ref();
+                motions.push((a as u32, shared.drivers.get(driver_idx).act(&view, plan, a)));
             }
         }
         (self.scratch.motions, self.scratch.actions) = (motions, own);

@@ -1,8 +1,8 @@
 //! Phase "events" of a tick: contacts of the agents with slots, and where these are beside road, route and lane.
 
+use crate::drivers::Driver;
 use crate::events::Contact;
 use crate::geom::Real;
-use crate::policy::Driver;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
 use crate::world::surroundings::{leave_road, place_on_route, straddles_lanes};
@@ -24,8 +24,7 @@ impl World {
         }
     }
 
-    /// The first contact of each slot in the step that is no initial one, described where it begins, and whether it leaves
-    /// the road before the step ends; initial contacts are forgotten when the two have parted.
+    /// Finds the first new contact of each slot in the step and departures from the road between its ends.
     fn look_between(&mut self, at_start: bool, dt_s: Real) {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();

@@ -19,17 +19,17 @@ const SHARE: Range = within(0.0, 0.9);
 const FACTORS: [&str; 4] = ["comfort", "speed_limit", "lane_keeping", "jerk"];
 
 options! {
-    /// Hidden differences, drawn for each agent with a slot and episode.
+    /// Unobserved changes of the dynamics, drawn for each agent with a slot and episode.
     #[derive(Clone, Copy)]
     #[serde(deny_unknown_fields, default)]
     pub struct Randomization {
-        /// Accelerations of actions are times 1 ± up to this.
+        /// Accelerations are scaled by up to 1 ± this.
         acceleration_gain: Real = 0.0, range SHARE;
-        /// The same of yaw rates or wheel angles.
+        /// The same for yaw rates or wheel angles.
         yaw_gain: Real = 0.0, range SHARE;
-        /// Actions take effect up to so many steps late, zeros before.
+        /// Actions take effect up to this many steps late; until then the action is zero.
         delay_steps: usize = 0, range within(0.0, 100.0);
-        /// Length and width are times 1 ± up to this.
+        /// Length and width are scaled by up to 1 ± this.
         size: Real = 0.0, range SHARE;
         /// Standard deviation of noise on numbers with a unit in observations, by their scales.
         noise: Real = 0.0, range within(0.0, 10.0);

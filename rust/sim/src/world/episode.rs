@@ -1,18 +1,18 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
+use crate::drivers::{Driver, PlanOverride, PlanState};
 use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
 use crate::observe::RoutePlace;
 use crate::options::CRITICALITY;
-use crate::policy::{Driver, PlanOverride, PlanState};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
 use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Height};
 use crate::world::config::{Controlled, VehicleRanking, WorldConfig};
 use crate::world::differences::Drawn;
+use crate::world::driver_table::DriverTable;
 use crate::world::episode_statistics::{EpisodeStatistics, Metrics};
-use crate::world::policies::Policies;
 use crate::world::progress::Progress;
 use crate::world::ranked::ranked_vehicles;
 use crate::world::rng::Rng;
@@ -72,7 +72,7 @@ pub(crate) struct Episode {
     pub(crate) scene_idx: usize,
     /// Scene of the next episode in sequential order.
     pub(crate) next_scene_idx: usize,
-    /// Step of the log that the states stand at.
+    /// Step of the log that belongs to the states.
     pub(crate) step_idx: usize,
     pub(crate) elapsed_steps: usize,
     pub(crate) states: AgentStates,
@@ -88,7 +88,7 @@ pub(crate) struct Episode {
     pub(crate) halted: Vec<bool>,
     pub(crate) slots: Vec<Slot>,
     pub(crate) history: Option<History>,
-    /// The plan of each policy of the batch's table.
+    /// The plan of each driver of the batch's table.
     pub(crate) plans: Vec<Option<PlanState>>,
     /// What is asked of these plans.
     pub(crate) plan_override: PlanOverride,
@@ -110,7 +110,7 @@ impl Episode {
         scene: &PreparedScene,
         scene_idx: usize,
         config: &WorldConfig,
-        policies: &Policies,
+        drivers: &DriverTable,
         wanted: &Wanted,
     ) {
         let log = &scene.scene;
@@ -134,8 +134,8 @@ impl Episode {
         self.drivers.clear();
         let (seed, number) = (self.seed, self.number);
         self.drivers.extend(scene.kinds.iter().enumerate().map(|(a, kind)| match kind {
-            AgentKind::Vehicle => policies.of_vehicle(seed, number, a),
-            AgentKind::Pedestrian => policies.pedestrians,
+            AgentKind::Vehicle => drivers.of_vehicle(seed, number, a),
+            AgentKind::Pedestrian => drivers.pedestrians,
             _ => Driver::REPLAY,
         }));
         for a in 0..num_agents {
@@ -143,8 +143,8 @@ impl Episode {
                 self.enter(scene, a, config.dt_s);
             }
         }
-        self.fill_slots(scene, config, policies.slots, start.ego, &wanted.style);
-        for (id, driver) in &policies.by_id {
+        self.fill_slots(scene, config, drivers.slots, start.ego, &wanted.style);
+        for (id, driver) in &drivers.by_id {
             let agent = log.agent_index(id).filter(|a| scene.kinds[*a] == AgentKind::Vehicle);
             // actions reach agents with a slot only
             let takes = |a: &usize| *driver != Driver::External || self.has_slot(*a);
@@ -154,10 +154,10 @@ impl Episode {
         }
         self.states.chain.clone_from(&scene.chains);
         self.initial_contacts.clear();
-        let len = policies.history_states;
+        let len = drivers.history_states;
         self.history = (len > 0).then(|| History::from_log(log, self.step_idx, len));
         self.plans.clear();
-        self.plans.resize(policies.len(), None);
+        self.plans.resize(drivers.len(), None);
         self.plan_override = PlanOverride::default();
     }
 
@@ -295,7 +295,7 @@ impl Episode {
     }
 
     /// Whether lengths, indices and numbers are such that a world of this batch can go on from here.
-    pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize, policies: &Policies) -> bool {
+    pub(crate) fn fits(&self, scene: &PreparedScene, num_slots: usize, drivers: &DriverTable) -> bool {
         if !self.begun() {
             let (rng, seed, next_scene_idx) = (self.rng, self.seed, self.next_scene_idx);
             return *self == Self { rng, seed, next_scene_idx, ..Self::default() };
@@ -326,15 +326,15 @@ impl Episode {
             && s.heights.iter().all(|h| is_sound(h.elevation_m) && is_sound(h.grade))
             && s.chain == scene.chains
             && self.drivers.len() == n
-            && self.drivers.iter().all(|d| policies.has(*d))
+            && self.drivers.iter().all(|d| drivers.has(*d))
             && self.entered.len() == n
             && self.halted.len() == n
             && self.slots.len() == num_slots
             && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range) && slot.is_sound())
             && contacts.into_iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
-            && self.history.as_ref().map_or(0, History::len) == policies.history_states
+            && self.history.as_ref().map_or(0, History::len) == drivers.history_states
             && self.history.as_ref().is_none_or(|h| h.fits(n))
-            && self.plans.len() == policies.len()
+            && self.plans.len() == drivers.len()
             && self.plans.iter().flatten().all(|p| p.fits(n) && p.record.made_at <= self.elapsed_steps)
             && self.plan_override.guided.iter().flatten().all(|a| in_range(*a))
             && self.plan_override.criticality.is_none_or(|level| CRITICALITY.holds(f64::from(level)))

@@ -123,20 +123,3 @@ impl EpisodeStatistics {
         metrics
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_agree_with_those_of_the_columns() {
-        let name = |column: Col| COLUMNS[column as usize].name;
-        let names: Vec<_> = METRICS.iter().map(|m| m.name).collect();
-        assert_eq!(names[2..7], EVER.map(name));
-        assert_eq!(names[7..10], LAST.map(name));
-        let components: Vec<_> = COLUMNS.iter().map(|c| c.name).take(NUM_COMPONENTS).collect();
-        assert!(components.iter().all(|c| c.starts_with("reward_")));
-        assert_eq!(names[13..], components);
-        assert_eq!(NUM_METRICS, 2 + EVER.len() + LAST.len() + 1 + MEAN.len() + NUM_COMPONENTS);
-    }
-}

@@ -1,4 +1,4 @@
-//! Who runs the worlds of a batch: the calling thread, or a pool that halves the batch. Worlds in the same scene follow
+//! Runs the worlds of a batch on the calling thread or on a pool that halves the batch. Worlds in the same scene follow
 //! each other, so that what they share is still in the cache.
 
 use crate::geom::Real;

@@ -1,8 +1,8 @@
 //! Background agents that touch stop where they touch, and stay there.
 
+use crate::drivers::Driver;
 use crate::events::Collisions;
 use crate::geom::{Pose2, Real};
-use crate::policy::Driver;
 use crate::scene::AgentKind;
 use crate::stage::PreparedScene;
 use crate::world::episode::Episode;
@@ -11,7 +11,7 @@ use crate::world::sweep::{parts, pose_between, states_between};
 /// Halvings in the search for the moment of contact: 1/32 of a step, 5 cm at 16 m/s.
 const HALVINGS: usize = 5;
 
-/// Whether a vehicle without a slot is driven by another policy than its log.
+/// Whether a vehicle without a slot has another driver than its log.
 fn is_driven(e: &Episode, a: usize) -> bool {
     !matches!(e.drivers[a], Driver::External | Driver::REPLAY) && !e.has_slot(a)
 }
@@ -27,7 +27,7 @@ pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Col
     }
 }
 
-/// Puts agents in new contacts with driven vehicles back to the moment of contact; they stand from the next step on.
+/// Puts agents in new contacts with driven vehicles back to the moment of contact; they are halted from the next step on.
 pub(super) fn halt(
     e: &mut Episode,
     scene: &PreparedScene,
@@ -61,7 +61,7 @@ pub(super) fn halt(
     }
 }
 
-/// Stops an agent, and whoever is hitched to it, at a share of their way.
+/// Stops an agent and all hitched to it at a share of their way.
 fn stop(e: &mut Episode, scene: &PreparedScene, a: usize, before: &[Pose2], share: Real) {
     for b in 0..e.states.len() {
         if (b == a || e.states.hitched(a, b)) && may_stop(e, scene, b) {

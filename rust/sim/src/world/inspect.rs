@@ -1,13 +1,13 @@
 //! What can be asked of a running batch of worlds.
 
 use super::{ActionDecoder, Extent, Metrics, Slot, VecWorld, WorldConfig};
+use crate::drivers::{Driver, PlanOverride, PlanRecord, WorldView};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError, check_length};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
 use crate::observe::Layout;
 use crate::options::{self, CRITICALITY};
-use crate::policy::{Driver, PlanOverride, PlanRecord, WorldView};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
@@ -18,7 +18,7 @@ use serde_json::Value;
 use std::ops::Deref;
 use std::sync::Arc;
 
-/// The present of a running world: what a policy sees of it, and its slots.
+/// The present of a running world: what a driver sees of it, and its slots.
 #[derive(Clone, Copy)]
 pub struct WorldStatus<'a> {
     /// Seed that the world's generator was last started from.
@@ -52,13 +52,13 @@ impl VecWorld {
     /// driver that this batch has not, and for actions from outside where the vehicle has no slot.
     pub fn assign(&mut self, world_idx: usize, agents: &[usize], driver: &str) -> Result<()> {
         let world = self.begun(world_idx)?;
-        let driver = self.policies.driver("driver", driver)?;
+        let driver = self.drivers.driver("driver", driver)?;
         let kinds = &world.scene.kinds;
         if let Some(agent) = agents.iter().find(|a| kinds.get(**a) != Some(&AgentKind::Vehicle)) {
             return Err(SimError::unknown("agent", agent, "the index of a vehicle"));
         }
         if driver == Driver::External && !agents.iter().all(|a| world.episode.has_slot(*a)) {
-            let expected = "a policy: actions from outside reach agents with a slot only";
+            let expected = "a driver of this batch: actions from outside reach agents with a slot only";
             return Err(SimError::config("driver", "external", expected));
         }
         let drivers = &mut self.worlds[world_idx].episode.drivers;
@@ -68,10 +68,10 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Says what is asked of a world's next plans to the policies that plan.
+    /// Says what is asked of a world's next plans to the drivers that plan.
     ///
     /// # Errors
-    /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch without a policy that plans;
+    /// [`SimError::Unknown`] for a world or agent that does not exist, or a batch without a driver that plans;
     /// [`SimError::Config`] for a criticality out of its range.
     pub fn override_plan(&mut self, world_idx: usize, wanted: PlanOverride) -> Result<()> {
         let num_agents = self.begun(world_idx)?.scene.scene.num_agents();
@@ -86,48 +86,48 @@ impl VecWorld {
         Ok(())
     }
 
-    /// The plan of a policy that a world follows, of the first policy that plans if none is named; `None` before the
+    /// The plan of a driver that a world follows, of the first driver that plans if none is named; `None` before the
     /// first plan of an episode.
     ///
     /// # Errors
-    /// [`SimError::Unknown`] for a world that does not exist, and where no such policy plans.
-    pub fn explain(&self, world_idx: usize, policy: Option<&str>) -> Result<Option<&PlanRecord>> {
+    /// [`SimError::Unknown`] for a world that does not exist, and where no such driver plans.
+    pub fn explain(&self, world_idx: usize, driver: Option<&str>) -> Result<Option<&PlanRecord>> {
         let plans = &self.world(world_idx)?.episode.plans;
-        let planner = self.planner(policy)?;
+        let planner = self.planner(driver)?;
         Ok(plans.get(usize::from(planner)).and_then(|p| p.as_ref()).map(|p| &p.record))
     }
 
-    /// Place in the table of the policy of a name that plans, or of the first one.
-    fn planner(&self, policy: Option<&str>) -> Result<u16> {
-        let planners = &self.policies.planners;
-        let is_it = |i: &&u16| policy.is_none_or(|name| self.policies.name_of(Driver::Policy(**i)) == name);
+    /// Place in the table of the driver of a name that plans, or of the first one.
+    fn planner(&self, driver: Option<&str>) -> Result<u16> {
+        let planners = &self.drivers.planners;
+        let is_it = |i: &&u16| driver.is_none_or(|name| self.drivers.name_of(Driver::Model(**i)) == name);
         planners.iter().find(is_it).copied().ok_or_else(|| {
             let names: Vec<&str> = self.planner_names().collect();
-            let got = policy.map_or_else(|| "that plans".into(), |name| format!("{name:?}"));
+            let got = driver.map_or_else(|| "that plans".into(), |name| format!("{name:?}"));
             let expected = match names[..] {
                 [] => "a batch with a driver that plans".to_owned(),
                 _ => format!("one that plans: {}", names.join(", ")),
             };
-            SimError::unknown("policy", got, expected)
+            SimError::unknown("driver", got, expected)
         })
     }
 
-    /// Names of the policies that plan.
+    /// Names of the drivers that plan.
     pub fn planner_names(&self) -> impl Iterator<Item = &str> {
-        self.policies.planners.iter().map(|i| self.policies.name_of(Driver::Policy(*i)))
+        self.drivers.planners.iter().map(|i| self.drivers.name_of(Driver::Model(*i)))
     }
 
-    /// Names of the policies, in the order of the table, each with its kind.
-    pub fn policies(&self) -> impl Iterator<Item = (&str, &str)> {
-        (0..self.policies.len() as u16).map(|i| self.driver_name(Driver::Policy(i)))
+    /// Names of the drivers, in the order of the table, each with its kind.
+    pub fn driver_table(&self) -> impl Iterator<Item = (&str, &str)> {
+        (0..self.drivers.len() as u16).map(|i| self.driver_name(Driver::Model(i)))
     }
 
-    /// Name of a driver, and the kind of policy that it is.
+    /// Name of a driver, and its kind.
     pub fn driver_name(&self, driver: Driver) -> (&str, &str) {
-        let name = self.policies.name_of(driver);
+        let name = self.drivers.name_of(driver);
         match driver {
             Driver::External | Driver::Towed => (name, name),
-            Driver::Policy(i) => (name, self.policies.get(i).name()),
+            Driver::Model(i) => (name, self.drivers.get(i).name()),
         }
     }
 
@@ -188,7 +188,7 @@ impl VecWorld {
         let config = WorldConfig { decision_steps: 1, ..self.config.clone() };
         let mut changed = options::to_value(&config);
         options::without_defaults(&WorldConfig::TABLE, &mut changed);
-        changed["names of drivers"] = self.policies.names().collect();
+        changed["names of drivers"] = self.drivers.names().collect();
         changed
     }
 
@@ -253,7 +253,7 @@ impl VecWorld {
         self.begun(world_idx)?;
         let extent = self.extent();
         check_length("obs", obs.len(), extent.slots * extent.row)?;
-        check_length("bev", bev.len(), extent.slots * self.layout.raster_size())?;
+        check_length("bev", bev.len(), extent.slots * extent.raster.iter().product::<usize>())?;
         let now = self.worlds[world_idx].episode.elapsed_steps;
         self.worlds[world_idx].observe(&self.config, extent, now, obs, bev);
         Ok(())

@@ -4,7 +4,7 @@ use crate::geom::{Point2, Polyline, Pose2, Real};
 use crate::scene::{LaneHit, follow};
 use crate::stage::PreparedScene;
 
-/// The lane that somebody is on, and the way along it.
+/// The lane that a vehicle is on, and the way along it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LaneAhead {
     /// The lane, and where its nearest point is.

@@ -1,6 +1,6 @@
 //! Many worlds stepped as one batch.
 //!
-//! A tick runs these phases: policies plan for all worlds at once; then, world by world and in parallel
+//! A tick runs these phases: drivers plan for all worlds at once; then, world by world and in parallel
 //! over worlds, actions are decoded and background motions decided, agents move, enter and leave, contacts and road
 //! departures are found, rewards and endings follow, ended worlds are reset as the autoreset mode says, and, after the
 //! last tick for which the actions are held, observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
@@ -15,6 +15,7 @@ mod config;
 mod decide;
 mod detect;
 mod differences;
+mod driver_table;
 mod episode;
 mod episode_statistics;
 mod executor;
@@ -22,7 +23,6 @@ mod halt;
 mod inspect;
 mod map_queries;
 mod motion;
-mod policies;
 mod progress;
 mod ranked;
 mod reward;
@@ -64,14 +64,14 @@ pub use start::{LEAST_WAY_M, Wanted};
 pub(crate) use surroundings::place_on_route;
 pub use traffic::{EXTERNAL, Traffic};
 
+use crate::drivers::{Driver, DriverModel, PlanRequest};
 use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
 use crate::observe::{Layout, Observer};
-use crate::policy::{Driver, PlanRequest, TrafficPolicy};
 use crate::scene::Scene;
+use driver_table::DriverTable;
 use episode::{Episode, Phase};
 use executor::{Part, run};
-use policies::Policies;
 use scenes::{Scenes, check_scene};
 use std::ops::Range;
 use std::sync::Arc;
@@ -108,7 +108,7 @@ pub struct VecWorld {
     layout: Layout,
     decoder: ActionDecoder,
     scenes: Scenes,
-    policies: Policies,
+    drivers: DriverTable,
     worlds: Vec<World>,
     /// Indices of the worlds as they are gone through, see [`executor`].
     order: Vec<u32>,
@@ -116,7 +116,7 @@ pub struct VecWorld {
 }
 
 impl VecWorld {
-    /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `policies` are drivers beside `replay`,
+    /// Worlds that play `scenes`; none is running before [`VecWorld::reset`]. `drivers` are those beside `replay`,
     /// `constant_velocity` and `idm`, by names of their own. `num_threads` 1 never leaves the calling thread.
     ///
     /// # Errors
@@ -128,7 +128,7 @@ impl VecWorld {
         config: WorldConfig,
         num_worlds: usize,
         num_threads: usize,
-        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
+        drivers: Vec<(String, Box<dyn DriverModel>)>,
     ) -> Result<Self> {
         config.validate()?;
         if !(1..=MOST_WORLDS).contains(&num_worlds) {
@@ -143,7 +143,7 @@ impl VecWorld {
         for scene in &scenes {
             check_scene(scene, &config)?;
         }
-        let policies = Policies::new(&config, &scenes, policies)?;
+        let drivers = DriverTable::new(&config, &scenes, drivers)?;
         let ranges = differences::styled(&config.style).map(|i| (COMPONENTS[i], config.style[COMPONENTS[i]]));
         let layout = Layout::new(&config.observation)?.with_style(ranges);
         let row_bytes =
@@ -169,7 +169,7 @@ impl VecWorld {
         };
         let decoder = ActionDecoder::new(&config.action);
         let order = (0..num_worlds as u32).collect();
-        Ok(Self { config, layout, decoder, scenes, policies, worlds, order, pool })
+        Ok(Self { config, layout, decoder, scenes, drivers, worlds, order, pool })
     }
 
     /// Draws the scenes of episodes that begin later by weights [S], in proportion; all alike without. A world's
@@ -223,7 +223,7 @@ impl VecWorld {
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
-            policies: &self.policies,
+            drivers: &self.drivers,
             extent: self.extent(),
         };
         let scenes = &self.scenes;
@@ -257,12 +257,12 @@ impl VecWorld {
     /// happened in.
     ///
     /// Without `active` [E] all worlds go on. A world that rests stays bit for bit as it is, may be one that has ended or
-    /// was never reset, and no policy plans for it; its observations in the buffers are not touched, the rest
+    /// was never reset, and no driver plans for it; its observations in the buffers are not touched, the rest
     /// is that of a step in which nothing happened.
     ///
     /// # Errors
     /// [`SimError::Length`], [`SimError::Action`] and [`SimError::ResetNeeded`] before anything changes;
-    /// [`SimError::Policy`] before the step that it stops.
+    /// [`SimError::Driver`] before the step that it stops.
     pub fn step(
         &mut self,
         actions: &[Real],
@@ -276,8 +276,8 @@ impl VecWorld {
             }
         }
         let steps = self.config.decision_steps;
-        // where a policy plans for all worlds they go on step by step together
-        let stride = if self.policies.planners.is_empty() { steps } else { 1 };
+        // where a driver plans for all worlds they go on step by step together
+        let stride = if self.drivers.planners.is_empty() { steps } else { 1 };
         for first in (0..steps).step_by(stride) {
             self.plan(first, active, &out)?;
             self.step_held(actions, active, first..first + stride, out.reborrow());
@@ -296,7 +296,7 @@ impl VecWorld {
         let shared = Shared {
             config: &self.config,
             decoder: &self.decoder,
-            policies: &self.policies,
+            drivers: &self.drivers,
             extent: self.extent(),
         };
         let (scenes, num_worlds, order) = (&self.scenes, self.worlds.len(), self.config.scene_order);
@@ -332,30 +332,30 @@ impl VecWorld {
         Ok(())
     }
 
-    /// Asks policies for plans in the active, running worlds that they drive and that did not restart in this decision.
+    /// Asks drivers for plans in the active, running worlds that they drive and that did not restart in this decision.
     fn plan(&mut self, step: usize, active: Option<&[bool]>, out: &StepBuffers<'_>) -> Result<()> {
         let goes_on = |w: &&World| {
             goes(active, w.idx) && w.episode.phase == Phase::Running && !(step > 0 && out.was_reset[w.idx])
         };
         let mut made = Vec::new();
-        for place in 0..self.policies.planners.len() {
-            let policy_idx = self.policies.planners[place];
-            let (driver, always) = (Driver::Policy(policy_idx), self.policies.always_plans(policy_idx));
+        for place in 0..self.drivers.planners.len() {
+            let driver_idx = self.drivers.planners[place];
+            let (driver, always) = (Driver::Model(driver_idx), self.drivers.always_plans(driver_idx));
             let drives = |w: &&World| always || w.episode.drivers.contains(&driver);
             let running = self.worlds.iter().filter(goes_on).filter(drives);
             let requests: Vec<PlanRequest<'_>> =
-                running.map(|w| w.request(&self.config, policy_idx)).collect();
+                running.map(|w| w.request(&self.config, driver_idx)).collect();
             if requests.is_empty() {
                 continue;
             }
-            let plans = self.policies.plan(policy_idx, &requests)?;
+            let plans = self.drivers.plan(driver_idx, &requests)?;
             let plans =
-                requests.iter().zip(plans).filter_map(|(r, p)| Some((r.world.world_idx, policy_idx, p?)));
+                requests.iter().zip(plans).filter_map(|(r, p)| Some((r.world.world_idx, driver_idx, p?)));
             made.extend(plans);
         }
-        // nothing changes before all policies have planned
-        for (world_idx, policy_idx, plan) in made {
-            self.worlds[world_idx].episode.plans[usize::from(policy_idx)] = Some(plan);
+        // nothing changes before all drivers have planned
+        for (world_idx, driver_idx, plan) in made {
+            self.worlds[world_idx].episode.plans[usize::from(driver_idx)] = Some(plan);
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Phase "move" of a tick: agents move, stop where they touch, go along their routes, enter and leave.
 
+use crate::drivers::{AgentMotion, Driver};
 use crate::geom::Vector2;
-use crate::policy::{AgentMotion, Driver};
 use crate::world::arrival;
 use crate::world::config::TrafficCollision;
 use crate::world::halt;
@@ -61,7 +61,7 @@ impl World {
                 (AgentMotion::Place(pose, velocity), Some(_)) => {
                     e.place(&self.scene, a, pose, velocity, config.dt_s)
                 }
-                // an agent with a slot waits where its policy has no more way for it
+                // an agent with a slot waits where its driver has no more way for it
                 (AgentMotion::Leave, Some(_)) => {
                     let pose = e.states.pose(a);
                     e.states.set_pose(a, pose, Vector2::zeros());

@@ -8,13 +8,11 @@ use serde::{Deserialize, Serialize};
 
 /// Distances to a goal below this are a log that stands still, metres.
 const STATIONARY_M: Real = 2.0;
-/// Progress counts up to this distance from the route, metres: half a road of four lanes of 3.5 m, the width of most lanes
-/// of nuScenes' maps.
+/// Progress counts up to this distance from the route, metres: half a road of four lanes of 3.5 m.
 const CORRIDOR_M: Real = 7.0;
-/// The goal is reached at this distance from the logged place, metres: MetaDrive's tolerance at its destinations
-/// (`MetaDriveEnv._is_arrive_destination`).
+/// The goal is reached at this distance from the logged place, metres: as in MetaDrive (`_is_arrive_destination`).
 const GOAL_M: Real = 5.0;
-/// A log slower than this at the goal stands there, and who is to reach that is not faster than a walk, m/s.
+/// A log slower than the first at the goal stands there; that goal is reached at most at the second, m/s.
 const STANDING_MPS: Real = 0.5;
 const SLOW_MPS: Real = 1.5;
 

@@ -2,7 +2,7 @@
 
 use crate::causal::measures::{Moving, distance_m, normalised_distance, normalised_ttc, ttc_s};
 use crate::causal::rank::{CliqueSettings, RankInput, Ranker};
-use crate::geom::{Pose2, Vector2};
+use crate::geom::Vector2;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::apart_in_log;
 use crate::state::Footprint;
@@ -30,11 +30,10 @@ pub fn ranked_vehicles(
     };
     let apart = apart_in_log(log, step_idx, &(0..n).collect::<Vec<usize>>());
     let moving = |a: usize, t: usize| -> Moving {
-        let (tracks, at) = (&log.tracks, log.at(a, t));
-        let pose = Pose2::new(tracks.position[at].x, tracks.position[at].y, tracks.heading_rad[at]);
+        let (pose, at) = (log.pose(a, t), log.at(a, t));
         let body = Footprint::new(log.agents[a].length_m, log.agents[a].width_m).at(&pose);
-        let velocity = pose.rotate(Vector2::new(tracks.velocity[at].norm(), 0.0));
-        tracks.valid[at].then_some((body, velocity))
+        let velocity = pose.rotate(Vector2::new(log.tracks.velocity[at].norm(), 0.0));
+        log.tracks.valid[at].then_some((body, velocity))
     };
     let agents_at = |t: usize| (0..n).map(|a| moving(a, t)).collect::<Vec<Moving>>();
     let (mut ttc, mut distance) = (Vec::new(), Vec::new());

@@ -23,7 +23,7 @@ pub struct InfoColumn {
 }
 
 choices! {
-    /// How the reward is made.
+    /// Form of the reward.
     #[derive(Clone, Copy, Eq)]
     pub enum RewardForm {
         /// Weighted sum of the components.
@@ -110,7 +110,7 @@ macro_rules! columns {
             #[derive(Clone, Copy)]
             #[serde(deny_unknown_fields, default)]
             pub struct RewardConfig {
-                /// How the reward is made.
+                /// Form of the reward.
                 form: RewardForm = RewardForm::Sum;
                 $($(#[doc = $about])+ $weight: Real = $default, range WEIGHT;)*
             }
@@ -213,7 +213,7 @@ columns! {
             |s| Real::from(s.place.wrong_way);
         GoalReached, "goal_reached", "", "1 at the step at which the goal is reached",
             |s| Real::from(s.facts.reached);
-        HasLane, "has_lane", "", "1 if a lane is near, so that lane_distance means something",
+        HasLane, "has_lane", "", "1 if a lane is near, else lane_distance is 0",
             |s| Real::from(s.place.lane_distance_m.is_some());
         LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
             |s| s.place.lane_distance_m.unwrap_or(0.0);

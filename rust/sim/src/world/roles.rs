@@ -18,9 +18,8 @@ impl World {
         self.adversaries.extend(slots.map(|(c, s)| s.agent_idx.is_some_and(|a| by_slot(c) || plays(a))));
     }
 
-    /// Rewards of adversaries over a decision that began after `since` elapsed steps: minus the mean reward of the others
-    /// who played in it, plus a share of what their own driving cost. Cuts the episodes of adversaries who are left
-    /// alone; returns whether the world's episode ends with that.
+    /// Sets the rewards of adversaries over a decision that began after `since` elapsed steps, and cuts off those that are
+    /// left alone; returns whether the world's episode ends with that.
     pub(super) fn play_roles(
         &mut self,
         config: &WorldConfig,

@@ -26,7 +26,7 @@ impl WorldStatus<'_> {
         progress_along_log(scene.at(None).lanes.as_ref()?, &scene.scene.map, path, &log)
     }
 
-    /// Facts of the first slot, which was in `lane_before`; who is `ignored` is not met within the horizon.
+    /// Facts of the first slot, which was in `lane_before`; `ignored` agents do not count.
     pub fn score_facts(&self, lane_before: Option<usize>, ignored: &[usize], horizon_s: Real) -> ScoreFacts {
         let (s, scene, map) = (self.states, self.scene, &self.scene.scene.map);
         let Some(a) = self.slots.first().and_then(|slot| slot.agent_idx) else {

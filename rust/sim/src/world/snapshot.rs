@@ -75,7 +75,7 @@ impl VecWorld {
             return refuse(format!("its next scene is number {}", episode.next_scene_idx));
         }
         let scene = self.prepared(episode.scene_idx)?;
-        if !episode.fits(&scene, self.config.num_slots, &self.policies) {
+        if !episode.fits(&scene, self.config.num_slots, &self.drivers) {
             return refuse("its arrays or numbers do not fit the scene".into());
         }
         let world = &mut self.worlds[world_idx];

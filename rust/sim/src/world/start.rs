@@ -1,4 +1,4 @@
-//! Where an episode starts, and who its ego is where that is drawn.
+//! Where an episode starts, and its ego where that is drawn.
 
 use crate::error::{Result, SimError};
 use crate::geom::Real;
@@ -9,7 +9,7 @@ use crate::world::differences::check_style;
 use crate::world::rng::Rng;
 use std::collections::BTreeMap;
 
-/// Least distance of a drawn ego's start from where its log stands at the end of the episode, metres.
+/// Least distance of a drawn ego's start from its logged place at the end of the episode, metres.
 pub const LEAST_WAY_M: Real = 10.0;
 
 /// What a reset asks for beside the scene; `None` leaves the choice to the draw.
@@ -39,7 +39,7 @@ fn drives_on(scene: &Scene, agent_idx: usize, step_idx: usize, horizon_steps: us
 }
 
 impl Start {
-    /// Draws a start; `None` without anybody to control. Egos whose log leaves the `prepared` road come last.
+    /// Draws a start; `None` without an agent to control. Egos whose log leaves the `prepared` road come last.
     pub(crate) fn draw(
         scene: &Scene,
         prepared: Option<&PreparedScene>,

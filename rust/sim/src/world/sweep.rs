@@ -1,5 +1,5 @@
-//! What lies between two steps: steps longer than 0.1 s are looked at in parts of at most as long, so that nobody passes
-//! through anybody in one.
+//! States between two steps: steps longer than 0.1 s are checked in parts of at most that length, so that no agent
+//! passes through another.
 
 use crate::geom::{Pose2, Real, math};
 use crate::state::AgentStates;

@@ -1,4 +1,4 @@
-//! Phase "reward" of a tick: scores, info columns, and whose episode ends by what.
+//! Phase "reward" of a tick: rewards, info columns and endings.
 
 use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
@@ -20,7 +20,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// What follows all events of a step. Who reaches its goal without an accident leaves, where episodes end there.
+    /// What follows all events of a step. Where episodes end at the goal, an agent without an accident leaves there.
     fn of(collided: bool, off_road: bool, reached: bool, config: &WorldConfig) -> Self {
         use Consequence::{Remove, Stop, Terminate};
         let at_goal = reached && config.terminate_at_goal;
@@ -74,7 +74,7 @@ impl World {
             if ended {
                 slot.alive = false;
                 slot.ended_at = Some(e.elapsed_steps);
-                // who ends by an accident stays in the others' way
+                // an agent that ends by an accident stays in the others' way
                 slot.stopped = true;
                 e.states.active[a] &= !outcome.leaves;
             }

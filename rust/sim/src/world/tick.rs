@@ -1,20 +1,20 @@
 //! One world's tick, phase by phase. The order of the phases is fixed here and nowhere else.
 
+use crate::drivers::{AgentMotion, Driver, PlanRequest, WorldView};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
 use crate::events::{Collisions, Contact, LeastTimes};
 use crate::geom::{Pose2, Real};
 use crate::observe::Observer;
-use crate::policy::{AgentMotion, Driver, PlanRequest, WorldView};
 use crate::scene::EGO_ID;
 use crate::stage::PreparedScene;
 use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::{Autoreset, Controlled, WorldConfig};
+use crate::world::driver_table::DriverTable;
 use crate::world::episode::{Episode, Phase};
 use crate::world::episode_statistics::Metrics;
 use crate::world::halt;
-use crate::world::policies::Policies;
 use crate::world::start::Wanted;
 use crate::world::tow;
 use std::ops::Range;
@@ -61,7 +61,7 @@ pub(super) struct Scratch {
 pub(crate) struct Shared<'a> {
     pub(crate) config: &'a WorldConfig,
     pub(crate) decoder: &'a ActionDecoder,
-    pub(crate) policies: &'a Policies,
+    pub(crate) drivers: &'a DriverTable,
     pub(crate) extent: Extent,
 }
 
@@ -127,12 +127,12 @@ impl World {
         }
     }
 
-    /// What a policy of the table is asked about this world.
-    pub(crate) fn request<'a>(&'a self, config: &'a WorldConfig, policy_idx: u16) -> PlanRequest<'a> {
+    /// What a driver of the table is asked about this world.
+    pub(crate) fn request<'a>(&'a self, config: &'a WorldConfig, driver_idx: u16) -> PlanRequest<'a> {
         PlanRequest {
             world: self.view(config),
-            driver: Driver::Policy(policy_idx),
-            plan: self.episode.plans[usize::from(policy_idx)].as_ref(),
+            driver: Driver::Model(driver_idx),
+            plan: self.episode.plans[usize::from(driver_idx)].as_ref(),
             plan_override: &self.episode.plan_override,
         }
     }
@@ -146,7 +146,7 @@ impl World {
         wanted: &Wanted,
     ) {
         self.enter(scene);
-        self.episode.begin(&self.scene, scene_idx, shared.config, shared.policies, wanted);
+        self.episode.begin(&self.scene, scene_idx, shared.config, shared.drivers, wanted);
         tow::find_towed(&mut self.episode, &self.scene);
         self.resize();
         halt::begin(&mut self.episode, &self.scene, &mut self.scratch.collisions);
@@ -260,7 +260,7 @@ impl World {
         }
     }
 
-    /// Writes who is alive, and the observations.
+    /// Writes which slots are alive, and the observations.
     pub(crate) fn finish(&mut self, shared: &Shared<'_>, since: usize, out: &mut StepBuffers<'_>) {
         self.write_alive(out);
         self.observe(shared.config, shared.extent, since, out.obs, out.bev);

@@ -1,13 +1,12 @@
-//! Towed vehicles of a world: they follow whoever drives the one that they are hitched to.
-//!
-//! Where that one follows its log, the towed one does, too. An agent with a slot is never towed.
+//! Towed vehicles of a world: they follow the vehicle that they are hitched to, or the log where that one does.
+//! An agent with a slot is never towed.
 
+use crate::drivers::Driver;
 use crate::geom::{Pose2, Real, Vector2};
-use crate::policy::Driver;
 use crate::stage::{PreparedScene, towed_pose};
 use crate::world::episode::Episode;
 
-/// Takes the wheel from those who are towed, and leaves them to their log where their chain follows it.
+/// Decides which vehicles are towed; those whose chain follows the log follow it, too.
 pub(super) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
     for &(a, leader) in &scene.hitches {
         if e.has_slot(a) || (!e.states.active[leader] && e.drivers[a] == Driver::Towed) {
@@ -18,14 +17,14 @@ pub(super) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
     }
 }
 
-/// Takes the towed away whose leaders have left.
+/// Removes towed vehicles whose leaders have left.
 pub(super) fn leave(e: &mut Episode, scene: &PreparedScene) {
     for &(a, leader) in scene.hitches.iter().filter(|(a, _)| e.drivers[*a] == Driver::Towed) {
         e.states.active[a] &= e.states.active[leader];
     }
 }
 
-/// Moves the towed behind those who tow them, who have moved; `before` holds the poses before the step.
+/// Moves towed vehicles behind their leaders, which have moved; `before` holds the poses before the step.
 pub(super) fn tow(e: &mut Episode, scene: &PreparedScene, before: &[Pose2], dt_s: Real) {
     leave(e, scene);
     for &(a, leader) in &scene.hitches {

@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 /// Name of the driver of agents that take actions from outside.
 pub const EXTERNAL: &str = "external";
 
-/// Who drives the vehicles that are not controlled.
+/// Drivers of the vehicles that are not controlled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Traffic {
-    /// One policy, by name.
+    /// One driver, by name.
     All(String),
-    /// Shares of policies by name, which sum to 1: drawn for each vehicle and episode from the world's seed.
+    /// Shares of drivers by name, which sum to 1: drawn for each vehicle and episode from the world's seed.
     Mix(BTreeMap<String, Real>),
 }
 
@@ -23,7 +23,7 @@ impl Setting for Traffic {
 }
 
 impl Traffic {
-    /// Policies by name, each with its share.
+    /// Drivers by name, each with its share.
     pub fn shares(&self) -> Vec<(&str, Real)> {
         match self {
             Self::All(name) => vec![(name, 1.0)],

@@ -6,7 +6,7 @@
 )]
 
 use ccdiff_sim::Result;
-use ccdiff_sim::policy::TrafficPolicy;
+use ccdiff_sim::drivers::DriverModel;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::scene::synthetic::GridCity;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
@@ -44,17 +44,17 @@ pub(crate) fn city(num_agents: usize) -> Arc<Scene> {
 
 impl Batch {
     pub(crate) fn new(scenes: Vec<Arc<Scene>>, config: WorldConfig, envs: usize, threads: usize) -> Self {
-        Self::with_policies(scenes, config, envs, threads, Vec::new())
+        Self::with_drivers(scenes, config, envs, threads, Vec::new())
     }
 
-    pub(crate) fn with_policies(
+    pub(crate) fn with_drivers(
         scenes: Vec<Arc<Scene>>,
         config: WorldConfig,
         envs: usize,
         threads: usize,
-        policies: Vec<(String, Box<dyn TrafficPolicy>)>,
+        drivers: Vec<(String, Box<dyn DriverModel>)>,
     ) -> Self {
-        Self::around(VecWorld::new(scenes, config, envs, threads, policies).unwrap())
+        Self::around(VecWorld::new(scenes, config, envs, threads, drivers).unwrap())
     }
 
     pub(crate) fn reset(&mut self, seeds: &[Option<u64>], scenes: &[Option<usize>]) -> Result<()> {

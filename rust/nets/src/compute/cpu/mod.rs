@@ -1,18 +1,14 @@
 //! The backend on the kernels of this crate: no torch, the same bits for every batch, number of threads and processor.
 
-mod attention;
 mod parts;
 
 pub use crate::compute::numbers::{Array, Batch, Pairs};
 pub use parts::{Filter, Groups, Norm, Place};
 
-use crate::compute::backend::{Inputs, KeyValue, Ops};
+use crate::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use crate::config::ModelConfig;
-use crate::kernels::{self, How, Packed};
+use crate::kernels::{self, How, Mix, Packed, Within};
 use crate::sampling::plan_space::PlanSpace;
-use attention::{attended, mixed};
-use parts::packed;
-use std::convert::Infallible;
 use std::ops::Range;
 
 /// Layers on the kernels of this crate.
@@ -24,43 +20,27 @@ impl Ops for Cpu {
     type Linear = Packed;
     type Joint = [Packed; 2];
     type Norm = Norm;
-    type Filter = Filter;
-    type Groups = Groups;
     type Slots = Pairs;
-    type Mask = Infallible;
     type Attention = Vec<f32>;
     type Path<'a> = Place<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
-        let dot = if p.name.is_empty() { "" } else { "." };
-        Place { weights: p.weights, name: format!("{}{dot}{name}", p.name) }
+        p.sub(name)
     }
 
     fn linear(p: &Place<'_>, inputs: i64, outputs: i64) -> Packed {
-        packed(p.take("weight", &[outputs, inputs]), p.take("bias", &[outputs]), outputs, inputs, 0, inputs)
+        p.weights.layer(&p.name, inputs as usize, outputs as usize)
     }
 
     fn joint(p: &Place<'_>, token: i64, edge: i64, outputs: i64) -> [Packed; 2] {
-        let all = token + edge;
-        let (rows, bias) = (p.take("weight", &[outputs, all]), p.take("bias", &[outputs]));
-        [packed(rows, bias, outputs, all, 0, token), packed(rows, None, outputs, all, token, all)]
+        let [token, all, outputs] = [token, token + edge, outputs].map(|n| n as usize);
+        [(0..token, true), (token..all, false)]
+            .map(|(part, biased)| p.weights.columns(&p.name, (all, outputs), part, biased))
     }
 
     fn norm(p: &Place<'_>, width: i64) -> Norm {
         let numbers = |name| p.take(name, &[width]).unwrap_or(&[]).to_vec();
         Norm { weight: numbers("weight"), bias: numbers("bias") }
-    }
-
-    fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
-        let stored = p.take("weight", &[outputs, inputs, kernel]);
-        let turned = stored.map(|w| turned(w, inputs as usize, kernel as usize));
-        let all = inputs * kernel;
-        let weights = packed(turned.as_deref(), p.take("bias", &[outputs]), outputs, all, 0, all);
-        Filter { weights, kernel: kernel as usize, stride: stride as usize }
-    }
-
-    fn groups(p: &Place<'_>, groups: i64, width: i64) -> Groups {
-        Groups { norm: Self::norm(p, width), groups: groups as usize }
     }
 
     fn table(_: &Place<'_>, numbers: &[f32], width: i64) -> Array {
@@ -81,15 +61,10 @@ impl Ops for Cpu {
         (Self::apply(&layer[0], tokens), Self::apply(&layer[1], edges))
     }
 
-    fn normed(norm: &Norm, x: &Array) -> Array {
+    fn normed(norm: &Norm, x: &Array, relu: bool) -> Array {
         let mut numbers = x.numbers.clone();
-        kernels::norm(&mut numbers, &norm.weight, &norm.bias, false);
+        kernels::norm(&mut numbers, &norm.weight, &norm.bias, relu);
         x.like(numbers)
-    }
-
-    fn normed_relu(norm: &Norm, mut x: Array) -> Array {
-        kernels::norm(&mut x.numbers, &norm.weight, &norm.bias, true);
-        x
     }
 
     fn sum_normed(norm: &Norm, x: &Array, mut y: Array) -> Array {
@@ -97,35 +72,7 @@ impl Ops for Cpu {
         y
     }
 
-    fn filtered(filter: &Filter, x: &Array) -> Array {
-        let (width, row, pad) = (x.width, x.row(), filter.kernel / 2);
-        let padded = (x.tokens + 2 * pad) * width;
-        let mut lines = vec![0.0; x.numbers.len() / row * padded];
-        for (line, row) in lines.chunks_exact_mut(padded).zip(x.numbers.chunks_exact(row)) {
-            line[pad * width..][..row.len()].copy_from_slice(row);
-        }
-        let tokens = (x.tokens + 2 * pad - filter.kernel) / filter.stride + 1;
-        let (length, step) = (filter.kernel * width, filter.stride * width);
-        let (mut windows, mut numbers) = (Vec::new(), Vec::new());
-        for line in lines.chunks_exact(padded) {
-            (0..tokens).for_each(|t| windows.extend_from_slice(&line[t * step..][..length]));
-        }
-        kernels::linear(&windows, &filter.weights, false, How::Exact, &mut numbers);
-        Array::new(tokens, filter.weights.columns, numbers)
-    }
-
-    fn groups_mish(Groups { norm, groups }: &Groups, mut x: Array) -> Array {
-        let row = x.row();
-        kernels::groups_mish(&mut x.numbers, row, *groups, &norm.weight, &norm.bias);
-        x
-    }
-
-    fn sum(x: &Array, mut y: Array) -> Array {
-        kernels::add_cycle(&mut y.numbers, &x.numbers);
-        y
-    }
-
-    fn sum_shared(mut x: Array, y: &Array) -> Array {
+    fn sum(mut x: Array, y: &Array) -> Array {
         if y.tokens == x.tokens {
             kernels::add_cycle(&mut x.numbers, &y.numbers);
             return x;
@@ -178,29 +125,29 @@ impl Ops for Cpu {
         x.like(x.numbers.iter().map(mish).collect())
     }
 
-    fn attend(q: &Array, (k, v): &KeyValue<Self>, heads: i64, _: Option<&Infallible>) -> Array {
-        attended(q, k, v, heads)
+    fn attend(q: &Array, (k, v): (&Array, &Array), heads: i64, _: Option<&Pairs>) -> Array {
+        let of = Within { width: q.width, queries: q.tokens, keys: k.tokens, heads: heads as usize };
+        let (mut out, mut weights) = (vec![0.0; q.numbers.len()], vec![0.0; of.weights()]);
+        for (row, out) in of.rows([&q.numbers, &k.numbers, &v.numbers]).zip(out.chunks_exact_mut(q.row())) {
+            of.forward(row, &mut weights, out, How::Exact);
+        }
+        q.like(out)
     }
 
-    fn pool(q: &Array, elements: &Array, heads: i64) -> Array {
-        // a head is a query of its own
-        let heads = heads as usize;
-        let queries = Array::new(heads, q.width / heads.max(1), q.numbers.clone());
-        q.like(attended(&queries, elements, elements, 1).numbers)
-    }
-
-    fn attend_others(
+    fn attend_across(
         q: &Array,
-        kv: &KeyValue<Self>,
-        edges: &KeyValue<Self>,
+        (k, v): &KeyValue<Self>,
+        edges: Option<&KeyValue<Self>>,
         slots: &Pairs,
         heads: i64,
     ) -> (Array, Vec<f32>) {
-        mixed(q, kv, Some(edges), &slots.others, heads)
-    }
-
-    fn attend_all(q: &Array, kv: &KeyValue<Self>, slots: &Pairs, heads: i64) -> Array {
-        mixed(q, kv, None, &slots.all, heads).0
+        let seen = if edges.is_some() { &slots.others } else { &slots.all };
+        let (mut out, mut attention) = (vec![0.0; q.numbers.len()], vec![0.0; seen.other.len() * q.tokens]);
+        let rows = [&*q.numbers, &*k.numbers, &*v.numbers];
+        let edges = edges.map(|(k, v)| [&*k.numbers, &*v.numbers]);
+        let mix = Mix { seen, tokens: q.tokens, heads: heads as usize, rows, edges };
+        kernels::mix(mix, &mut out, &mut attention);
+        (q.like(out), attention)
     }
 
     fn gated(a: &Array, g: &Array, h: &Array, mut own: Array) -> Array {
@@ -256,6 +203,46 @@ impl Inputs for Cpu {
 
     fn edges(batch: &Batch<'_>, config: &ModelConfig, moved: bool) -> (Array, Pairs) {
         batch.edges(config, moved)
+    }
+}
+
+impl Convolves for Cpu {
+    type Filter = Filter;
+    type Groups = Groups;
+
+    fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
+        let stored = p.take("weight", &[outputs, inputs, kernel]).unwrap_or_default();
+        let bias = p.take("bias", &[outputs]).unwrap_or_default();
+        let [inputs, outputs, kernel, stride] = [inputs, outputs, kernel, stride].map(|n| n as usize);
+        let weights = Packed::new(&turned(stored, inputs, kernel), bias, outputs, inputs * kernel);
+        Filter { weights, kernel, stride }
+    }
+
+    fn groups(p: &Place<'_>, groups: i64, width: i64) -> Groups {
+        Groups { norm: Self::norm(p, width), groups: groups as usize }
+    }
+
+    fn filtered(filter: &Filter, x: &Array) -> Array {
+        let (width, row, pad) = (x.width, x.row(), filter.kernel / 2);
+        let padded = (x.tokens + 2 * pad) * width;
+        let mut lines = vec![0.0; x.numbers.len() / row * padded];
+        for (line, row) in lines.chunks_exact_mut(padded).zip(x.numbers.chunks_exact(row)) {
+            line[pad * width..][..row.len()].copy_from_slice(row);
+        }
+        let tokens = (x.tokens + 2 * pad - filter.kernel) / filter.stride + 1;
+        let (length, step) = (filter.kernel * width, filter.stride * width);
+        let (mut windows, mut numbers) = (Vec::new(), Vec::new());
+        for line in lines.chunks_exact(padded) {
+            (0..tokens).for_each(|t| windows.extend_from_slice(&line[t * step..][..length]));
+        }
+        kernels::linear(&windows, &filter.weights, false, How::Exact, &mut numbers);
+        Array::new(tokens, filter.weights.columns, numbers)
+    }
+
+    fn groups_mish(Groups { norm, groups }: &Groups, mut x: Array) -> Array {
+        let row = x.row();
+        kernels::groups_mish(&mut x.numbers, row, *groups, &norm.weight, &norm.bias);
+        x
     }
 }
 

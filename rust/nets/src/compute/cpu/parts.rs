@@ -16,30 +16,17 @@ impl<'a> Place<'a> {
         Self { weights, name: String::new() }
     }
 
+    /// A part of this part.
+    pub(super) fn sub(&self, name: &str) -> Self {
+        let dot = if self.name.is_empty() { "" } else { "." };
+        Self { weights: self.weights, name: format!("{}{dot}{name}", self.name) }
+    }
+
     /// Numbers of a tensor of this part.
     pub(super) fn take(&self, name: &str, shape: &[i64]) -> Option<&'a [f32]> {
         let shape: Vec<usize> = shape.iter().map(|s| *s as usize).collect();
-        let dot = if self.name.is_empty() { "" } else { "." };
-        self.weights.take(&format!("{}{dot}{name}", self.name), &shape)
+        self.weights.take(&self.sub(name).name, &shape)
     }
-}
-
-/// A linear layer from some columns of stored rows.
-pub(super) fn packed(
-    rows: Option<&[f32]>,
-    bias: Option<&[f32]>,
-    outputs: i64,
-    stored: i64,
-    from: i64,
-    to: i64,
-) -> Packed {
-    let Some(rows) = rows else { return Packed::new(&[], &[], 0, 0) };
-    let part: Vec<f32> = rows
-        .chunks_exact(stored as usize)
-        .flat_map(|row| &row[from as usize..to as usize])
-        .copied()
-        .collect();
-    Packed::new(&part, bias.unwrap_or(&[]), outputs as usize, (to - from) as usize)
 }
 
 /// A layer norm.

@@ -31,9 +31,9 @@ impl<B: Ops> Attention<B> {
         (B::apply(&self.key, memory), B::apply(&self.value, memory))
     }
 
-    /// `x` [R, T, width] attends to keys and values that the mask lets be seen.
-    pub fn forward(&self, x: &B::Tensor, kv: &KeyValue<B>, mask: Option<&B::Mask>) -> B::Tensor {
-        B::apply(&self.out, &B::attend(&B::apply(&self.query, x), kv, self.heads, mask))
+    /// `x` [R, T, width] attends to keys and values, with slots to those of the tokens that may be seen.
+    pub fn forward(&self, x: &B::Tensor, (k, v): &KeyValue<B>, slots: Option<&B::Slots>) -> B::Tensor {
+        B::apply(&self.out, &B::attend(&B::apply(&self.query, x), (k, v), self.heads, slots))
     }
 }
 
@@ -58,16 +58,16 @@ impl<B: Ops> EncoderLayer<B> {
     }
 
     /// [R, T, d] → [R, T, d]: attention between the tokens of a row.
-    pub fn within(&self, x: &B::Tensor, mask: Option<&B::Mask>) -> B::Tensor {
+    pub fn within(&self, x: &B::Tensor, slots: &B::Slots) -> B::Tensor {
         let kv = self.attention.memory(x);
-        self.fed(x, self.attention.forward(x, &kv, mask))
+        self.fed(x, self.attention.forward(x, &kv, Some(slots)))
     }
 
     /// [R, T, d] → [R, T, d]: attention between rows, masked by G with self.
     pub fn across(&self, x: &B::Tensor, slots: &B::Slots) -> B::Tensor {
         let Attention { query, out, heads, .. } = &self.attention;
-        let mixed = B::attend_all(&B::apply(query, x), &self.attention.memory(x), slots, *heads);
-        self.fed(x, B::apply(out, &mixed))
+        let (q, kv) = (B::apply(query, x), self.attention.memory(x));
+        self.fed(x, B::apply(out, &B::attend_across(&q, &kv, None, slots, *heads).0))
     }
 
     fn fed(&self, x: &B::Tensor, attended: B::Tensor) -> B::Tensor {

@@ -32,14 +32,11 @@ impl<B: Ops> EdgeEncoder<B> {
     pub fn forward(&self, edges: &B::Tensor, moved: bool) -> B::Tensor {
         let part = |g: usize, edges: &B::Tensor| {
             let (first, norm, second) = &self.groups[g];
-            B::apply(second, &B::normed_relu(norm, B::apply(first, &B::columns(edges, 2 * g as i64, 2))))
+            B::apply(second, &B::normed(norm, &B::apply(first, &B::columns(edges, 2 * g as i64, 2)), true))
         };
-        let sum = if moved {
-            let one = B::last(edges, 1);
-            (1..4).fold(part(0, edges), |sum, g| B::sum_shared(sum, &part(g, &one)))
-        } else {
-            (1..4).fold(part(0, edges), |sum, g| B::sum(&sum, part(g, edges)))
-        };
-        B::normed(&self.out_norm, &B::apply(&self.out, &B::normed_relu(&self.norm, sum)))
+        let one = moved.then(|| B::last(edges, 1));
+        let rest = one.as_ref().unwrap_or(edges);
+        let sum = (1..4).fold(part(0, edges), |sum, g| B::sum(sum, &part(g, rest)));
+        B::normed(&self.out_norm, &B::apply(&self.out, &B::normed(&self.norm, &sum, true)), false)
     }
 }

@@ -96,7 +96,7 @@ impl<B: Ops> RouteEmbedding<B> {
     }
 
     /// Routes [R, 1, 1 + 2 P] and whether they are told [R, 1, 1] → [R, 1, d].
-    pub fn forward(&self, (route, told): &(B::Tensor, B::Tensor)) -> B::Tensor {
+    pub fn forward(&self, route: &B::Tensor, told: &B::Tensor) -> B::Tensor {
         B::scaled(&self.0.forward(route), told)
     }
 }

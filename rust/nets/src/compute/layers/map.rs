@@ -24,8 +24,11 @@ impl<B: Backend> LineEncoder<B> {
 
     /// Tokens [R, lines, width]; `None` where the batch has no lines.
     pub fn forward(&self, batch: &B::Batch<'_>) -> Option<B::Tensor> {
-        let x = B::apply_relu(&self.line[1], &B::apply_relu(&self.line[0], &B::lines(batch)?));
+        let x = B::apply_relu(
+            &self.line[1],
+            &B::apply_relu(&self.line[0], &B::placed(batch, B::plain(batch).lines()?)),
+        );
         let (own, greatest) = B::apply_joint(&self.among_all, &x, &B::greatest(&x));
-        Some(B::normed(&self.norm, &B::sum_shared(own, &greatest)))
+        Some(B::normed(&self.norm, &B::sum(own, &greatest), false))
     }
 }

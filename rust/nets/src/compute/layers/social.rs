@@ -56,12 +56,12 @@ impl<B: Ops> EdgeAwareLayer<B> {
         edges: &B::Tensor,
         slots: &B::Slots,
     ) -> (B::Tensor, B::Attention) {
-        let q = B::apply(&self.query, &B::normed(&self.norm, x));
+        let q = B::apply(&self.query, &B::normed(&self.norm, x, false));
         // tokens are projected once per agent
         let (key, key_edge) = B::apply_joint(&self.key, memory, edges);
         let (value, value_edge) = B::apply_joint(&self.value, memory, edges);
-        let (mixed, attention) =
-            B::attend_others(&q, &(key, value), &(key_edge, value_edge), slots, self.heads);
+        let (kv, edges) = ((key, value), (key_edge, value_edge));
+        let (mixed, attention) = B::attend_across(&q, &kv, Some(&edges), slots, self.heads);
         (B::apply(&self.out, &mixed), attention)
     }
 
@@ -76,7 +76,7 @@ impl<B: Ops> EdgeAwareLayer<B> {
         let (a, attention) = self.attend(x, memory, edges, slots);
         let (g, h) = (B::apply(&self.gate_in, &a), B::apply(&self.gate_own, x));
         let x = B::gated(&a, &g, &h, B::apply(&self.own, x));
-        let fed = self.feed.forward(&B::normed(&self.feed_norm, &x));
-        (B::sum(&x, fed), attention)
+        let fed = self.feed.forward(&B::normed(&self.feed_norm, &x, false));
+        (B::sum(fed, &x), attention)
     }
 }

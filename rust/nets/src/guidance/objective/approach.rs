@@ -21,7 +21,7 @@ options! {
     pub struct Approach {
         /// Signed weight; negative draws vehicles together.
         weight: f32 = -10.0, range WEIGHT;
-        /// Distance from which on there is no pull.
+        /// Distance beyond which there is no pull.
         reach_m: f32 = 20.0, unit "m", range within(0.0, 1000.0).open_below();
         /// Disks per vehicle.
         num_disks: usize = 2, range within(1.0, 64.0);

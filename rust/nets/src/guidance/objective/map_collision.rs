@@ -19,8 +19,6 @@ use ccdiff_sim::options::WEIGHT;
 
 /// Points per side of the grid.
 const SIDE: usize = 10;
-/// For each set of on-road points of a grid row and each column, the nearest such column; `SIDE` for the empty set.
-static NEAREST_COLUMN: [[u8; SIDE]; 1 << SIDE] = nearest_columns();
 
 /// Points (row, column) round the outline at thirds of the sides; neighbours in this order lie far apart, so that a box that
 /// is partly off the road is found early.
@@ -41,26 +39,14 @@ options! {
     }
 }
 
-const fn nearest_columns() -> [[u8; SIDE]; 1 << SIDE] {
-    let mut table = [[SIDE as u8; SIDE]; 1 << SIDE];
-    let mut set = 1;
-    while set < 1 << SIDE {
-        let mut column = 0;
-        while column < SIDE {
-            let mut away = 0;
-            while table[set][column] == SIDE as u8 {
-                if column >= away && set >> (column - away) & 1 == 1 {
-                    table[set][column] = (column - away) as u8;
-                } else if column + away < SIDE && set >> (column + away) & 1 == 1 {
-                    table[set][column] = (column + away) as u8;
-                }
-                away += 1;
-            }
-            column += 1;
-        }
-        set += 1;
+/// The column of a set that is nearest to one, the lower of two; none of an empty set.
+fn nearest_column(set: u16, column: usize) -> Option<usize> {
+    let low = (set & ((2 << column) - 1)).checked_ilog2().map(|low| low as usize);
+    let high = (set >> column != 0).then(|| column + (set >> column).trailing_zeros() as usize);
+    match (low, high) {
+        (Some(low), Some(high)) if high - column >= column - low => Some(low),
+        (low, high) => high.or(low),
     }
-    table
 }
 
 /// A box at a step: the points of its grid are centre + along · forward + across · left.
@@ -103,8 +89,7 @@ impl Grid {
     fn nearest(&self, on_road: &[u16; SIDE], row: usize, column: usize) -> ((usize, usize), f32) {
         let mut best = ((row, column), f32::INFINITY);
         for (other, set) in on_road.iter().enumerate() {
-            let nearest = usize::from(NEAREST_COLUMN[usize::from(*set)][column]);
-            if nearest < SIDE {
+            if let Some(nearest) = nearest_column(*set, column) {
                 let across = self.across_m[other] - self.across_m[row];
                 let along = self.along_m[nearest] - self.along_m[column];
                 let distance_sq = across * across + along * along;
@@ -120,7 +105,7 @@ impl Grid {
 impl MapCollision {
     pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
         for agent in (0..context.num_agents()).filter(|a| out.wanted[*a] && context.moving[*a]) {
-            let Some(road) = context.roads.get(agent).copied().unwrap_or(context.road) else { continue };
+            let Some(road) = context.roads[agent] else { continue };
             let grid = Grid::new(context.length_m[agent], context.width_m[agent]);
             for t in 0..plan.num_steps {
                 let at = agent * plan.num_steps + t;

@@ -11,7 +11,7 @@ pub use window::{Window, route_ahead};
 use window::{distance_at, ttc_at};
 
 use crate::config::{ModelConfig, NeighbourOrder};
-use crate::error::{Result, equal};
+use crate::error::Result;
 use crate::inputs::segments::{self, MapLines};
 use crate::inputs::unicycle;
 use ccdiff_sim::causal::graph::{CausalGraph, GraphThresholds};
@@ -30,16 +30,15 @@ pub const FIRST_STEP: usize = 5;
 const EDGE_RANGE: f32 = 20.0;
 /// An agent this far beside one's body, metres, is still ahead in one's corridor.
 const CORRIDOR_MARGIN_M: f32 = 1.0;
-/// Headways are taken at this speed at least, metres per second, so that who stands sees who is close ahead.
+/// Headways are taken at this speed at least, metres per second, so that a standing agent sees one close ahead.
 const HEADWAY_SPEED_MPS: f32 = 2.0;
 
-/// Builds the inputs of one scene.
+/// Builds the inputs of one scene, from a window of the configuration's history and routes.
 ///
 /// # Errors
-/// [`crate::ModelError::Shape`] where the window's arrays do not fit the configuration.
+/// As [`CausalGraph::from_measures`].
 pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> Result<SceneFeatures> {
-    window.check(config.history_steps)?;
-    let now = config.history_steps - 1;
+    let now = window.num_steps - 1;
     let agents: Vec<usize> = (0..window.num_agents()).filter(|a| window.is_valid(*a, now)).collect();
     let poses: Vec<Pose2> = agents.iter().map(|a| window.pose(*a, now)).collect();
     let speed_mps = agents.iter().map(|a| window.speed_mps[a * window.num_steps + now]).collect();
@@ -77,7 +76,7 @@ pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> R
     }
     let mut features = SceneFeatures {
         noise_seed: agents.iter().map(|a| window.noise_seed.get(*a).copied()).collect(),
-        route: routes(window, &agents, &poses, config.route_points_m.len())?,
+        route: routes(window, &agents, &poses, config.route_points_m.len()),
         agents,
         poses,
         speed_mps,
@@ -116,19 +115,18 @@ fn histories(window: &Window, agents: &[usize], poses: &[Pose2]) -> Vec<f32> {
 }
 
 /// See [`SceneFeatures::route`].
-fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize) -> Result<Vec<f32>> {
+fn routes(window: &Window, agents: &[usize], poses: &[Pose2], num_points: usize) -> Vec<f32> {
     let width = if num_points == 0 { 0 } else { 1 + 2 * num_points };
     let mut out = vec![0.0; agents.len() * width];
     for ((agent, frame), row) in agents.iter().zip(poses).zip(out.chunks_exact_mut(width.max(1))) {
         let Some(points) = window.routes.get(*agent).filter(|points| !points.is_empty()) else { continue };
-        equal("places of window routes", points.len(), num_points)?;
         row[0] = 1.0;
         for (place, point) in row[1..].chunks_exact_mut(2).zip(points) {
             let local = frame.to_local(*point);
             place.copy_from_slice(&[local.x, local.y]);
         }
     }
-    Ok(out)
+    out
 }
 
 /// The graph of M agents by times and distances [M, M].

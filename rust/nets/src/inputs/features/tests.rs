@@ -70,7 +70,7 @@ fn contacts_measured_for_a_ranking_are_those_that_features_measure() {
     let config = ModelConfig { map: None, ..ModelConfig::fast() };
     let cars = [[0.0, 0.0, 0.1, 10.0], [30.0, 0.5, 0.0, 2.0], [10.0, -9.0, 1.5, 4.0], [80.0, 3.0, 3.1, 9.0]];
     let mut window = window(&cars, &config);
-    // the motion of the steps before now, and one who comes late
+    // the motion of the steps before now; one vehicle arrives late
     for agent in 0..cars.len() {
         for step in 0..config.history_steps {
             let back_m = (config.history_steps - 1 - step) as f32 * 0.1 * cars[agent][3];

@@ -1,6 +1,5 @@
 //! States of the agents of a scene over the last steps: what the network's inputs are made from.
 
-use crate::error::{Result, equal};
 use ccdiff_sim::causal::measures::{Moving, distance_m, ttc_s};
 use ccdiff_sim::geom::{OrientedBox, Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
@@ -28,12 +27,12 @@ pub struct Window {
     pub width_m: Vec<f32>,
     /// Seed of each agent's own noise, [A]; empty: noise of the world's seed.
     pub noise_seed: Vec<u64>,
-    /// Times to contact of all agents at every step, seconds, [H, A, A]; empty where nobody has computed them yet.
+    /// Times to contact of all agents at every step, seconds, [H, A, A]; empty until computed.
     pub ttc_s: Vec<f32>,
     /// Which pairs of agents are on different levels now, [A, A]; empty: none.
     pub apart: Vec<bool>,
     /// Places ahead on each agent's route, scene frame, [A]\[P\], see [`route_ahead`]; empty for an agent whose route is
-    /// not told, and empty as a whole where nobody's is.
+    /// not told, and empty as a whole where none is.
     pub routes: Vec<Vec<Point2>>,
 }
 
@@ -74,30 +73,6 @@ impl Window {
     /// Number of agents A.
     pub fn num_agents(&self) -> usize {
         self.length_m.len()
-    }
-
-    /// Checks the lengths of all arrays.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Shape`] names the first that does not fit.
-    pub fn check(&self, num_steps: usize) -> Result<()> {
-        let (agents, entries) = (self.num_agents(), self.num_agents() * num_steps);
-        for (what, got, expected) in [
-            ("window steps", self.num_steps, num_steps),
-            ("window x_m", self.x_m.len(), entries),
-            ("window y_m", self.y_m.len(), entries),
-            ("window heading_rad", self.heading_rad.len(), entries),
-            ("window speed_mps", self.speed_mps.len(), entries),
-            ("window valid", self.valid.len(), entries),
-            ("window width_m", self.width_m.len(), agents),
-            ("window noise_seed", self.noise_seed.len().max(agents), agents),
-            ("window ttc_s", self.ttc_s.len().max(entries * agents), entries * agents),
-            ("window apart", self.apart.len().max(agents * agents), agents * agents),
-            ("window routes", self.routes.len().max(agents), agents),
-        ] {
-            equal(what, got, expected)?;
-        }
-        Ok(())
     }
 
     /// Computes the times to contact of all agents at every step, once for the ranking and the network.

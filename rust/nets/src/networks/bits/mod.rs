@@ -63,7 +63,7 @@ impl<B: Backend> Bits<B> {
     pub fn cells(&self, seen: &Encoded<B>) -> Option<B::Tensor> {
         let lines = self.lines.memory(seen.map.as_ref()?);
         let blocks = B::cut(&B::apply(&self.blocks, &seen.state), GOAL_WIDTHS[0]);
-        Some(self.cells.forward(&B::sum(&blocks, self.lines.forward(&blocks, &lines, None))))
+        Some(self.cells.forward(&B::sum(self.lines.forward(&blocks, &lines, None), &blocks)))
     }
 
     /// Knots of the predicted plans, those of an agent side by side, [R, 1, 2 · knots].
@@ -102,7 +102,6 @@ impl<B: Backend> Weighted<B> for Bits<B> {
 impl<B: Backend> Proposes<B> for Bits<B> {
     /// Plans to N goals drawn from the grid. Each agent's sample is chosen against the predicted plans of the others.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
-        asked.rows.check_seeds(asked.seeds)?;
         let (config, seen) = (self.config(), self.encode(batch));
         let Some(cells) = self.cells(&seen) else {
             return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
@@ -114,8 +113,8 @@ impl<B: Backend> Proposes<B> for Bits<B> {
             knots.extend(B::numbers(&self.plans(&seen, &goals)));
         }
         if let Some(guide) = guide {
-            guide.choose_against(B::numbers(&self.predicted(&seen)), None)?;
-            guide.adjust_finished(&mut knots)?;
+            guide.choose_against(B::numbers(&self.predicted(&seen)), None);
+            guide.adjust_finished(&mut knots);
         }
         Ok((knots, None))
     }

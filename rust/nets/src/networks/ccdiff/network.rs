@@ -52,12 +52,10 @@ pub struct Context<B: Backend> {
     pub history: B::Tensor,
     /// Encoded edges.
     pub edges: B::Tensor,
-    /// Who sits in which slot.
+    /// The rows in the slots of each row.
     pub slots: B::Slots,
     /// Keys and values of the map tokens for each round that attends to the map.
     pub map: Vec<Option<KeyValue<B>>>,
-    /// Tokens that may be seen, where not all may.
-    pub mask: Option<B::Mask>,
     /// Current speeds [R].
     pub speed: B::Tensor,
 }
@@ -118,20 +116,18 @@ impl<B: Backend> Denoises<B> for Network<B> {
 
     fn encode(&self, batch: &B::Batch<'_>) -> Context<B> {
         let config = self.config();
-        let history = B::history(batch, config);
+        let (plain, placed) = (B::plain(batch), |x| B::placed(batch, x));
         let (edges, slots) = B::edges(batch, config, true);
         let map_tokens = self.map.as_ref().and_then(|m| m.forward(batch));
         let of_round = |r: &Round<B>| r.map.as_ref().zip(map_tokens.as_ref()).map(|(a, t)| a.memory(t));
         let map = self.rounds.iter().map(of_round).collect();
-        let mask = (config.history == HistoryTokens::PerStep).then(|| B::mask(batch, config)).flatten();
-        let history = self.history.forward(&history);
-        let history = match self.route.as_ref().zip(B::route(batch)) {
-            Some((embedding, route)) => B::sum(&history, embedding.forward(&route)),
-            None => history,
-        };
+        let mut history = self.history.forward(&placed(plain.history(config)));
+        if let Some((embedding, (route, told))) = self.route.as_ref().zip(plain.route()) {
+            history = B::sum(embedding.forward(&placed(route), &placed(told)), &history);
+        }
         // of one history token, that of now, which those of the plan move on
         let edges = self.edges.forward(&edges, config.history == HistoryTokens::Summary);
-        Context { history, edges, slots, map, mask, speed: B::speed(batch) }
+        Context { history, edges, slots, map, speed: placed(plain.speed()) }
     }
 
     /// With the attention weights of the first edge-aware layer.
@@ -148,11 +144,11 @@ impl<B: Backend> Denoises<B> for Network<B> {
         let mut attention = None;
         for (r, round) in self.rounds.iter().enumerate() {
             if let (Some(layer), Some(kv)) = (&round.map, &context.map[r]) {
-                x = B::sum(&x, layer.forward(&x, kv, None));
+                x = B::sum(layer.forward(&x, kv, None), &x);
             }
-            x = B::sum_shared(x, &self.positions);
+            x = B::sum(x, &self.positions);
             for layer in &round.temporal {
-                x = layer.within(&x, context.mask.as_ref());
+                x = layer.within(&x, &context.slots);
             }
             if r == 0 {
                 let memory = x;
@@ -163,7 +159,7 @@ impl<B: Backend> Denoises<B> for Network<B> {
                     own = Some(y);
                     attention.get_or_insert(weights);
                 }
-                x = B::normed(&self.edge_norm, own.as_ref().unwrap_or(&memory));
+                x = B::normed(&self.edge_norm, own.as_ref().unwrap_or(&memory), false);
             } else {
                 x = self.plain.across(&x, &context.slots);
             }

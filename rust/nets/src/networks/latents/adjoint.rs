@@ -11,38 +11,19 @@ use crate::networks::trunk::Encoded;
 #[derive(Debug)]
 pub struct Back {
     layers: Vec<Packed>,
-    joint: Option<JointBack>,
-}
-
-#[derive(Debug)]
-struct JointBack {
-    mixed: Packed,
-    query: Packed,
-    key: Packed,
-    value: Packed,
-    out: Packed,
-    own: Packed,
-    gate_in: Packed,
-    gate_own: Packed,
-    up: Packed,
-    down: Packed,
+    /// What mixes latents, then query, key, value, out, own, both of the gate, and both of the feed of the social layer.
+    joint: Option<[Packed; 10]>,
 }
 
 impl Pulls for Cpu {
     type Back = Back;
 
     fn turned(decoder: &Decoder<Cpu>) -> Back {
-        let joint = decoder.joint.as_ref().map(|(mixed, layer)| JointBack {
-            mixed: mixed.turned(),
-            query: layer.query.turned(),
-            key: layer.key[0].turned(),
-            value: layer.value[0].turned(),
-            out: layer.out.turned(),
-            own: layer.own.turned(),
-            gate_in: layer.gate_in.turned(),
-            gate_own: layer.gate_own.turned(),
-            up: layer.feed.0[0].turned(),
-            down: layer.feed.0[1].turned(),
+        let joint = decoder.joint.as_ref().map(|(mixed, l)| {
+            let [up, down] = [&l.feed.0[0], &l.feed.0[1]];
+            let (key, value) = (&l.key[0], &l.value[0]);
+            [mixed, &l.query, key, value, &l.out, &l.own, &l.gate_in, &l.gate_own, up, down]
+                .map(Packed::turned)
         });
         Back { layers: decoder.layers.0.iter().map(Packed::turned).collect(), joint }
     }
@@ -77,8 +58,8 @@ impl Pulls for Cpu {
         let Some((m, _, layer, back)) = joint else { return of_z.numbers };
         let of_context = Cpu::columns(&gradient, latent, width);
         let of_m = through_social(layer, back, &m, seen, &of_context);
-        let mixed = Cpu::apply(&back.mixed, &of_m);
-        Cpu::sum(&of_z, Cpu::columns(&mixed, width, latent)).numbers
+        let mixed = Cpu::apply(&back[0], &of_m);
+        Cpu::sum(of_z, &Cpu::columns(&mixed, width, latent)).numbers
     }
 }
 
@@ -97,44 +78,38 @@ fn each(a: &Array, others: [&Array; 3], of: impl Fn(f32, [f32; 3]) -> f32) -> Ar
 /// Gradients by the tokens of a layer that are its memory, too.
 fn through_social(
     layer: &EdgeAwareLayer<Cpu>,
-    back: &JointBack,
+    [_, query, key, value, out, own_back, gate_in, gate_own, up, down]: &[Packed; 10],
     m: &Array,
     seen: &Encoded<Cpu>,
     gradient: &Array,
 ) -> Array {
-    let q = Cpu::apply(&layer.query, &Cpu::normed(&layer.norm, m));
+    let q = Cpu::apply(&layer.query, &Cpu::normed(&layer.norm, m, false));
     let (keys, key_edges) = Cpu::apply_joint(&layer.key, m, &seen.edges);
     let (values, value_edges) = Cpu::apply_joint(&layer.value, m, &seen.edges);
     let (kv, edges) = ((keys, values), (key_edges, value_edges));
-    let a = Cpu::apply(&layer.out, &Cpu::attend_others(&q, &kv, &edges, &seen.slots, layer.heads).0);
+    let a = Cpu::apply(&layer.out, &Cpu::attend_across(&q, &kv, Some(&edges), &seen.slots, layer.heads).0);
     let (g, h) = (Cpu::apply(&layer.gate_in, &a), Cpu::apply(&layer.gate_own, m));
     let own = Cpu::apply(&layer.own, m);
     let gate = each(&g, [&h, &h, &h], |g, [h, ..]| (1.0 / (1.0 + libm::exp(-f64::from(g + h)))) as f32);
     let y = each(&a, [&gate, &own, &own], |a, [gate, own, _]| a + gate * (own - a));
-    let hidden = Cpu::apply_relu(&layer.feed.0[0], &Cpu::normed(&layer.feed_norm, &y));
+    let hidden = Cpu::apply_relu(&layer.feed.0[0], &Cpu::normed(&layer.feed_norm, &y, false));
 
-    let of_hidden = behind_relu(Cpu::apply(&back.down, gradient), &hidden);
-    let of_y = through_norm(&layer.feed_norm, &y, &Cpu::apply(&back.up, &of_hidden));
-    let of_y = Cpu::sum(gradient, of_y);
+    let of_hidden = behind_relu(Cpu::apply(down, gradient), &hidden);
+    let of_y = through_norm(&layer.feed_norm, &y, &Cpu::apply(up, &of_hidden));
+    let of_y = Cpu::sum(of_y, gradient);
     let of_gate = each(&of_y, [&own, &a, &gate], |d, [own, a, gate]| d * (own - a) * gate * (1.0 - gate));
     let of_own = each(&of_y, [&gate, &gate, &gate], |d, [gate, ..]| d * gate);
     let of_a = each(&of_y, [&gate, &gate, &gate], |d, [gate, ..]| d * (1.0 - gate));
-    let of_a = Cpu::sum(&of_a, Cpu::apply(&back.gate_in, &of_gate));
+    let of_a = Cpu::sum(of_a, &Cpu::apply(gate_in, &of_gate));
     let [of_q, of_k, of_v] = through_attention(
         [&q, &kv.0, &kv.1, &edges.0, &edges.1].map(|x| x.numbers.as_slice()),
-        &Cpu::apply(&back.out, &of_a).numbers,
+        &Cpu::apply(out, &of_a).numbers,
         &seen.slots.others,
         (q.width, layer.heads as usize),
     );
-    let of_norm = through_norm(&layer.norm, m, &Cpu::apply(&back.query, &of_q));
-    [
-        Cpu::apply(&back.gate_own, &of_gate),
-        Cpu::apply(&back.own, &of_own),
-        Cpu::apply(&back.key, &of_k),
-        Cpu::apply(&back.value, &of_v),
-    ]
-    .into_iter()
-    .fold(of_norm, |sum, part| Cpu::sum(&sum, part))
+    let of_norm = through_norm(&layer.norm, m, &Cpu::apply(query, &of_q));
+    let parts = [(gate_own, &of_gate), (own_back, &of_own), (key, &of_k), (value, &of_v)];
+    parts.into_iter().fold(of_norm, |sum, (layer, of)| Cpu::sum(sum, &Cpu::apply(layer, of)))
 }
 
 /// Gradients by the rows of a layer norm.

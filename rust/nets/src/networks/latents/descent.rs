@@ -4,7 +4,6 @@
 //! the gradient of g · x(z) with respect to z is then exact.
 
 use super::LOG_VARIANCE;
-use crate::error::Result;
 use crate::guidance::Guidance;
 
 const BETA: (f32, f32) = (0.9, 0.999);
@@ -52,17 +51,18 @@ pub(super) fn descended(
     guide: &Guidance<'_>,
     decode: impl Fn(&[f32]) -> Vec<f32>,
     pulled: impl Fn(&[f32], &[f32]) -> Vec<f32>,
-) -> Result<Vec<f32>> {
-    let (scales, shares, config) = (guide.guidance_scales(), guide.shares(), guide.config());
+) -> Vec<f32> {
+    let (scales, config) = (guide.row_scales(), guide.config());
     let (mut z, mut first, mut second) = (start.to_vec(), vec![0f32; start.len()], vec![0f32; start.len()]);
     let mut unbias = (1f32, 1f32);
     for _ in 0..config.gradient_steps {
         unbias = (unbias.0 * BETA.0, unbias.1 * BETA.1);
-        let mut gradient = pulled(&z, &guide.gradient(&decode(&z))?);
+        let mut gradient = pulled(&z, &guide.gradient(&decode(&z)));
         if let Some(prior) = prior {
-            add_prior(&mut gradient, &z, latent, prior, &shares);
+            add_prior(&mut gradient, &z, latent, prior, &scales);
         }
-        for (row, gradient) in gradient.chunks_exact(latent).enumerate().filter(|(row, _)| scales[*row] > 0.0)
+        for (row, gradient) in
+            gradient.chunks_exact(latent).enumerate().filter(|(row, _)| scales[*row][0] > 0.0)
         {
             let norm = gradient.iter().map(|g| g * g).sum::<f32>().sqrt();
             let clip = CLIP_NORM / norm.max(CLIP_NORM);
@@ -75,17 +75,17 @@ pub(super) fn descended(
             }
         }
     }
-    for (at, z) in z.iter_mut().enumerate().filter(|(at, _)| scales[at / latent] > 0.0) {
-        *z = start[at] + scales[at / latent] * (*z - start[at]);
+    for (at, z) in z.iter_mut().enumerate().filter(|(at, _)| scales[at / latent][0] > 0.0) {
+        *z = start[at] + scales[at / latent][0] * (*z - start[at]);
     }
-    Ok(z)
+    z
 }
 
-/// Adds the gradient of the distance from a prior.
-fn add_prior(gradient: &mut [f32], z: &[f32], latent: usize, prior: &Gaussian, shares: &[f32]) {
+/// Adds the gradient of the distance from a prior; `scales` are those of [`Guidance::row_scales`].
+fn add_prior(gradient: &mut [f32], z: &[f32], latent: usize, prior: &Gaussian, scales: &[[f32; 2]]) {
     let parameters = prior.mean.iter().zip(&prior.std).cycle();
     for (at, ((g, z), (mean, std))) in gradient.iter_mut().zip(z).zip(parameters).enumerate() {
-        *g += shares[at / latent] * (z - mean) / (std * std);
+        *g += scales[at / latent][1] * (z - mean) / (std * std);
     }
 }
 
@@ -103,7 +103,7 @@ mod tests {
         }
         // tabulated in float64: z / M
         let mut gradient = vec![-0.75, -2.0];
-        add_prior(&mut gradient, &[0.3, -0.2], 2, &Gaussian::standard(2), &[0.25]);
+        add_prior(&mut gradient, &[0.3, -0.2], 2, &Gaussian::standard(2), &[[1.0, 0.25]]);
         assert!((gradient[0] + 0.675).abs() < 1e-6 && (gradient[1] + 2.05).abs() < 1e-6);
     }
 }

@@ -175,7 +175,6 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
     /// under the prior.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let Asked { rows, seeds, options, .. } = *asked;
-        rows.check_seeds(seeds)?;
         let (latent, seen) = (self.form.latent(), self.encode(batch));
         let of_sample = rows.count() * latent;
         let mut noise = rows.noise(seeds, 0, options.num_samples, latent);
@@ -197,7 +196,7 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
                     |(z, g): (&[f32], &[f32])| B::pulled(&self.decoder, &self.back, &seen, &placed(z), g);
                 samples.zip(of_knots).flat_map(of).collect()
             };
-            z = descended(&z, latent, likely, guide, decode, pulled)?;
+            z = descended(&z, latent, likely, guide, decode, pulled);
         }
         Ok((decode(&z), None))
     }

@@ -2,15 +2,14 @@
 
 use super::grid::{BINS, NUM_TOKENS, SPEED, TOKEN_STEPS, YAW_RATE};
 use crate::config::ModelConfig;
-use crate::error::{Result, equal};
 use crate::guidance::Guide;
 use crate::inputs::features::row_offsets;
 use crate::networks::planner::Asked;
 use crate::sampling::noise::Noise;
 
-/// Slower than this a vehicle stands, m/s: nobody reverses.
+/// Slower than this a vehicle stands, m/s: none reverses.
 const STANDING_MPS: f32 = 0.08;
-/// Greatest curvature of a token, 1/m, and greatest yaw rate of who hardly moves, rad/s.
+/// Greatest curvature of a token, 1/m, and the bound of the yaw rate of slow vehicles, rad/s.
 const CURVATURE_1PM: f32 = 0.35;
 const LEAST_BOUND_RADPS: f32 = 0.05;
 /// Share of its yaw rate that a vehicle is taken to keep after the token.
@@ -33,7 +32,7 @@ pub(crate) struct Now<'a> {
 }
 
 /// Normalised knots [N · R, T, 2] of tokens drawn from logits [R, [`NUM_TOKENS`]], each world's by its own seed. Speed and yaw rate go
-/// evenly to the token's; then the speed is kept. A guide has each agent choose among its own draws, against others who keep their
+/// evenly to the token's; then the speed is kept. A guide has each agent choose among its own draws, while all others keep their
 /// speeds.
 pub(crate) fn drawn(
     logits: &[f32],
@@ -41,11 +40,9 @@ pub(crate) fn drawn(
     asked: &Asked<'_>,
     config: &ModelConfig,
     guide: Guide<'_, '_>,
-) -> Result<Vec<f32>> {
+) -> Vec<f32> {
     let Asked { rows, seeds, options, .. } = *asked;
-    rows.check_seeds(seeds)?;
     let (count, n) = (rows.count(), options.num_samples);
-    equal("logits", logits.len(), count * NUM_TOKENS)?;
     let width = 2 * config.horizon_steps;
     let mut knots = vec![0.0; n * count * width];
     for ((size, offset), seed) in rows.scene_sizes.iter().zip(row_offsets(rows.scene_sizes)).zip(seeds) {
@@ -74,9 +71,9 @@ pub(crate) fn drawn(
             let (speed, yaw_rate) = (now.speed_mps[row], now.yaw_rate_radps[row]);
             ramp([speed, yaw_rate], bounded(speed, 0.0, yaw_rate), config, out);
         }
-        guide.choose_against(kept, Some(GUIDED_DRAWS))?;
+        guide.choose_against(kept, Some(GUIDED_DRAWS));
     }
-    Ok(knots)
+    knots
 }
 
 /// Running sums of the unnormalised probabilities.

@@ -16,7 +16,8 @@ struct Look<B: Backend> {
     norm: B::Norm,
     query: B::Linear,
     out: B::Linear,
-    heads: i64,
+    /// Width of a head, and of all of them.
+    widths: [i64; 2],
 }
 
 impl<B: Backend> Look<B> {
@@ -25,13 +26,16 @@ impl<B: Backend> Look<B> {
             norm: B::norm(&B::sub(p, "norm"), width),
             query: B::linear(&B::sub(p, "query"), width, heads * inner),
             out: B::linear(&B::sub(p, "out"), heads * inner, width),
-            heads,
+            widths: [inner, heads * inner],
         }
     }
 
     fn forward(&self, x: &B::Tensor, elements: &B::Tensor) -> B::Tensor {
-        let query = B::apply(&self.query, &B::normed(&self.norm, x));
-        B::apply(&self.out, &B::pool(&query, elements, self.heads))
+        let query = B::apply(&self.query, &B::normed(&self.norm, x, false));
+        // a head is a query of its own
+        let [head, all] = self.widths;
+        let found = B::attend(&B::cut(&query, head), (elements, elements), 1, None);
+        B::apply(&self.out, &B::cut(&found, all))
     }
 }
 
@@ -93,24 +97,25 @@ impl<B: Backend> Network<B> {
         let (near, lines) = (self.near.forward(near), self.lines.forward(lines));
         let mut x = self.own.forward(own);
         for round in &self.rounds {
-            let seen = B::sum(&round.near.forward(&x, &near), round.lines.forward(&x, &lines));
-            let y = B::sum(&x, seen);
-            x = B::sum(&y, round.feed.forward(&B::normed(&round.norm, &y)));
+            let seen = B::sum(round.lines.forward(&x, &lines), &round.near.forward(&x, &near));
+            let y = B::sum(seen, &x);
+            x = B::sum(round.feed.forward(&B::normed(&round.norm, &y, false)), &y);
         }
-        self.head.forward(&B::normed(&self.norm, &x))
+        self.head.forward(&B::normed(&self.norm, &x, false))
     }
 }
 
 impl<B: Backend> Proposes<B> for Network<B> {
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
-        let Some(lines) = B::lines(batch) else {
+        let plain = B::plain(batch);
+        let Some(lines) = plain.lines() else {
             return Err(ModelError::Shape { what: "map", got: "none".into(), expected: "lines".into() });
         };
-        let (own, near, yaw_rate_radps) = B::plain(batch).tokens();
-        let [own, near] = [own, near].map(|x| B::placed(batch, x));
+        let (own, near, yaw_rate_radps) = plain.tokens();
+        let [own, near, lines] = [own, near, lines].map(|x| B::placed(batch, x));
         let logits = B::numbers(&self.logits(&own, &near, &lines));
-        let speed_mps = B::plain(batch).speed().numbers;
+        let speed_mps = plain.speed().numbers;
         let now = Now { speed_mps: &speed_mps, yaw_rate_radps: &yaw_rate_radps };
-        Ok((drawn(&logits, now, asked, self.config(), guide)?, None))
+        Ok((drawn(&logits, now, asked, self.config(), guide), None))
     }
 }

@@ -1,7 +1,7 @@
 //! Swift traffic: each vehicle drives by a small network that was taught what guided CCDiff does (`ccdiff-env distil`).
 //!
-//! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the nearest to the ego
-//! see who the ego is, and how strongly they shall hinder it. Nobody asks the map anything but the routes.
+//! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the vehicles nearest to
+//! the ego are told which agent it is, and how strongly to hinder it. Of the map only the routes are used.
 
 mod network;
 mod seen;
@@ -9,25 +9,26 @@ mod watch;
 
 pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
 
-use crate::compute::weights::{Entry, parse, read};
+use crate::compute::weights::File;
 use crate::error::{Result, require};
 use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
 use crate::networks::tokens::grid::TOKEN_STEPS;
 use crate::sampling::noise::Noise;
-use crate::traffic::{AdversaryPolicy, CcdiffConfig, is_ego, planning_pool, select_guided, side_by_side};
+pub use crate::traffic::planned_agents::egos_of;
+use crate::traffic::planned_agents::{history_of, select_guided};
+use crate::traffic::{AdversaryPolicy, CcdiffConfig, planning_pool, side_by_side};
 use ccdiff_sim::SimError;
+use ccdiff_sim::drivers::{
+    AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
+};
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options;
-use ccdiff_sim::policy::{
-    AgentMotion, Kind, PlanRecord, PlanRequest, PlanState, Replay, TrafficPolicy, WorldView,
-};
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 use network::{Hidden, Network};
 use rayon::ThreadPool;
-use std::collections::BTreeMap;
 use std::path::Path;
 use watch::Watch;
 
@@ -78,7 +79,7 @@ struct Scratch {
     watch: Watch,
 }
 
-/// Who decides in a world, who of them is guided, and how strongly.
+/// The vehicles of a world that decide, those of them that are guided, and how strongly.
 struct Decides<'a> {
     request: &'a PlanRequest<'a>,
     history: &'a History,
@@ -90,29 +91,16 @@ struct Decides<'a> {
 }
 
 impl Swift {
-    /// From a file of weights, for worlds with a step; it plans on so many threads, which changes no bit.
+    /// From a file of weights, read or parsed, for worlds with a step; it plans on so many threads, which changes no bit.
     ///
     /// # Errors
-    /// [`crate::ModelError::Io`], [`crate::ModelError::Checkpoint`] for the files, [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] for options.
-    pub fn load(config: CcdiffConfig, weights: &Path, dt_s: Real, num_threads: usize) -> Result<Self> {
-        let pool = if num_threads > 1 { Some(planning_pool(num_threads)?) } else { None };
-        Self::of(config, weights, read(weights)?, dt_s, pool)
-    }
-
-    /// The same of the bytes of a file, on the caller's thread; errors name `name`.
-    ///
-    /// # Errors
-    /// [`crate::ModelError::Checkpoint`], [`crate::ModelError::Config`], [`crate::ModelError::Sim`].
-    pub fn from_bytes(config: CcdiffConfig, name: &str, bytes: &[u8], dt_s: Real) -> Result<Self> {
-        Self::of(config, Path::new(name), parse(Path::new(name), bytes)?, dt_s, None)
-    }
-
-    fn of(
+    /// [`crate::ModelError::Checkpoint`] names the path, [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] the option.
+    pub fn new(
         config: CcdiffConfig,
         path: &Path,
-        (header, tensors): (serde_json::Value, BTreeMap<String, Entry>),
+        (header, tensors): File,
         dt_s: Real,
-        pool: Option<ThreadPool>,
+        num_threads: usize,
     ) -> Result<Self> {
         let network = Network::new(path, &header, tensors)?;
         options::check("ccdiff", &config)?;
@@ -127,16 +115,14 @@ impl Swift {
             let field = format!("ccdiff.{name}").into();
             return Err(SimError::Config { field, got: value.to_string(), expected }.into());
         }
+        let pool = (num_threads > 1).then(|| planning_pool(num_threads)).transpose()?;
         Ok(Self { network, adversary_policy: AdversaryPolicy::of(&config)?, config, pool })
     }
 
-    /// Who decides now.
+    /// The vehicles that decide now.
     fn decides<'a>(&self, request: &'a PlanRequest<'a>) -> ccdiff_sim::Result<Decides<'a>> {
         let (world, states) = (&request.world, request.world.states);
-        let history = world.history.filter(|h| h.len() >= STATES).ok_or_else(|| SimError::Policy {
-            policy: SWIFT.name.into(),
-            message: "the world keeps too short a history".into(),
-        })?;
+        let history = history_of(world, STATES, SWIFT.name)?;
         let there = |a: &usize| {
             request.drives(*a)
                 && states.active[*a]
@@ -146,8 +132,7 @@ impl Swift {
         };
         let agents: Vec<usize> = (0..states.len()).filter(there).collect();
         let egos = egos_of(world);
-        let wanted = request.plan_override;
-        let mut criticality = wanted.criticality.unwrap_or(self.config.criticality);
+        let mut criticality = request.plan_override.criticality.unwrap_or(self.config.criticality);
         if !self.config.guides_at(world) || egos.is_empty() {
             criticality = 0.0;
         }
@@ -161,12 +146,10 @@ impl Swift {
             };
             ranking.extend(agents.iter().copied().filter(|a| !egos.contains(a)));
             ranking.sort_by(|a, b| to_ego(*a).total_cmp(&to_ego(*b)));
-            guided = select_guided(&ranking, wanted, self.config.num_guided, |_| true);
-            if let Some(policy) = self.adversary_policy.as_ref().filter(|_| wanted.guided.is_none()) {
-                let strength;
-                (guided, strength) = policy.guided(request, &ranking);
-                criticality *= strength;
-            }
+            let policy = self.adversary_policy.as_ref();
+            let strength;
+            (guided, strength) = select_guided(request, &self.config, policy, &ranking, |_| true);
+            criticality *= strength;
         }
         Ok(Decides { request, history, agents, egos, ranking, guided, criticality })
     }
@@ -194,8 +177,8 @@ impl Swift {
         Ok(plans.collect())
     }
 
-    /// What the vehicles of a world do: acceleration and yaw rate of each. It is the first of some draws with which it drives into nobody
-    /// in the next 1.5 s, all others doing as they have drawn; without one it brakes. Guided vehicles do not mind the ego.
+    /// Acceleration and yaw rate of the vehicles of a world: the first of some draws without a contact in the next 1.5 s, while
+    /// all others do as they have drawn; without such a draw it brakes. Guided vehicles ignore contacts with the ego.
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
@@ -221,11 +204,6 @@ impl Swift {
         }
         motions
     }
-}
-
-/// The agents of a world whom guided vehicles hinder: its ego, and all that are driven from outside.
-pub fn egos_of(world: &WorldView<'_>) -> Vec<usize> {
-    (0..world.states.len()).filter(|a| world.states.active[*a] && is_ego(world, *a)).collect()
 }
 
 /// The plan of a world in which agents do as drawn.
@@ -260,7 +238,7 @@ fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
     plan
 }
 
-impl TrafficPolicy for Swift {
+impl DriverModel for Swift {
     fn name(&self) -> &str {
         SWIFT.name
     }

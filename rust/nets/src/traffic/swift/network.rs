@@ -92,7 +92,7 @@ impl Network {
         low[1] + (criticality - low[0]) / (high[0] - low[0]) * (high[1] - low[1])
     }
 
-    /// Features and logits of rows at strengths [n]. Who is not guided does not know who the ego is.
+    /// Features and logits of rows at strengths [n]. Unguided vehicles are not told which agent is the ego.
     pub(super) fn see(&self, rows: &mut Rows, strengths: &[Real], hidden: &mut Hidden) {
         let far = self.others[1].columns;
         let Hidden { x, a, b, speed, turning, .. } = hidden;

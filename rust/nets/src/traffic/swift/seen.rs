@@ -1,7 +1,7 @@
 //! What a vehicle of swift traffic sees: itself, its route, the ego and the nearest agents, all in its own frame.
 
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{Point2, Pose2, Real, Vector2, math};
-use ccdiff_sim::policy::WorldView;
 use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::stage::History;
 
@@ -16,7 +16,7 @@ pub const OWN: usize = 13 + 4 * PLACES.len();
 pub const OTHER: usize = 15;
 /// Numbers about the ego; the last one says that there is one.
 pub const EGO: usize = 14;
-/// The number of another agent that says who it is: 1 for the ego, -1 for all but vehicles.
+/// The number of another agent that says what it is: 1 for the ego, 0 for vehicles, -1 for all others.
 pub(super) const WHO: usize = OTHER - 1;
 
 /// Distance between places on the route and their number; those that are told, by index.
@@ -58,7 +58,7 @@ impl Rows {
         self.seen.clear();
     }
 
-    /// Adds what an active vehicle sees; `egos` are those whom it may be told to hinder. The history holds [`STATES`] at least.
+    /// Adds what an active vehicle sees; `egos` are those that it may be told to hinder. The history holds [`STATES`] at least.
     pub fn add(&mut self, world: &WorldView<'_>, history: &History, agent_idx: usize, egos: &[usize]) {
         let states = world.states;
         let (path, s_m) = (&world.scene.routes[agent_idx].path, world.route_s_m[agent_idx].max(0.0));

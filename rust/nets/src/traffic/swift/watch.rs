@@ -1,8 +1,8 @@
-//! Where the agents of a world will be in the next 1.5 s: who draws as it has drawn, all others as they brake and turn now; and who
-//! then drives into whom.
+//! Where the agents of a world will be in the next 1.5 s, deciding vehicles as drawn, all others as they brake and turn now, and
+//! which of them come into contact.
 
+use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{OrientedBox, Point2, Real, math};
-use ccdiff_sim::policy::WorldView;
 
 /// Moments that are looked at, seconds apart; how many hold a drawn motion. Then speeds are kept, and half of the yaw rate.
 const APART_S: Real = 0.25;
@@ -80,7 +80,7 @@ impl Watch {
         self.ways[a] = Way::of(world, a, motion, HELD);
     }
 
-    /// Whether an agent comes close to one whom it minds. Who touches it already does not count, nor who comes from behind.
+    /// Whether an agent comes close to one that it minds. Those that touch it already or come from behind do not count.
     pub(super) fn touches(&self, world: &WorldView<'_>, a: usize, minds: impl Fn(usize) -> bool) -> bool {
         let own = &self.ways[a];
         let wide = |b: &OrientedBox| OrientedBox {

@@ -6,8 +6,7 @@
 
 use std::cmp::Ordering;
 
-/// Fixed-point steps per unit of weight. Sums of weights are integers, hence independent of their order, and
-/// equal weights are equal.
+/// Fixed-point steps per unit of weight: sums of integers do not depend on their order.
 const STEPS_PER_UNIT: f64 = (1u64 << 40) as f64;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -38,12 +37,8 @@ pub(super) struct WeightedGraph {
 }
 
 impl WeightedGraph {
-    /// Joins agents i and j where `measure(i, j)` or `measure(j, i)` exceeds the threshold, with their sum as weight.
-    ///
-    /// Nodes stand in the order in which pairs (i, j), i <= j, first mention them; an agent that no pair mentions,
-    /// not even (i, i), is no node. Values that are not numbers, of absent agents, count as 0.
-    ///
-    /// `measure` gives values in [0, 1] and `threshold` is at least 0.
+    /// Joins agents i and j where `measure(i, j)` or `measure(j, i)`, 0 for NaN, exceeds the threshold, with their sum as
+    /// weight. Nodes are in the order in which pairs (i, j), i <= j, first mention them.
     pub(super) fn from_measure(
         num_agents: usize,
         threshold: f64,
@@ -96,12 +91,8 @@ impl WeightedGraph {
         others.iter().map(|&other| self.weight(node, other)).sum()
     }
 
-    /// The `count` heaviest cliques of at least `min_size` nodes, fewer where there are not as many: agent indices, heaviest
-    /// first, within a clique in the graph's node order. And whether the search was completed: if not, these are the heaviest
-    /// cliques seen.
-    ///
-    /// The search visits at most `node_limit` cliques; its result is the same on every machine. Sizes below 1
-    /// count as 1.
+    /// At most `count` heaviest cliques of at least `min_size` nodes as agent indices, heaviest first, and whether the
+    /// search was completed; it visits at most `node_limit` cliques.
     pub(super) fn heaviest_cliques(
         &self,
         min_size: usize,
@@ -163,8 +154,7 @@ impl Search<'_> {
         }
     }
 
-    /// Grows a clique from every node, taking the node of largest gain, and offers it with its sub-cliques that
-    /// lack one or two members: good cliques to beat from the start.
+    /// Offers the greedy clique from every node, and its parts that lack one or two members, as cliques to beat.
     fn seed(&mut self) {
         let graph = self.graph;
         for start in 0..graph.num_nodes() as u32 {
@@ -205,8 +195,7 @@ impl Search<'_> {
         }
     }
 
-    /// Visits the cliques that extend the members by candidates, but for those that cannot be among the best;
-    /// `weight` is that of the members.
+    /// Visits the cliques that extend the members, of some `weight`, by candidates, as far as they can be among the best.
     fn expand(&mut self, weight: u64, candidates: Vec<Candidate>) {
         if self.members.len() + candidates.len() < self.min_size {
             return;
@@ -277,8 +266,7 @@ struct Classes {
     nodes: Vec<Candidate>,
     /// Where each class ends in `nodes`.
     ends: Vec<usize>,
-    /// What each class adds at most to a clique of members and nodes of the classes before it: the largest gain of
-    /// a node plus its largest weight to every earlier class.
+    /// Most that each class adds: the largest gain of a node plus its largest weight to every earlier class.
     adds: Vec<u64>,
 }
 

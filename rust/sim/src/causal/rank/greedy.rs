@@ -3,20 +3,12 @@
 use crate::error::{Result, SimError, check_length};
 use crate::geom::Real;
 
-/// Orders the agents by the cliques grown greedily from each of them: by size, then weight.
+/// Orders the agents by the cliques grown greedily from each of them, by size, then weight; others are tried by falling
+/// weighted degree. `weights` [M, M] is G times attention, at least 0; its diagonal is ignored.
 ///
-/// Agent i's clique starts as {i}; the others are tried in order of falling weighted degree, then index, and join
-/// if they are joined to every member. Its weight is the sum over its pairs. Agents without a neighbour are left out.
-/// `weights` [M, M] is G times attention, at least 0; its diagonal is ignored.
-///
-/// Differs from the paper: it leaves open the order of the vertices, the symmetrisation and ties; here the weight
-/// of a pair is the larger of its two directions, and ties go to the smaller index (reference.md#greedy-cliques).
-///
-/// # Errors
-/// [`SimError::Length`] for a matrix that is not M * M, [`SimError::Config`] for negative or non-finite weights.
-///
-/// # Reference
-/// Paper, algorithm "Causal discovery and Ranking".
+/// Differs from the paper (algorithm "Causal discovery and Ranking"): it leaves open the order of the vertices, the
+/// symmetrisation and ties; here the weight of a pair is the larger of its two directions, and ties go to the smaller
+/// index (reference.md#greedy-cliques).
 pub(super) fn greedy_order(num_agents: usize, weights: &[Real]) -> Result<Vec<usize>> {
     check_length("weights of the graph", weights.len(), num_agents * num_agents)?;
     if let Some(bad) = weights.iter().find(|w| !w.is_finite() || **w < 0.0) {

@@ -1,4 +1,4 @@
-//! Rankings of key agents: who takes part in what is about to happen.
+//! Rankings of key agents.
 //!
 //! A [`Ranker`] orders the agents of one scene; [`Ranker::rank`] takes the first of them and, where the ranker names
 //! too few, fills up in a fixed way: by ascending time to contact, then distance, then index.

@@ -23,20 +23,11 @@ impl CliqueSettings {
         Self { threshold: 0.0, min_size: 2, top_per_frame: 3, node_limit: 20_000 };
 }
 
-/// Agents by falling number of the heaviest cliques of every step that they take part in, equal numbers in the order of
-/// first appearance; and whether the search was completed at every step.
-///
-/// `measure` [T, M, M] is normalised: in [0, 1], or not a number for absent agents.
+/// Agents by falling number of the heaviest cliques of every step that they take part in, then by first appearance; and
+/// whether the search was completed at every step. `measure` [T, M, M] is in [0, 1], or NaN for absent agents.
 ///
 /// Differs from the paper: cliques are those of the time-to-contact (or distance) graph alone, over several steps,
-/// as in the authors' release; the paper's greedy cliques on G are in [`super::greedy`].
-///
-/// # Errors
-/// [`SimError::Length`] where the measure is not a whole number of [M, M] matrices, [`SimError::Config`] for values
-/// outside [0, 1] or a negative threshold.
-///
-/// # Reference
-/// reference.md#released-script and reference.md#shipped-lists.
+/// as in the authors' release (reference.md#released-script); those on G are in [`super::greedy`].
 pub(super) fn clique_occurrences(
     num_agents: usize,
     measure: &[Real],

@@ -1,6 +1,6 @@
 //! Log replay.
 
-use super::{AgentMotion, ConstantVelocity, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, ConstantVelocity, DriverModel, Kind, PlanState, WorldView};
 
 pub(super) const KIND: Kind = Kind {
     name: "replay",
@@ -16,7 +16,7 @@ pub(super) const KIND: Kind = Kind {
 #[derive(Debug, Default)]
 pub struct Replay;
 
-impl TrafficPolicy for Replay {
+impl DriverModel for Replay {
     fn name(&self) -> &str {
         KIND.name
     }

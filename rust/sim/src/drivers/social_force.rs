@@ -6,11 +6,10 @@
 //! e points along the logged path, v₀ is the speed that keeps up with the log. d is the distance to another pedestrian, n
 //! points away from it, φ is the angle between the walk and the other one.
 //!
-//! The model was fitted to walkers alone. For vehicles that move, ours: d is the distance to the way of the box over the
-//! next seconds, the repulsion is so strong that who walks towards it stops before it, and w is max(0, −e·n), so that who
-//! walks beside it is not held up.
+//! The model was fitted to pedestrians alone. For moving vehicles, ours: d is the distance to the way of the box over the
+//! next seconds, the repulsion stops a pedestrian that walks towards it, and w = max(0, −e·n) spares one beside it.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::scene::AgentKind;
 
@@ -24,7 +23,7 @@ const VEHICLE_STRENGTH_MPS2: Real = 10.0;
 const REACH_M: Real = 1.65;
 /// Share λ of the repulsion that comes from behind.
 const FROM_BEHIND: Real = 0.12;
-/// Others farther than this repel nobody, metres.
+/// Others farther than this do not repel, metres.
 const FARTHEST_M: Real = 15.0;
 /// How far ahead the way of a vehicle is seen, seconds.
 const AHEAD_S: Real = 2.0;
@@ -32,7 +31,7 @@ const AHEAD_S: Real = 2.0;
 const STATIONARY_MPS: Real = 0.5;
 /// Time in which a pedestrian wants to be where its log is, seconds.
 const CATCH_UP_S: Real = 1.0;
-/// Nobody walks faster than this times the greatest logged speed, nor than its least value, m/s.
+/// Greatest speed as a factor of the greatest logged one, and the least that it may be, m/s.
 const HASTE: (Real, Real) = (1.3, 1.0);
 /// Distance to the point of the path that is walked to, metres.
 const LOOK_AHEAD_M: Real = 1.0;
@@ -88,7 +87,7 @@ fn logged(world: &WorldView<'_>, agent_idx: usize) -> (Real, Real, usize) {
     (world.scene.logged_s_m(agent_idx, at), world.scene.logged_s_m(agent_idx, last), last)
 }
 
-impl TrafficPolicy for SocialForce {
+impl DriverModel for SocialForce {
     fn name(&self) -> &str {
         KIND.name
     }
@@ -135,7 +134,7 @@ impl TrafficPolicy for SocialForce {
             next *= greatest / speed;
         }
         let position = pose.position + next * world.dt_s;
-        // who stands or moves slowly keeps the heading
+        // standing or slow pedestrians keep the heading
         let heading = if next.norm() > 0.3 { math::atan2(next.y, next.x) } else { pose.heading_rad };
         AgentMotion::Place(Pose2::new(position.x, position.y, heading), next)
     }

@@ -1,15 +1,15 @@
-//! Plans: what a policy that plans is asked, what it leaves in a world, and what a watcher learns from it.
+//! Plans: what a planning driver is asked, what it keeps in a world, and what is reported of it.
 
 use super::{Driver, WorldView};
 use crate::geom::{Pose2, Real, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// A world for which a policy may plan.
+/// A world for which a driver may plan.
 #[derive(Clone, Copy)]
 pub struct PlanRequest<'a> {
     /// The world.
     pub world: WorldView<'a>,
-    /// The policy as [`WorldView::drivers`] names it.
+    /// The driver as [`WorldView::drivers`] names it.
     pub driver: Driver,
     /// The plan that the world follows; `None` before the first one of its episode.
     pub plan: Option<&'a PlanState>,
@@ -18,7 +18,7 @@ pub struct PlanRequest<'a> {
 }
 
 impl PlanRequest<'_> {
-    /// Whether the policy drives an agent of the scene.
+    /// Whether the driver moves an agent of the scene.
     pub fn drives(&self, agent_idx: usize) -> bool {
         self.world.drivers[agent_idx] == self.driver
     }
@@ -29,14 +29,14 @@ impl PlanRequest<'_> {
     }
 }
 
-/// What a policy keeps of a world from one plan to the next: part of the world's episode, and of its snapshots.
+/// What a driver keeps of a world from one plan to the next: part of the world's episode, and of its snapshots.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PlanState {
     /// The plan, with what it was made from.
     pub record: PlanRecord,
     /// Speed of each planned agent after each step of the sample that it follows, m/s, [M, T].
     pub speed_mps: Vec<Real>,
-    /// Whatever else the policy wants to find again.
+    /// Whatever else the driver wants to find again.
     pub memory: Vec<u8>,
 }
 
@@ -69,10 +69,10 @@ impl PlanState {
     }
 }
 
-/// What replaces a policy's own choice in the plans of one world, in force until replaced or until the world begins a new episode.
+/// What replaces a driver's own choice in the plans of one world, in force until replaced or until the world begins a new episode.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PlanOverride {
-    /// Agents of the scene to be guided, in place of the policy's own ranking; `None` leaves the choice to it.
+    /// Agents of the scene to be guided, in place of the driver's own ranking; `None` leaves the choice to it.
     pub guided: Option<Vec<usize>>,
     /// Strength of the guidance in place of the configured one, at least 0.
     pub criticality: Option<Real>,

@@ -1,12 +1,12 @@
-//! Drivers: policies that plan, mixed traffic, drivers of single vehicles, refusals.
+//! Drivers that plan, mixed traffic, drivers of single vehicles, refusals.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 
-use ccdiff_sim::policy::{PlanRecord, PlanRequest, PlanState, TrafficPolicy};
+use ccdiff_sim::Result;
+use ccdiff_sim::drivers::{DriverModel, PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::world::{Autoreset, Consequence, Traffic, VecWorld, WorldConfig};
-use ccdiff_sim::{Result, SimError};
 use common::{Batch, actions, city};
 use std::collections::BTreeMap;
 
@@ -14,15 +14,13 @@ use std::collections::BTreeMap;
 struct Steady {
     speed_mps: f32,
     replan_steps: usize,
-    /// What is wrong with the plans that it gives back.
-    fault: &'static str,
 }
 
 const STEPS: usize = 6;
 
 impl Steady {
-    fn boxed(speed_mps: f32) -> Box<dyn TrafficPolicy> {
-        Box::new(Self { speed_mps, replan_steps: 4, fault: "" })
+    fn boxed(speed_mps: f32) -> Box<dyn DriverModel> {
+        Box::new(Self { speed_mps, replan_steps: 4 })
     }
 
     fn plan_one(&self, request: &PlanRequest<'_>) -> PlanState {
@@ -58,7 +56,7 @@ impl Steady {
     }
 }
 
-impl TrafficPolicy for Steady {
+impl DriverModel for Steady {
     fn name(&self) -> &str {
         "steady"
     }
@@ -68,27 +66,11 @@ impl TrafficPolicy for Steady {
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
-        if self.fault == "error" {
-            return Err(SimError::Policy { policy: "steady".into(), message: "no idea".into() });
-        }
         let plan = |r: &PlanRequest<'_>| {
             assert_eq!(r.world.history.map(|h| h.len() >= 3), Some(true));
-            r.is_due(self.replan_steps).then(|| {
-                let mut plan = self.plan_one(r);
-                match self.fault {
-                    "agent" => plan.record.agents[0] = 10_000,
-                    "number" => plan.record.samples[0] = f32::NAN,
-                    "length" => plan.speed_mps.clear(),
-                    _ => {}
-                }
-                plan
-            })
+            r.is_due(self.replan_steps).then(|| self.plan_one(r))
         };
-        let mut plans: Vec<_> = requests.iter().map(plan).collect();
-        if self.fault == "count" {
-            plans.pop();
-        }
-        Ok(plans)
+        Ok(requests.iter().map(plan).collect())
     }
 }
 
@@ -109,8 +91,8 @@ fn mix(shares: &[(&str, f32)]) -> Traffic {
 }
 
 fn batch(config: WorldConfig, envs: usize, threads: usize) -> Batch {
-    let policies = vec![("slow".to_owned(), Steady::boxed(3.0)), ("fast".to_owned(), Steady::boxed(9.0))];
-    Batch::with_policies(vec![city(20), city(9)], config, envs, threads, policies)
+    let drivers = vec![("slow".to_owned(), Steady::boxed(3.0)), ("fast".to_owned(), Steady::boxed(9.0))];
+    Batch::with_drivers(vec![city(20), city(9)], config, envs, threads, drivers)
 }
 
 /// Names of the drivers of a world's agents.
@@ -120,7 +102,7 @@ fn names(world: &VecWorld, world_idx: usize) -> Vec<String> {
 }
 
 #[test]
-fn several_policies_plan_in_one_world_and_each_is_followed() {
+fn several_drivers_plan_in_one_world_and_each_is_followed() {
     let mut batch = batch(config(mix(&[("slow", 0.5), ("fast", 0.5)])), 2, 1);
     batch.reset_all(3);
     assert_eq!(batch.world.planner_names().collect::<Vec<_>>(), ["slow", "fast"]);
@@ -157,21 +139,8 @@ fn nobody_plans_for_a_world_that_rests() {
 }
 
 #[test]
-fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
+fn mixed_traffic_has_its_shares() {
     let shares = [("idm", 0.5), ("slow", 0.3), ("replay", 0.2)];
-    let drawn = |envs: usize, threads: usize, seed: u64| {
-        let mut batch = batch(config(mix(&shares)), envs, threads);
-        batch.reset(&vec![Some(seed); envs], &vec![Some(0); envs]).unwrap();
-        let first = names(&batch.world, envs - 1);
-        batch.reset(&vec![None; envs], &vec![Some(0); envs]).unwrap();
-        (first, names(&batch.world, envs - 1))
-    };
-    let (first, second) = drawn(1, 1, 7);
-    assert_ne!(first, second, "another episode, another draw");
-    assert_eq!(drawn(12, 2, 7), (first.clone(), second));
-    assert_ne!(drawn(1, 1, 8).0, first);
-    assert_eq!(first[0], "external");
-
     let mut counts: BTreeMap<String, usize> = BTreeMap::new();
     let mut batch = batch(config(mix(&shares)), 1, 1);
     for seed in 0..200 {
@@ -184,41 +153,4 @@ fn mixed_traffic_is_drawn_from_seed_and_episode_alone() {
         // five standard deviations of a share of 3,800 draws
         assert!((got - share).abs() < 0.041, "{name}: {got}");
     }
-}
-
-#[test]
-fn a_policy_that_gives_nonsense_stops_the_step_before_anything_changes() {
-    for fault in ["error", "agent", "number", "length", "count"] {
-        let policy: Box<dyn TrafficPolicy> = Box::new(Steady { speed_mps: 5.0, replan_steps: 1, fault });
-        let policies = vec![("odd".to_owned(), policy)];
-        let mut batch = Batch::with_policies(vec![city(9)], config("odd".into()), 2, 1, policies);
-        batch.reset_all(0);
-        let before = batch.world.digest(0).unwrap();
-        match batch.step(&actions(0, 4)) {
-            Err(SimError::Policy { .. }) => {}
-            other => panic!("{fault} gave {other:?}"),
-        }
-        assert_eq!(batch.world.digest(0).unwrap(), before, "{fault}");
-    }
-}
-
-/// Leaves everything to the defaults of the trait.
-struct Nothing;
-
-impl TrafficPolicy for Nothing {
-    fn name(&self) -> &str {
-        "nothing"
-    }
-}
-
-#[test]
-fn a_policy_of_one_method_replays_the_log() {
-    let run = |traffic: &str| {
-        let policies: Vec<(String, Box<dyn TrafficPolicy>)> = vec![("nothing".to_owned(), Box::new(Nothing))];
-        let mut batch = Batch::with_policies(vec![city(20)], config(traffic.into()), 1, 1, policies);
-        batch.reset_all(2);
-        (0..20).for_each(|t| batch.step(&actions(t, 2)).unwrap());
-        batch.world.status(0).unwrap().states.clone()
-    };
-    assert_eq!(run("nothing"), run("replay"));
 }

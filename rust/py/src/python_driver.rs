@@ -1,12 +1,12 @@
-//! A traffic model written in Python, as a policy of a batch: one call per plan phase for all worlds that are due.
+//! A traffic model written in Python, as a driver of a batch: one call per plan phase for all worlds that are due.
 
 use crate::traffic_batch::{self, Row, Told};
 use ccdiff_sim::SimError;
+use ccdiff_sim::drivers::{Driver, DriverModel, Kind, PlanRecord, PlanRequest, PlanState};
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::{Pose2, Vector2};
 use ccdiff_sim::options;
 use ccdiff_sim::options::within;
-use ccdiff_sim::policy::{Driver, Kind, PlanRecord, PlanRequest, PlanState, TrafficPolicy};
 use numpy::{PyArray3, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -31,16 +31,16 @@ options! {
         replan_steps: usize = 5, range within(1.0, 10_000.0);
         /// Past states of each agent, the present one included.
         history_states: usize = 31, range within(1.0, 1000.0);
-        /// Fewest of them that the log must have at the start of an episode, the present one included; an environment that
-        /// starts earlier is refused. The states before are told as not valid.
+        /// Fewest states that the log must have at the start of an episode, the present one included; an environment
+        /// that starts earlier is refused. Missing states are not valid.
         least_history_states: usize = 1, range within(1.0, 1000.0);
-        /// Places on each vehicle's route, 2 m apart from where it is.
+        /// Points on each vehicle's route, 2 m apart from its position on.
         route_points: usize = 41, range within(0.0, 1000.0);
     }
 }
 
 /// Traffic that follows the plans of a Python object.
-pub(crate) struct PythonPolicy {
+pub(crate) struct PythonDriver {
     name: String,
     options: PythonOptions,
     /// Called with the arrays of [`traffic_batch::arrays`]; returns float32 [M, T, 3] or [M, T, 2].
@@ -48,7 +48,7 @@ pub(crate) struct PythonPolicy {
     dynamics: Dynamics,
 }
 
-impl PythonPolicy {
+impl PythonDriver {
     pub(crate) fn new(name: &str, options: PythonOptions, model: Py<PyAny>) -> Self {
         Self { name: name.into(), options, model, dynamics: Dynamics::default() }
     }
@@ -60,7 +60,7 @@ impl PythonPolicy {
             let history = world.history.filter(|h| h.len() >= self.options.history_states);
             let history = history.ok_or_else(|| {
                 let message = "the world keeps too short a history".into();
-                SimError::Policy { policy: self.name.clone(), message }
+                SimError::Driver { driver: self.name.clone(), message }
             })?;
             let row = |agent_idx: usize| Row {
                 agent_idx,
@@ -154,7 +154,7 @@ fn empty(request: &PlanRequest<'_>, steps: usize) -> PlanState {
     }
 }
 
-impl TrafficPolicy for PythonPolicy {
+impl DriverModel for PythonDriver {
     fn name(&self) -> &str {
         "python"
     }
@@ -180,7 +180,7 @@ impl TrafficPolicy for PythonPolicy {
                 let message = error.to_string();
                 // left where the caller finds it: the model's own exception reaches the user
                 error.restore(py);
-                SimError::Policy { policy: self.name.clone(), message }
+                SimError::Driver { driver: self.name.clone(), message }
             })
         })?;
         let mut plans = plans.into_iter();

@@ -1,8 +1,8 @@
-//! The table of a batch's policies, and who of them drives whom.
+//! The table of a batch's drivers, and which of them each agent has.
 
+use crate::drivers::{Driver, DriverModel, KINDS, Kind, PEDESTRIANS, PlanRequest, PlanState};
 use crate::error::{Result, SimError};
 use crate::geom::Real;
-use crate::policy::{Driver, KINDS, Kind, PEDESTRIANS, PlanRequest, PlanState, TrafficPolicy};
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::hitches;
 use crate::world::config::{Controlled, WorldConfig};
@@ -13,12 +13,12 @@ use std::sync::Arc;
 /// Stream of a world's generator from which mixed traffic is drawn.
 const MIX_STREAM: u64 = u64::MAX - 1;
 
-/// Policies by name, and the configuration's choice among them.
-pub(crate) struct Policies {
-    table: Vec<(String, Box<dyn TrafficPolicy>)>,
+/// Drivers by name, and the configuration's choice among them.
+pub(crate) struct DriverTable {
+    table: Vec<(String, Box<dyn DriverModel>)>,
     /// Places in the table of those that make plans.
     pub(crate) planners: Vec<u16>,
-    /// States that the policy looks back at which looks back farthest; 0: none.
+    /// States that the driver with the longest history looks back at; 0: none.
     pub(crate) history_states: usize,
     pub(crate) slots: Driver,
     /// Drivers of the other vehicles, each with the sum of the shares up to its own.
@@ -27,28 +27,28 @@ pub(crate) struct Policies {
     pub(crate) by_id: Vec<(String, Driver)>,
 }
 
-impl Policies {
-    /// The policies that every batch has, then `more`, then what moves pedestrians.
+impl DriverTable {
+    /// The drivers that every batch has, then `more`, then what moves pedestrians.
     pub(crate) fn new(
         config: &WorldConfig,
         scenes: &[Arc<Scene>],
-        more: Vec<(String, Box<dyn TrafficPolicy>)>,
+        more: Vec<(String, Box<dyn DriverModel>)>,
     ) -> Result<Self> {
         // what is in every batch has its options in the configuration of the worlds itself
         let whole = serde_json::to_value(config).unwrap_or_default();
         let made = |kind: &Kind| {
             let make = kind.make?;
-            let policy = make(kind.name, &whole[kind.name].to_string());
-            Some(policy.map(|policy| (kind.name.to_owned(), policy)))
+            let driver = make(kind.name, &whole[kind.name].to_string());
+            Some(driver.map(|driver| (kind.name.to_owned(), driver)))
         };
         let mut table =
             KINDS.iter().filter(|kind| kind.always).filter_map(made).collect::<Result<Vec<_>>>()?;
         let walks = PEDESTRIANS.iter().find(|kind| kind.name == config.pedestrians.name());
-        for (name, policy) in more.into_iter().chain(walks.and_then(made).transpose()?) {
+        for (name, driver) in more.into_iter().chain(walks.and_then(made).transpose()?) {
             if name == EXTERNAL || table.iter().any(|(known, _)| *known == name) {
                 return Err(SimError::config("named_drivers", name, "a name that nobody else has"));
             }
-            let (least, has) = (policy.least_history_states(), config.history_steps.saturating_add(1));
+            let (least, has) = (driver.least_history_states(), config.history_steps.saturating_add(1));
             if has < least {
                 let expected = format!(
                     "at least {}: {name:?} looks back at {least} states or more, the present one included",
@@ -56,10 +56,10 @@ impl Policies {
                 );
                 return Err(SimError::config("history_steps", config.history_steps, expected));
             }
-            table.push((name, policy));
+            table.push((name, driver));
         }
         let planners = (0..table.len()).filter(|i| table[*i].1.history_states() > 0);
-        let mut policies = Self {
+        let mut made = Self {
             planners: planners.map(|i| i as u16).collect(),
             history_states: table.iter().map(|(_, p)| p.history_states()).max().unwrap_or(0),
             slots: Driver::External,
@@ -68,14 +68,14 @@ impl Policies {
             by_id: Vec::new(),
             table,
         };
-        policies.slots = policies.driver("driver", &config.driver)?;
+        made.slots = made.driver("driver", &config.driver)?;
         if let Some(kind) = walks {
-            policies.pedestrians = policies.driver("pedestrians", kind.name)?;
+            made.pedestrians = made.driver("pedestrians", kind.name)?;
         }
         let mut sum = 0.0;
         for (name, share) in config.traffic.shares() {
             sum += share;
-            policies.traffic.push((sum, policies.driver("traffic", name)?));
+            made.traffic.push((sum, made.driver("traffic", name)?));
         }
         for (id, name) in &config.drivers {
             let known = scenes.iter().filter_map(|s| Some(s.agents[s.agent_index(id)?].kind));
@@ -88,15 +88,16 @@ impl Policies {
             };
             let is_named = matches!(config.controlled, Controlled::Ids(_) | Controlled::PerScene(_));
             if !is_named && scenes.iter().any(is_towed) {
-                let expected = "the id of a vehicle that no other one tows: those follow who tows them";
+                let expected =
+                    "the id of a vehicle that no other one tows: those follow the one that tows them";
                 return Err(SimError::config("drivers", format!("{id:?}"), expected));
             }
-            policies.by_id.push((id.clone(), policies.driver("drivers", name)?));
+            made.by_id.push((id.clone(), made.driver("drivers", name)?));
         }
-        Ok(policies)
+        Ok(made)
     }
 
-    /// Names of the policies, in the order of the table.
+    /// Names of the drivers, in the order of the table.
     pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
         self.table.iter().map(|(name, _)| name.as_str())
     }
@@ -105,7 +106,7 @@ impl Policies {
         match driver {
             Driver::External => EXTERNAL,
             Driver::Towed => "towed",
-            Driver::Policy(i) => &self.table[usize::from(i)].0,
+            Driver::Model(i) => &self.table[usize::from(i)].0,
         }
     }
 
@@ -114,7 +115,7 @@ impl Policies {
             return Ok(Driver::External);
         }
         let found = self.table.iter().position(|(known, _)| known == name);
-        found.map(|i| Driver::Policy(i as u16)).ok_or_else(|| {
+        found.map(|i| Driver::Model(i as u16)).ok_or_else(|| {
             let names: Vec<&str> = self.names().collect();
             let expected = format!("a driver of this batch: {}", names.join(", "));
             SimError::config(field, format!("{name:?}"), expected)
@@ -123,37 +124,37 @@ impl Policies {
 
     /// Whether a driver is one of this table.
     pub(crate) fn has(&self, driver: Driver) -> bool {
-        !matches!(driver, Driver::Policy(i) if usize::from(i) >= self.table.len())
+        !matches!(driver, Driver::Model(i) if usize::from(i) >= self.table.len())
     }
 
-    pub(crate) fn get(&self, policy_idx: u16) -> &dyn TrafficPolicy {
-        &*self.table[usize::from(policy_idx)].1
+    pub(crate) fn get(&self, driver_idx: u16) -> &dyn DriverModel {
+        &*self.table[usize::from(driver_idx)].1
     }
 
     pub(crate) fn len(&self) -> usize {
         self.table.len()
     }
 
-    /// Whether a policy plans for every world, or only for those where somebody was put into its hands.
-    pub(crate) fn always_plans(&self, policy_idx: u16) -> bool {
-        let driver = Driver::Policy(policy_idx);
+    /// Whether a driver plans for every world, or only for those where an agent was assigned to it.
+    pub(crate) fn always_plans(&self, driver_idx: u16) -> bool {
+        let driver = Driver::Model(driver_idx);
         self.slots == driver || self.traffic.iter().any(|(_, d)| *d == driver)
     }
 
     /// One entry for each request, checked.
     pub(crate) fn plan(
         &mut self,
-        policy_idx: u16,
+        driver_idx: u16,
         requests: &[PlanRequest<'_>],
     ) -> Result<Vec<Option<PlanState>>> {
-        let (name, policy) = &mut self.table[usize::from(policy_idx)];
-        let plans = policy.plan(requests)?;
+        let (name, driver) = &mut self.table[usize::from(driver_idx)];
+        let plans = driver.plan(requests)?;
         let fits = |(plan, request): (&Option<PlanState>, &PlanRequest<'_>)| {
             plan.as_ref().is_none_or(|p| p.fits(request.world.states.len()))
         };
         if plans.len() != requests.len() || !plans.iter().zip(requests).all(fits) {
             let message = "its plans do not fit the worlds that it was asked for".into();
-            return Err(SimError::Policy { policy: name.clone(), message });
+            return Err(SimError::Driver { driver: name.clone(), message });
         }
         Ok(plans)
     }

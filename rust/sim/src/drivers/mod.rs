@@ -1,10 +1,10 @@
-//! Who drives the agents that nobody drives from outside.
+//! Driver models: what moves the agents that take no actions from outside.
 //!
-//! A batch of worlds is handed a table of policies under names of their own ([`crate::world::VecWorld::new`]); each agent
-//! holds the place of its policy in that table ([`Driver`]). A policy first plans for all worlds at once
-//! ([`TrafficPolicy::plan`], the one place where a network runs), then moves single agents from that plan
-//! ([`TrafficPolicy::act`], inside each world's own tick). What a policy remembers of a world is in the world's
-//! [`PlanState`], so that snapshots and resets need no code in a policy. Policies without a plan (log replay, constant
+//! A batch of worlds is handed a table of drivers under names of their own ([`crate::world::VecWorld::new`]); each agent
+//! holds the place of its driver in that table ([`Driver`]). A driver first plans for all worlds at once
+//! ([`DriverModel::plan`], the one place where a network runs), then moves single agents from that plan
+//! ([`DriverModel::act`], inside each world's own tick). What a driver remembers of a world is in the world's
+//! [`PlanState`], so that snapshots and resets need no code in a driver. Drivers without a plan (log replay, constant
 //! velocity, IDM) implement `act` alone.
 
 mod constant_velocity;
@@ -29,24 +29,24 @@ use crate::stage::{History, PreparedScene};
 use crate::state::AgentStates;
 use serde::{Deserialize, Serialize};
 
-/// Who drives an agent.
+/// What drives an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Driver {
     /// Actions handed to `step`.
     External,
-    /// The policy at this place of the batch's table.
-    Policy(u16),
-    /// Nobody: it is towed by the vehicle that it is hitched to.
+    /// The driver at this place of the batch's table.
+    Model(u16),
+    /// None: it is towed by the vehicle that it is hitched to.
     Towed,
 }
 
 impl Driver {
-    /// Log replay: the first policy of every table.
-    pub const REPLAY: Self = Self::Policy(0);
+    /// Log replay: the first driver of every table.
+    pub const REPLAY: Self = Self::Model(0);
 }
 
-/// Makes a policy from its options as JSON, which stand at a path.
-pub type Make = fn(path: &str, options: &str) -> Result<Box<dyn TrafficPolicy>>;
+/// Makes a driver from its options as JSON, found at a path of the configuration.
+pub type Make = fn(path: &str, options: &str) -> Result<Box<dyn DriverModel>>;
 
 /// A kind of driver: its file declares one, a list names it, and configurations, images, tables and help texts read it.
 #[derive(Debug, Clone, Copy)]
@@ -59,7 +59,7 @@ pub struct Kind {
     pub style: &'static str,
     /// Its options; `None`: it takes none.
     pub options: Option<&'static Table>,
-    /// Whether every batch has it under this name; others are made where somebody drives by them.
+    /// Whether every batch has it under this name; others are made where an agent has them.
     pub always: bool,
     /// How it is made; `None`: not from options alone.
     pub make: Option<Make>,
@@ -71,7 +71,7 @@ pub const KINDS: &[Kind] = &[replay::KIND, constant_velocity::KIND, idm::KIND];
 /// Those that move pedestrians alone, by the names of [`crate::world::Pedestrians`].
 pub const PEDESTRIANS: &[Kind] = &[social_force::KIND];
 
-/// What a policy may see of a world before a step.
+/// What a driver may see of a world before a step.
 #[derive(Clone, Copy)]
 pub struct WorldView<'a> {
     /// Index of the world among the E of its batch.
@@ -86,13 +86,13 @@ pub struct WorldView<'a> {
     pub route_s_m: &'a [f32],
     /// The ego.
     pub ego: Option<usize>,
-    /// Who drives each agent.
+    /// Driver of each agent.
     pub drivers: &'a [Driver],
     /// Whether a contact has stopped an agent for the rest of the episode.
     pub halted: &'a [bool],
-    /// Past states, where a policy of the batch asked for them: as many as the one that looks back farthest wants.
+    /// Past states, where a driver of the batch asked for them: as many as the one that looks back farthest wants.
     pub history: Option<&'a History>,
-    /// Step of the log that the states stand at.
+    /// Step of the log that belongs to the states.
     pub step_idx: usize,
     /// Steps since the episode began.
     pub elapsed_steps: usize,
@@ -118,8 +118,8 @@ pub enum AgentMotion {
 }
 
 /// A driver of background agents, batched over worlds.
-pub trait TrafficPolicy: Send + Sync {
-    /// Kind of policy, as in reports; its name in a batch is that of the table.
+pub trait DriverModel: Send + Sync {
+    /// Kind of driver, as in reports; its name in a batch is that of the table.
     fn name(&self) -> &str;
 
     /// States of each agent that it looks back at, the present one included; 0: it makes no plans.
@@ -132,11 +132,10 @@ pub trait TrafficPolicy: Send + Sync {
         1
     }
 
-    /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep the plan
-    /// that there is.
+    /// Plans for the worlds about to be stepped, before any `act`: one entry for each request, `None` to keep its plan.
     ///
     /// # Errors
-    /// Whatever stops the policy; the tick is then not executed.
+    /// Whatever stops the driver; the tick is then not executed.
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         Ok(vec![None; requests.len()])
     }

@@ -1,6 +1,6 @@
 //! Constant velocity.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
 use crate::geom::{Point2, Pose2, Vector2};
 
 pub(super) const KIND: Kind = Kind {
@@ -16,7 +16,7 @@ pub(super) const KIND: Kind = Kind {
 #[derive(Debug, Default)]
 pub struct ConstantVelocity;
 
-impl TrafficPolicy for ConstantVelocity {
+impl DriverModel for ConstantVelocity {
     fn name(&self) -> &str {
         KIND.name
     }

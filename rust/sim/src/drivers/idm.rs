@@ -5,7 +5,7 @@
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
 //! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
 
-use super::{AgentMotion, Kind, PlanState, TrafficPolicy, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
 use crate::events::{ANTICIPATION_S, leader};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
@@ -37,7 +37,7 @@ options! {
         max_braking_mps2: Real = 8.0, unit "m/s²", range POSITIVE_MOTION;
         /// Acceleration exponent δ.
         exponent: Real = 4.0, range within(0.0, 100.0).open_below();
-        /// Others are also looked for where they will be, at constant velocity, after this time.
+        /// Other agents also count at their positions after this time at constant velocity.
         anticipation_s: Real = ANTICIPATION_S, unit "s", range within(0.0, 60.0);
     }
 }
@@ -101,7 +101,7 @@ pub fn idm_acceleration(world: &WorldView<'_>, agent_idx: usize) -> Real {
     Idm { config: *world.idm }.wanted_acceleration(world, agent_idx)
 }
 
-impl TrafficPolicy for Idm {
+impl DriverModel for Idm {
     fn name(&self) -> &str {
         KIND.name
     }
@@ -131,19 +131,5 @@ impl TrafficPolicy for Idm {
         let turn = error * (moved / 2.0).min(1.0);
         let next = Pose2::new(at.position.x, at.position.y, pose.heading_rad + turn);
         AgentMotion::Place(next, Vector2::new(next.cos * next_speed, next.sin * next_speed))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn equilibrium_gap_of_the_published_formula() {
-        // at equal speeds the acceleration vanishes at gap (s0 + v T) / sqrt(1 - (v/v0)^delta)
-        let idm = IdmConfig::default();
-        let (v, v0) = (8.0f32, 12.0f32);
-        let gap = (idm.min_gap_m + v * idm.headway_s) / (1.0 - (v / v0).powf(idm.exponent)).sqrt();
-        assert!(idm_towards(&idm, v, v0, Some((gap, v))).abs() < 1e-4);
     }
 }
