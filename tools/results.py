@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.methods import label_of
+from ccdiff_env.bench.methods import METHODS, label_of
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -111,6 +111,8 @@ _REALISM = Made(
     },
 )
 
+_STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the docs show them.
+
 TABLES: dict[str, Made] = {
     **{
         f"planners_{level}": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", level))
@@ -193,6 +195,14 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         _GUIDED,
     ),
+    "training": Made(
+        "train",
+        ("method",),
+        {
+            **{f"after {step:,}": Column(str(step)) for step in _STEPS},
+            "ADE, last": Column("ade_m"),
+        },
+    ),
     "interventional": Made(
         "bench traffic --k 5 --methods ccdiff_unguided,ccdiff_cfg-1.3_unguided,"
         "ccdiff_cfg-1.6_unguided,ccdiff_cfg-1.9_unguided,"
@@ -212,6 +222,10 @@ TABLES: dict[str, Made] = {
 def record(name: str, source: str, workers: int, folder: Path) -> None:
     """Run the command of a table, and keep what the docs show."""
     table = TABLES[name]
+    if name == "training":
+        head = {"command": "python -m tools.train_all", "scenes": "held-out scenes of train"}
+        keep(name, head | {"date": datetime.date.today().isoformat()}, _curves(folder.parent))
+        return
     scenes = ["--scenes", source]
     if "--protocol" in table.command:
         own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
@@ -231,6 +245,20 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         "date": datetime.date.today().isoformat(),
     }
     keep(name, head, _kept(table, rows))
+
+
+def _curves(folder: Path) -> list[dict[str, Any]]:
+    """Held-out minADE of trainings, each in a folder of its method's name, and the ADE at last."""
+    kept = []
+    for method in (name for name in METHODS if (folder / name / "validation.csv").is_file()):
+        with (folder / method / "validation.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        found: dict[str, Any] = {"method": method}
+        for step in _STEPS:
+            until = [row for row in rows if int(row["step"]) <= step <= int(rows[-1]["step"])]
+            found[str(step)] = _figure(until[-1:] or [{}], "min_ade_m")
+        kept.append(found | {"ade_m": _figure(rows[-1:], "ade_m")})
+    return kept
 
 
 _ENDS = ("mean", "worst")  #: Means over the traffic, which stand beside that of each.
