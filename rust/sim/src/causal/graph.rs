@@ -75,3 +75,18 @@ impl CausalGraph {
         self.is_edge.iter().enumerate().map(|(k, joined)| if *joined { weight(k) } else { 0.0 }).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn graph_joins_within_both_thresholds_and_always_self() {
+        let ttc_s = [0.0, 3.0, 1.0, 3.1, 0.0, 20.0, 1.0, 20.0, 0.0];
+        let distance_m = [0.0, 50.0, 51.0, 50.0, 0.0, 5.0, 51.0, 5.0, Real::INFINITY];
+        let joined = |thresholds| CausalGraph::from_measures(3, &ttc_s, &distance_m, thresholds);
+        let graph = joined(GraphThresholds::PAPER).unwrap();
+        assert_eq!(graph.as_slice(), [true, true, false, false, true, false, false, false, true]);
+        assert!(joined(GraphThresholds { ttc_s: -1.0, ..GraphThresholds::PAPER }).is_err());
+    }
+}
