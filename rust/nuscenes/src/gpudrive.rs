@@ -173,7 +173,6 @@ impl Reader<'_> {
         report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
         let seeds = vehicles(&agents, &tracks);
         let map = self.map(origin, &seeds, &bounds, &mut report)?;
-        report.count_layers(&map);
         let scene = Scene {
             token,
             name,
@@ -224,7 +223,7 @@ impl Reader<'_> {
                     let expected = "a vehicle, pedestrian or cyclist that is there for two steps";
                     return self.fault(format!("objects[{i}]"), "sdc_track_index", reason, expected);
                 }
-                Some(reason) => report.drop_track(reason, &object.kind, steps),
+                Some(reason) => report.drop_track(&object.kind, reason),
                 None if i != ego => kept.push(i),
                 None => {}
             }
