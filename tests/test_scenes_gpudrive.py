@@ -39,7 +39,7 @@ def test_a_file_becomes_a_scene(loaded):
     assert np.allclose(np.unwrap(tracks["heading"][0]), tracks["heading"][0], atol=1e-6)
     (report,) = loaded.report.scenes
     assert report.road == "edges"
-    assert list(report.dropped) == ["pedestrian: fewer than 2 steps"]
+    assert list(report.dropped) == ["vehicle: fewer than 2 steps"]
     notes = sorted(note.split('"')[1] for note in report.notes)
     assert notes == ["lane", "speed_bump", "stop_sign"]
     # lanes follow where one ends and another begins

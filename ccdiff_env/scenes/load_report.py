@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, is_dataclass
-from functools import cache
-from typing import Any, get_args, get_origin, get_type_hints
+from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -60,24 +59,17 @@ class LoadReport:
     @classmethod
     def from_json(cls, text: str) -> LoadReport:
         """Read what the native loader wrote."""
-        report: LoadReport = _made(cls, json.loads(text))
-        return report
+        fields = json.loads(text)
+        fields["scenes"] = [SceneReport(**_frozen(scene)) for scene in fields["scenes"]]
+        fields["cache"] = CacheReport(**_frozen(fields["cache"]))
+        return cls(**_frozen(fields))
 
     def __str__(self) -> str:
         return "\n".join(_lines(self))
 
 
-_hints = cache(get_type_hints)
-
-
-def _made(kind: Any, value: Any) -> Any:
-    """A value of JSON as a record, a tuple, or as it is."""
-    if is_dataclass(kind):
-        hints = _hints(kind)  # type: ignore[arg-type]
-        return kind(**{name: _made(hints[name], part) for name, part in value.items()})  # type: ignore[operator]
-    if get_origin(kind) is tuple:
-        return tuple(_made(get_args(kind)[0], part) for part in value)
-    return value
+def _frozen(fields: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(part) if isinstance(part, list) else part for name, part in fields.items()}
 
 
 def _some(names: tuple[str, ...]) -> str:

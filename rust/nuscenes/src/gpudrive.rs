@@ -9,6 +9,7 @@ use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::load::Loaded;
 use crate::report::{CacheReport, LoadReport, Road, SceneReport};
+use crate::resample::unwrapped;
 use crate::stream::parse;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
@@ -455,12 +456,6 @@ fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<(Point2, Real)> {
     let of_vehicle = |i: &usize| tracks.valid[*i] && agents[*i / num_steps].kind == AgentKind::Vehicle;
     let height = |i: usize| tracks.elevation_m.get(i).copied().unwrap_or(0.0);
     (0..tracks.valid.len()).filter(of_vehicle).map(|i| (tracks.position[i], height(i))).collect()
-}
-
-/// The angle that differs from the one before by at most half a turn.
-fn unwrapped(before: f64, angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    before + (angle - before + PI).rem_euclid(TAU) - PI
 }
 
 /// A ring without its first point at the end once more.

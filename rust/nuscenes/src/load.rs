@@ -10,7 +10,7 @@ use crate::tables::{SceneEntry, TABLES, Tables};
 use ccdiff_sim::scene::Scene;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -202,16 +202,12 @@ impl Load<'_> {
         }
     }
 
-    fn map_path(&self, location: &str) -> PathBuf {
-        map_path(self.dataroot, location)
-    }
-
     fn scene_keys(&self, tables: Hash, entries: &[SceneEntry], wanted: &[usize]) -> Result<Vec<Hash>> {
         let mut maps: BTreeMap<&str, Option<Hash>> = BTreeMap::new();
         let key = |index: &usize| {
             let entry = &entries[*index];
             if !maps.contains_key(entry.location.as_str()) {
-                let path = self.map_path(&entry.location);
+                let path = map_path(self.dataroot, &entry.location);
                 let hash = match stamp(&path, "map expansion") {
                     Err(NuscenesError::Missing { .. }) => None,
                     other => Some(other?),
@@ -237,7 +233,7 @@ impl Load<'_> {
     fn read_maps<'e>(&self, entries: impl Iterator<Item = &'e SceneEntry>) -> Result<Maps> {
         let locations: Vec<&str> = locations(entries).into_iter().collect();
         let read = |location: &&str| {
-            let map = match read_map(&self.map_path(location), location) {
+            let map = match read_map(&map_path(self.dataroot, location), location) {
                 Err(NuscenesError::Missing { .. }) => (None, Vec::new()),
                 other => other.map(|(map, notes)| (Some(map), notes))?,
             };
@@ -247,7 +243,7 @@ impl Load<'_> {
     }
 
     fn note_missing_maps<'e>(&mut self, entries: impl Iterator<Item = &'e SceneEntry>) {
-        let missing = locations(entries).into_iter().filter(|l| !self.map_path(l).is_file());
+        let missing = locations(entries).into_iter().filter(|l| !map_path(self.dataroot, l).is_file());
         self.report.missing_maps = missing.map(str::to_owned).collect();
     }
 }

@@ -74,7 +74,10 @@ pub(crate) fn resample(
             out.filled_gaps += usize::from(missing > 0);
         }
     }
-    let headings = unwrapped(keys);
+    let mut headings: Vec<f64> = Vec::with_capacity(keys.len());
+    for key in keys {
+        headings.push(headings.last().map_or(key.yaw_rad, |before| unwrapped(*before, key.yaw_rad)));
+    }
     let track = match (interpolation, keys) {
         (_, [key]) => Track::Still(State {
             position_m: [key.x_m, key.y_m],
@@ -96,17 +99,9 @@ pub(crate) fn resample(
     out
 }
 
-/// Yaw without jumps: neighbouring key frames differ by at most half a turn.
-fn unwrapped(keys: &[Key]) -> Vec<f64> {
-    let mut headings: Vec<f64> = Vec::with_capacity(keys.len());
-    for key in keys {
-        let heading = match headings.last() {
-            Some(before) => before + (key.yaw_rad - before + PI).rem_euclid(TAU) - PI,
-            None => key.yaw_rad,
-        };
-        headings.push(heading);
-    }
-    headings
+/// The angle that differs from the one before by at most half a turn.
+pub(crate) fn unwrapped(before: f64, angle: f64) -> f64 {
+    before + (angle - before + PI).rem_euclid(TAU) - PI
 }
 
 /// States at key frames. Velocities are those of the devkit's `box_velocity`: central differences over the neighbours,
