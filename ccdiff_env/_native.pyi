@@ -110,13 +110,13 @@ class Scene:
 
     @property
     def towed(self) -> list[tuple[int, int]]:
-        """Agents that others tow, and by whom: boxes that overlap in line and move together."""
+        """Towed agents and their towers: boxes that overlap in line and move together."""
 
     def ranked_vehicles(self, step: int, ranking: str) -> list[int]:
         """Rank the vehicles that are there at a step of the log, those that others tow left out.
 
         The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
-        the step as well. Who is on another level is as far as can be.
+        the step as well. Agents on another level count as farthest.
 
         Raises:
             ConfigError: For a step beyond the log or another ranking.

@@ -215,7 +215,7 @@ def _polygon(ring: F64) -> Polygon:
 class _Features:
     """Sorts map features into our layers.
 
-    ``seeds`` [N, 3] are places where vehicles were, ``places`` [N, 3] those of everybody, nothing
+    ``seeds`` [N, 3] are places where vehicles were, ``places`` [N, 3] those of all agents, nothing
     where the file does not tell their heights.
     """
 
@@ -262,8 +262,8 @@ class _Features:
             self.road = "given" if self._own["drivable_area"] else "none"
         if self.has_levels:
             source.notes.append(
-                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks "
-                "see the roads of all levels"
+                "levels of roads: agents more than 2.5 m higher or lower are out of reach; "
+                "networks see the roads of all levels"
             )
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
@@ -340,7 +340,7 @@ class _Features:
             self._heights.add(name, points[:, 2])
 
     def _link(self, lanes: Mapping[str, tuple[Lane, Mapping[str, Any]]]) -> None:
-        """Note who follows whom; lanes that are named and not in the file are left out."""
+        """Link lanes with their successors; lanes that are not in the file are left out."""
         index = {key: i for i, key in enumerate(lanes)}
         edges: set[tuple[int, int]] = set()
         for here, (key, (_, feature)) in enumerate(lanes.items()):

@@ -338,7 +338,7 @@ impl Reader<'_> {
             let heights = states.map(|state| if state.2 { ground(state) } else { 0.0 });
             tracks.elevation_m = heights.collect();
             report.notes.push(
-                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks see the roads of \
+                "levels of roads: agents more than 2.5 m higher or lower are out of reach; networks see the roads of \
                  all levels"
                     .into(),
             );
@@ -458,7 +458,7 @@ fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<(Point2, Real)> {
     (0..tracks.valid.len()).filter(of_vehicle).map(|i| (tracks.position[i], height(i))).collect()
 }
 
-/// A ring without its first point at the end once more.
+/// A ring without the repeated first point at its end.
 fn area(mut ring: Vec<Point2>) -> Polygon {
     if ring.first() == ring.last() {
         ring.pop();

@@ -58,8 +58,8 @@ fn title(kind: &str) -> &'static str {
 /// Name, title and number in images.
 type Row = (&'static str, &'static str, u8);
 
-/// Name, title and number in images of everybody who may move an agent: those that images tell apart, in
-/// the order of their numbers, then the kinds that look like one of them.
+/// Name, title and number in images of all that may move an agent: those that images tell apart, in the order of their
+/// numbers, then the kinds that look like one of them.
 #[pyfunction]
 pub(crate) fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
@@ -113,7 +113,7 @@ fn recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, String)>>
             found.push((kind, name.as_str(), options.to_string()));
         }
     }
-    // who drives by a kind without options of its own has those that all networks share, or the default ones
+    // a driver of a kind without options of its own has those that all networks share, or the default ones
     let shared = config.named_drivers.get(SHARED).and_then(|driver| driver.get(SHARED));
     for kind in
         kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))

@@ -155,7 +155,7 @@ impl PyVecWorld {
         let mut me = self.here()?;
         let me = &mut *me;
         let shape = [me.world.num_worlds(), me.world.config().num_slots, me.world.decoder().width()];
-        // copied, so that nobody changes them while the GIL is released
+        // copied, so that no other thread changes them while the GIL is released
         me.actions.clear();
         me.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let active = match active {
@@ -335,7 +335,7 @@ impl PyVecWorld {
     }
 
     /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it
-    /// guides; `None` where it guides nobody.
+    /// guides; `None` where it guides none.
     fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32, f32)>> {
         let me = self.lock()?;
         let Some(plan) = me.world.explain(world_idx, None).map_err(from_sim)? else { return Ok(None) };
@@ -448,7 +448,7 @@ impl PyVecWorld {
     }
 
     /// What the closed-loop score looks at in the present state of the first slot, which was in `lane_before`: its lane
-    /// and the position along it, and time to the contact to expect with who is not `ignored`.
+    /// and the position along it, and time to the contact to expect with agents that are not `ignored`.
     #[pyo3(signature = (world_idx, lane_before, ignored, horizon_s))]
     fn score_facts(
         &self,

@@ -11,7 +11,7 @@ use ccdiff_sim::geom::{Point2, Real};
 pub struct Line<'a> {
     /// Points in the scene frame, metres, in order of time.
     pub points: &'a [Point2],
-    /// Who moves the agent: sets the colour.
+    /// The agent's driver: sets the colour.
     pub driver: DrawStyle,
 }
 

@@ -1,6 +1,6 @@
 //! Every colour of the images, in one place; they are the replay page's, on light and on dark ground.
 //!
-//! Agents are coloured by who drives them. The hues follow the colour-blind safe set of Okabe and Ito (2008),
+//! Agents are coloured by their drivers. The hues follow the colour-blind safe set of Okabe and Ito (2008),
 //! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
 //! shape (box with a windscreen, slim box, disc, plain box), so that no meaning hangs on hue alone.
 
@@ -8,11 +8,11 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rgb(pub u8, pub u8, pub u8);
 
-/// Who moves an agent.
+/// The driver of an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum DrawStyle {
-    /// The ego, whoever drives it.
+    /// The ego, whatever drives it.
     Ego = 0,
     /// An agent other than the ego that takes actions from outside.
     External = 1,
