@@ -35,9 +35,8 @@ def render_arrays(
     parked: Bool, arrived: Bool, *, scene: Scene | None, size: tuple[int, int], span_m: float,
     centre_m: tuple[float, float], up_rad: float, route_m: F32,
     trails: list[tuple[F32, int]] = ..., samples: list[tuple[F32, int]] = ...,
-    plans: list[tuple[F32, int]] = ..., arrows: list[tuple[int, int, float]] = ...,
-    collisions_m: F32, names: list[str], caption: str, scale_bar: bool,
-    legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool = False,
+    plans: list[tuple[F32, int]] = ..., collisions_m: F32, names: list[str], caption: str,
+    scale_bar: bool, legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool = False,
 ) -> U8 | str: ...
 def render_look() -> list[tuple[str, float]]: ...
 def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...

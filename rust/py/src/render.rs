@@ -4,8 +4,8 @@ use crate::enter::flags;
 use ccdiff_bridge::Handed;
 use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError};
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, DrawStyle, Drawing, Line, MapLayers, RenderError, Rgb, Theme, look, palette,
-    render, render_svg,
+    AgentBox, Camera, DrawStyle, Drawing, Line, MapLayers, RenderError, Rgb, Theme, look, palette, render,
+    render_svg,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::scene::{AgentKind, Map};
@@ -135,7 +135,7 @@ fn boxes(
 /// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.envs.image`.
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
-    route_m, trails=Vec::new(), samples=Vec::new(), plans=Vec::new(), arrows=Vec::new(), collisions_m, names, caption, scale_bar,
+    route_m, trails=Vec::new(), samples=Vec::new(), plans=Vec::new(), collisions_m, names, caption, scale_bar,
     legend, theme, svg=false))]
 pub(crate) fn render_arrays<'py>(
     py: Python<'py>,
@@ -156,7 +156,6 @@ pub(crate) fn render_arrays<'py>(
     trails: Vec<(Points<'py>, u8)>,
     samples: Vec<(Points<'py>, u8)>,
     plans: Vec<(Points<'py>, u8)>,
-    arrows: Vec<(usize, usize, f32)>,
     collisions_m: Points<'py>,
     names: Vec<String>,
     caption: &str,
@@ -174,16 +173,6 @@ pub(crate) fn render_arrays<'py>(
     let legend: Vec<(Rgb, String)> =
         legend.into_iter().map(|((r, g, b), title)| (Rgb(r, g, b), title)).collect();
     let theme = theme_of(theme)?;
-    let at = |agent_idx: usize| {
-        boxes.get(agent_idx).map(|b| b.pose.position).ok_or_else(|| {
-            let message = format!("arrow of agent {agent_idx}, but there are {} agents", boxes.len());
-            ConfigError::new_err(message)
-        })
-    };
-    let arrows: Vec<Arrow> = arrows
-        .iter()
-        .map(|(i, j, weight)| Ok(Arrow { from: at(*i)?, to: at(*j)?, weight: *weight }))
-        .collect::<PyResult<_>>()?;
     let (route, collisions) = (points("route_m", &route_m)?, points("collisions_m", &collisions_m)?);
     let (width, height) = pixels(size)?;
     let centre = Point2::new(centre_m.0, centre_m.1);
@@ -199,7 +188,6 @@ pub(crate) fn render_arrays<'py>(
             plans: &plans,
             boxes: &boxes,
             names: &names,
-            arrows: &arrows,
             collisions: &collisions,
             caption,
             scale_bar,

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::canvas::Canvas;
 use crate::error::{RenderError, Result};
 use crate::layers::MapLayers;
-use crate::lines::{Arrow, Line};
+use crate::lines::Line;
 use crate::palette::{Rgb, Theme};
 use crate::{agents, lines, text};
 use ccdiff_sim::geom::Point2;
@@ -27,8 +27,6 @@ pub struct Drawing<'a> {
     pub boxes: &'a [AgentBox],
     /// Names of the agents, in their order; they are written where there is room.
     pub names: &'a [String],
-    /// Edges of the causal graph.
-    pub arrows: &'a [Arrow],
     /// Points of collisions.
     pub collisions: &'a [Point2],
     /// Line of text in the upper left corner: figures, letters, `. , : - + = / _ ( )`. Empty: none.
@@ -55,16 +53,6 @@ impl Drawing<'_> {
         for (what, list) in [("trail", self.trails), ("sample", self.samples), ("plan", self.plans)] {
             list.iter().enumerate().try_for_each(|(i, l)| line(what, i, l.points))?;
         }
-        for (index, a) in self.arrows.iter().enumerate() {
-            line("arrow", index, &[a.from, a.to])?;
-            if !a.weight.is_finite() {
-                return Err(RenderError::value(
-                    format!("weight of arrow {index}"),
-                    a.weight,
-                    "a finite number",
-                ));
-            }
-        }
         for (index, b) in self.boxes.iter().enumerate() {
             line("position of agent", index, &[b.pose.position])?;
             if ![b.pose.heading_rad, b.pose.cos, b.pose.sin].iter().all(|v| v.is_finite()) {
@@ -83,7 +71,7 @@ impl Drawing<'_> {
 
 /// Paints a drawing: red, green and blue of each pixel, [H, W, 3], row 0 at the top.
 ///
-/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest), arrows,
+/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest),
 /// collision marks, text.
 ///
 /// # Errors
@@ -126,9 +114,6 @@ fn paint(drawing: &Drawing<'_>, camera: &Camera, canvas: &mut Canvas) {
         lines::plan(canvas, plan);
     }
     agents::draw(canvas, drawing.boxes);
-    for arrow in drawing.arrows {
-        lines::arrow(canvas, arrow);
-    }
     for mark in drawing.collisions {
         lines::collision(canvas, *mark);
     }

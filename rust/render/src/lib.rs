@@ -1,6 +1,6 @@
 //! Top-down images, drawn on the processor.
 //!
-//! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, plans, causal arrows — and
+//! What flows in: a [`Drawing`] — map layers, agents as boxes, trails, a route, plans — and
 //! a [`Camera`]. What flows out: an opaque RGB image, [H, W, 3] bytes from the top row down, or the same as SVG. The same input gives the same bytes.
 //!
 //! ```text
@@ -27,5 +27,5 @@ pub use camera::{Camera, MAX_SIDE_PX, NORTH_UP_RAD};
 pub use drawing::{Drawing, render, render_svg};
 pub use error::{RenderError, Result};
 pub use layers::MapLayers;
-pub use lines::{Arrow, Line};
+pub use lines::Line;
 pub use palette::{DrawStyle, Rgb, Theme};

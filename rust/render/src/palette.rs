@@ -153,7 +153,7 @@ palette! {
     collision "collision": Rgb(0xD6, 0x1F, 0x2C), Rgb(0xFF, 0x5A, 0x5F);
     /// An ego that has reached its goal.
     goal "goal": Rgb(0x00, 0x78, 0x5A), Rgb(0x3E, 0xCF, 0xA8);
-    /// Arrows of the causal graph.
+    /// Arrows of the causal graph, on the replay page.
     arrow "causal arrow": Rgb(0x6A, 0x32, 0x9F), Rgb(0xC7, 0x9B, 0xF2);
     /// Ground that is no layer of the map.
     ground "ground": Rgb(0xEE, 0xF0, 0xEC), Rgb(0x11, 0x15, 0x1A);
@@ -177,10 +177,8 @@ palette! {
     road_divider "road divider": Rgb(0x96, 0x65, 0x0A), Rgb(0xB9, 0x8A, 0x26);
     /// Text.
     ink "ink": Rgb(0x1D, 0x24, 0x2C), Rgb(0xE8, 0xED, 0xF3);
-    /// Panels behind text, and what keeps arrows and names apart from what is below.
+    /// Panels behind text, and what keeps names apart from what is below.
     paper "paper": Rgb(0xFF, 0xFF, 0xFF), Rgb(0x0D, 0x11, 0x16);
-    /// The same moment of another run.
-    ghost "ghost": Rgb(0x30, 0x3A, 0x46), Rgb(0xDF, 0xE6, 0xEE);
     /// Outlines and windscreens of agents.
     outline "outline": Rgb(0x1D, 0x24, 0x2C), Rgb(0x0D, 0x11, 0x16);
 }

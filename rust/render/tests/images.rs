@@ -1,8 +1,8 @@
 //! What stands where in an image, and what is refused.
 
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, DrawStyle, Drawing, Line, MapLayers, RenderError, Rgb, Theme, look, palette,
-    render, render_svg,
+    AgentBox, Camera, DrawStyle, Drawing, Line, MapLayers, RenderError, Rgb, Theme, look, palette, render,
+    render_svg,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
 use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, Map};
@@ -288,8 +288,6 @@ proptest! {
         let lines = [Line { points: &a, driver: DrawStyle::Ccdiff }, Line { points: &d, driver: DrawStyle::Ego }];
         let names = vec![text.clone(); boxes.len()];
         let legend = vec![(Rgb(1, 2, 3), text.clone()); boxes.len()];
-        let ends = a.iter().zip(&b);
-        let arrows: Vec<Arrow> = ends.map(|(p, q)| Arrow { from: *p, to: *q, weight: scale }).collect();
         let drawing = Drawing {
             map: layers.as_ref().ok(),
             route: &c,
@@ -298,7 +296,6 @@ proptest! {
             plans: &lines,
             boxes: &boxes,
             names: &names,
-            arrows: &arrows,
             collisions: &b,
             caption: &text,
             scale_bar: true,
