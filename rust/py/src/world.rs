@@ -23,6 +23,10 @@ use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 /// Ego (index), start (step) and style (factors by name) of an episode, where they are asked for.
 type WantedEpisode = (Option<usize>, Option<usize>, BTreeMap<String, f32>);
+/// Off the road with a corner [A], and with the centre [A].
+type OffRoadArrays<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>);
+/// Lane and position along it, and seconds to a contact.
+type ScoreRow = (Option<(u32, f32)>, Option<f32>);
 
 /// Worlds that play scenes. One thread at a time: a second one gets `ThreadError`.
 #[pyclass(frozen, name = "VecWorld", module = "ccdiff_env._native")]
@@ -425,11 +429,7 @@ impl PyVecWorld {
     }
 
     /// Agents with a corner, and with the centre, off the road [A] each.
-    fn off_road<'py>(
-        &self,
-        py: Python<'py>,
-        world_idx: usize,
-    ) -> PyResult<(Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>)> {
+    fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<OffRoadArrays<'py>> {
         let facts = self.lock()?.world.status(world_idx).map_err(from_sim)?.off_road();
         let (corner, centre) = facts.iter().map(|f| (f.corner, f.centroid)).unzip();
         Ok((PyArray1::from_vec(py, corner), PyArray1::from_vec(py, centre)))
@@ -456,7 +456,7 @@ impl PyVecWorld {
         lane_before: Option<usize>,
         ignored: Vec<usize>,
         horizon_s: f32,
-    ) -> PyResult<(Option<(u32, f32)>, Option<f32>)> {
+    ) -> PyResult<ScoreRow> {
         let me = self.lock()?;
         let status = me.world.status(world_idx).map_err(from_sim)?;
         let facts = status.score_facts(lane_before, &ignored, horizon_s);
