@@ -48,7 +48,7 @@ def devkit(data):
 
 
 def loaded(data, **options):
-    return ccdiff_env.load_nuscenes(*data[:2], scenes=data[2], min_annotations=1, **options)
+    return ccdiff_env.load_nuscenes(*data[:2], scenes=data[2], **options)
 
 
 @pytest.fixture(scope="module")
