@@ -79,7 +79,7 @@ class Protocol:
         if given:
             raise ConfigError(f"--{given[0]}: {self.name} fixes it, leave it out")
         place = None if args.scenes is None else parse(args.scenes)
-        data = None if "embedded" in level else Place("nuscenes", place and place.path)
+        data = None if "embedded" in level else Place("nuscenes", place.path if place else None)
         if place != data:
             wants = "no --scenes" if data is None else "--scenes nuscenes:FOLDER"
             raise ConfigError(f"--level {args.level} of {self.name} takes {wants}")

@@ -65,7 +65,7 @@ def _ahead(route: tuple[F32, tuple[float, float]] | None, at: F32) -> F32:
         return np.zeros((0, 2), np.float32)
     points, goal = route
     ahead = points[((points - at) ** 2).sum(axis=1).argmin() :]
-    return ahead[: ((ahead - np.float32(goal)) ** 2).sum(axis=1).argmin() + 1]
+    return ahead[: ((ahead - np.array(goal, np.float32)) ** 2).sum(axis=1).argmin() + 1]
 
 
 def image(
