@@ -33,8 +33,8 @@ $(SO) &: $(STAMP) $(RUST) tools/build_backend.py
 lock:  ## newest releases into requirements.lock, which setup installs
 	$(UV) pip compile -q --upgrade pyproject.toml --universal --python-version 3.10 $(EXTRAS) -o requirements.lock
 
-demo: $(SO)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (DATAROOT= VERSION= for nuScenes)
-	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(DATAROOT),--dataroot $(DATAROOT)) $(if $(VERSION),--version $(VERSION)) $(DEMO)
+demo: $(SO)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
+	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(SCENES),--scenes $(SCENES)) $(DEMO)
 	-$(BIN)/ccdiff-env view tee-crossing-04 --traffic ccdiff --criticality 1 --driver runs/demo/ego.zip --compare log --out runs/demo/episode.html --open
 
 test: test-rust test-py  ## every test

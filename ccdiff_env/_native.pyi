@@ -33,10 +33,10 @@ def causal_rank(
 def render_arrays(
     position_m: F32, heading_rad: F32, size_m: F32, kind: U8, driver: U8, collided: Bool,
     parked: Bool, arrived: Bool, *, scene: Scene | None, size: tuple[int, int], span_m: float,
-    centre_m: tuple[float, float], up_rad: float, route_m: F32, trails: list[tuple[F32, int]],
-    samples: list[tuple[F32, int]], plans: list[tuple[F32, int]],
-    arrows: list[tuple[int, int, float]], collisions_m: F32, names: list[str], caption: str,
-    scale_bar: bool, legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool,
+    centre_m: tuple[float, float], up_rad: float, route_m: F32,
+    trails: list[tuple[F32, int]] = ..., samples: list[tuple[F32, int]] = ...,
+    plans: list[tuple[F32, int]] = ..., collisions_m: F32, names: list[str], caption: str,
+    scale_bar: bool, legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool = False,
 ) -> U8 | str: ...
 def render_look() -> list[tuple[str, float]]: ...
 def render_legend(theme: str) -> list[tuple[str, tuple[int, int, int]]]: ...
@@ -109,13 +109,13 @@ class Scene:
 
     @property
     def towed(self) -> list[tuple[int, int]]:
-        """Agents that others tow, and by whom: boxes that overlap in line and move together."""
+        """Towed agents and their towers: boxes that overlap in line and move together."""
 
     def ranked_vehicles(self, step: int, ranking: str) -> list[int]:
         """Rank the vehicles that are there at a step of the log, those that others tow left out.
 
         The ego comes first, else the first vehicle. ``"cliques"`` looks at the three seconds before
-        the step as well. Who is on another level is as far as can be.
+        the step as well. Agents on another level count as farthest.
 
         Raises:
             ConfigError: For a step beyond the log or another ranking.
@@ -149,35 +149,6 @@ class Scene:
             UnknownNameError: If there is no such agent.
         """
 
-    def render(
-        self, step: int = 0, *, size: tuple[int, int] = ..., span_m: float = 100.0,
-        centre: str | tuple[float, float] = ..., heading_up: bool = False, trails: bool = True,
-        route: bool = True, labels: bool = True, theme: str = "light",
-    ) -> U8:
-        """Draw one step of the log, seen from above.
-
-        Args:
-            step: Step of the log, 0 to ``num_steps`` - 1.
-            size: Width and height, pixels.
-            span_m: Metres across the width.
-            centre: What is in the middle: the id of an agent (where it is logged nearest to the
-                step) or a point of the scene frame, metres.
-            heading_up: Turn the image so that the agent in the middle heads to the top; else north
-                is there.
-            trails: Draw the last three seconds of every agent.
-            route: Draw the rest of the ego's log as a band.
-            labels: Write the scene's name, time, the ego's speed, names of agents, a scale bar and
-                what the colours mean.
-            theme: ``"light"`` or ``"dark"``.
-
-        Returns:
-            ndarray: Image [H, W, 3], uint8.
-
-        Raises:
-            UnknownNameError: If the scene has no agent of that id.
-            ConfigError: If a number is out of its range.
-        """
-
     def __reduce__(self) -> tuple[Callable[[bytes], Scene], tuple[bytes]]: ...
     def __copy__(self) -> Scene: ...
     def __deepcopy__(self, _memo: dict[int, Any], /) -> Scene: ...
@@ -199,7 +170,7 @@ def map_lane_ahead(
 def load_nuscenes(
     dataroot: str, version: str, *, names: list[str] | None, exactly: bool, dt: float, timing: str,
     interpolation: str, ego_reference: str, kinds: list[str] | None, map_margin: float,
-    min_annotations: int, cache_directory: str | None,
+    cache_directory: str | None,
 ) -> tuple[list[Scene], str]: ...
 def load_gpudrive(paths: list[str], *, cache_directory: str | None) -> tuple[list[Scene], str]: ...
 def complete_map(
@@ -236,7 +207,7 @@ class Planner:
 class VecWorld:
     def __new__(
         cls, scenes: Sequence[Scene], config: str, num_worlds: int, num_threads: int,
-        trail_steps: int = 0, networks: Mapping[str, object] | None = None,
+        networks: Mapping[str, object] | None = None,
         models: Mapping[str, Callable[[dict[str, Any]], F32]] | None = None,
     ) -> VecWorld: ...
     def set_scene_weights(self, weights: Sequence[float] | None) -> None: ...
@@ -296,11 +267,6 @@ class VecWorld:
     def candidates(self, world_idx: int, num_rows: int) -> tuple[list[int], F32]: ...
     def guidance(self, world_idx: int) -> tuple[int, float, float] | None: ...
     def expert_actions(self, world_idx: int) -> F32: ...
-    def render(
-        self, world_idx: int, *, size: tuple[int, int], span_m: float,
-        centre: str | tuple[float, float] | None, heading_up: bool, trails: bool, route: bool,
-        labels: bool, theme: str,
-    ) -> U8: ...
 
 @final
 class TrajectoryModel:

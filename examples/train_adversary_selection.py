@@ -1,7 +1,7 @@
 """Learn which vehicle to turn on an ego, when and how strongly; compare with rules.
 
-    python examples/train_adversary_selection.py --dataroot <nuscenes> --split train \
-        --test-split val train_val --seeds 3 --test-seeds 3
+    python examples/train_adversary_selection.py --scenes nuscenes:<nuscenes>/train \
+        --test-scenes nuscenes:<nuscenes>/val+train_val --seeds 3 --test-seeds 3
 
 MaskablePPO of sb3-contrib decides once per plan of CCDiff traffic. Guidance is free at first, then
 its cost rises: at a high cost from the start the policy learns to choose no adversary. Policies,

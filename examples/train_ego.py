@@ -1,6 +1,7 @@
 """Train the shipped ``ego``: three seeds, the best chosen on one split, reported on another.
 
-    python examples/train_ego.py --dataroot <nuscenes> --split train --test-split val
+    python examples/train_ego.py --scenes nuscenes:<nuscenes>/train \
+        --test-scenes nuscenes:<nuscenes>/val
 
 Records banks of CCDiff traffic against PDM-Closed, then trains PPO that changes what PDM-Closed
 does. The same command continues a run that was interrupted. The report never uses the scenes that

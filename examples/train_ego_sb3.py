@@ -45,7 +45,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a short test run")
     args = parser.parse_args()
-    if args.scenes is args.dataroot is args.split is None:
+    if args.scenes is None:
         args.scenes = "embedded/city"  # 200 scenes: more is learnt of other scenes than from 29
     return args
 

@@ -1,4 +1,4 @@
-"""Images of scenes and files of images: pixels and arrays."""
+"""Images of logs and worlds, and files of images: pixels and arrays."""
 
 import math
 import sys
@@ -8,12 +8,19 @@ import pytest
 from array_scenes import agent, array_scene
 from PIL import Image
 
-from ccdiff_env import _native
+from ccdiff_env import EgoEnv, _native
 from ccdiff_env.errors import ConfigError, MissingFeatureError, UnknownNameError
 from ccdiff_env.view import render
+from ccdiff_env.view.sources import log_rollout
+from ccdiff_env.view.video import Video
 
 COLOURS = {name: np.array(rgb) for name, rgb in render.legend().items()}
-PLAIN = {"trails": False, "route": False, "labels": False}
+PLAIN = {"route": False, "labels": False}
+
+
+def drawn(scene: _native.Scene, step: int, **options) -> np.ndarray:
+    """A step of the log, without captions."""
+    return Video(log_rollout(scene), captions=False, **options).frame(step)
 
 
 def ring(half: float) -> np.ndarray:
@@ -32,8 +39,7 @@ def scene() -> _native.Scene:
 @pytest.fixture
 def frames(scene) -> np.ndarray:
     """Six images [6, 81, 121, 3] of an ego that drives through them."""
-    steps = range(0, 12, 2)
-    return np.stack([scene.render(t, size=(121, 81), centre=(5.0, 0.0), span_m=40) for t in steps])
+    return np.stack([drawn(scene, t, size=(121, 81), centre_m=(5.0, 0.0)) for t in range(0, 12, 2)])
 
 
 def test_everything_has_a_colour_of_its_own():
@@ -71,36 +77,43 @@ def test_an_mp4_without_its_package_names_the_install_command(frames, tmp_path, 
         render.save_mp4(frames, tmp_path / "a.mp4", 10.0)
 
 
-def test_the_middle_can_be_an_agent_a_point_or_wait_for_an_agent(scene):
-    of_id = scene.render(12, centre="walker", size=(200, 200), span_m=40, **PLAIN)
+def world(scene, **options) -> EgoEnv:
+    """The scene as a world of its log, twelve steps on."""
+    options = {"size": (200, 200), "span_m": 40.0, **PLAIN, **options}
+    quiet = {"history_steps": 12, "horizon_steps": 5}
+    env = EgoEnv(
+        scenes=[scene], traffic="replay", render_mode="rgb_array", render_options=options, **quiet
+    )
+    env.reset(seed=0)
+    return env
+
+
+def test_the_middle_of_a_world_is_an_agent_or_a_point(scene):
+    of_id = world(scene, centre="walker").render()
     assert tuple(of_id[100, 100]) == tuple(COLOURS["replay"])
-    of_point = scene.render(12, centre=(5.0, 8.0), size=(200, 200), span_m=40, **PLAIN)
-    assert np.array_equal(of_id, of_point)
-    before = scene.render(2, centre="walker", size=(200, 200), span_m=40, **PLAIN)
-    assert tuple(before[100, 100]) == tuple(COLOURS["drivable area"])
+    assert np.array_equal(of_id, world(scene, centre=(5.0, 8.0)).render())
+    assert tuple(world(scene).render()[100, 100]) == tuple(COLOURS["ego"])
 
 
 def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
-    plain = scene.render(8, **PLAIN)
-    assert np.array_equal(plain, scene.render(8, **PLAIN))
+    plain = world(scene).render()
+    assert np.array_equal(plain, world(scene).render())
     for name in PLAIN:
-        assert not np.array_equal(plain, scene.render(8, **{**PLAIN, name: True})), name
+        assert not np.array_equal(plain, world(scene, **{name: True}).render()), name
 
 
 @pytest.mark.parametrize(
     ("options", "error", "says"),
     [
-        ({"step": 20}, ConfigError, "step 20"),
-        ({"step": -1}, ConfigError, "step is -1"),
         ({"centre": "nobody"}, UnknownNameError, "nobody"),
         ({"centre": (math.nan, 0.0)}, ConfigError, "centre"),
-        ({"centre": (0.0, 0.0), "heading_up": True}, ConfigError, "heading up"),
         ({"span_m": 0.0}, ConfigError, "metres_per_pixel"),
         ({"size": (0, 100)}, ConfigError, "0 x 100"),
         ({"size": (100, -5)}, ConfigError, "100 x -5"),
         ({"size": (100, 100000)}, ConfigError, "8192"),
+        ({"theme": "grey"}, ConfigError, "theme"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_and_named_in_a_scene(scene, options, error, says):
+def test_what_cannot_be_drawn_is_refused_and_named(scene, options, error, says):
     with pytest.raises(error, match=says):
-        scene.render(**options)
+        world(scene, **options).render()

@@ -138,12 +138,10 @@ def test_a_map_without_lanes_is_warned_of_from_the_cache_too(tmp_path):
 
 def test_report_can_be_read_tested_and_printed(scenes):
     report = scenes.report
-    assert report.num_tracks == 4
-    assert report.tracks == {"vehicle.car": 2, "vehicle.ego": 2}
-    assert report.num_annotations == 10
+    assert [s.tracks for s in report.scenes] == [{"vehicle.car": 1, "vehicle.ego": 1}] * 2
+    assert [s.annotations for s in report.scenes] == [5, 5]
     assert report.missing_maps == ("town",)
-    assert report.dropped == ()
-    json.dumps(report.to_dict())
+    assert [s.dropped for s in report.scenes] == [{}, {}]
     text = str(report)
     for words in ("tracks kept", "vehicle.car", "maps missing", "town", "LIDAR_TOP in 2 scenes"):
         assert words in text
@@ -212,7 +210,6 @@ def test_mistakes_have_their_own_exceptions(root):
         (root, VERSION, {"dt": 0.3}, errors.ConfigError, "divides"),
         (root, VERSION, {"interpolation": "cubic"}, errors.ConfigError, "linear"),
         (root, VERSION, {"kinds": ["tram"]}, errors.UnknownNameError, "tram"),
-        (root, VERSION, {"min_annotations": 0}, errors.ConfigError, "min_annotations"),
         (root, VERSION, {"map_margin": -1.0}, errors.ConfigError, "map_margin"),
         (damaged, VERSION, {}, errors.DatasetError, r"size is \[0\.0, 4\.5, 1\.6\].*sample_annot"),
     ):

@@ -90,7 +90,7 @@ def test_rows_are_the_nearest_moving_vehicles_in_the_egos_frame(vector, scenes):
 
 
 def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(vector, scenes):
-    drawing = {"size": (200, 200), "trails": False, "labels": False, "span_m": 200.0}
+    drawing = {"size": (200, 200), "labels": False, "span_m": 200.0}
     env = AdversarySelectionEnv(
         scenes=scenes, render_mode="rgb_array", render_options=drawing, **QUICK
     )

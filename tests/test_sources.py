@@ -42,8 +42,6 @@ PLANNERS = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--
         (f"nuscenes:{FOLDER}@{MINI}/mini_val", ("nuscenes", FOLDER, MINI, "mini_val", None)),
         ("nuscenes:/a@b/c/all?limit=2", ("nuscenes", "/a@b/c", None, "all", 2)),
         ("nuscenes:/data/val/val", ("nuscenes", "/data/val", None, "val", None)),
-        (f"nuscenes:{FOLDER}?ego_reference=centre", ("nuscenes", FOLDER, None, None, None)),
-        ("nuscenes:/a/val?ego_reference=centre&limit=2", ("nuscenes", "/a", None, "val", 2)),
         ("scenarionet:/data/val", ("scenarionet", "/data/val", None, None, None)),
         ("scenarionet:a@b/c.pkl", ("scenarionet", "a@b/c.pkl", None, None, None)),
     ],
@@ -51,7 +49,6 @@ PLANNERS = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--
 def test_texts_have_parts_and_places_give_them_back(text, parts):
     place = parse(text)
     assert (place.source, place.path, place.version, place.split, place.limit) == parts
-    assert place.ego_reference == ("centre" if "=centre" in text else None)
     assert str(place) == text
     whole = settled(place)
     assert parse(str(whole)) == whole
@@ -80,8 +77,6 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("embedded?limit=0", "limit is 0, expected at least 1"),
         ("embedded/val?limit=-1", "no split 'val?limit=-1'"),
         ("embedded/val?limit=two", "limit is 'two', expected a whole number"),
-        ("embedded?ego_reference=centre", "ego_reference is 'centre', expected none for embedded"),
-        ("nuscenes:/a?ego_reference=axle", "'axle', expected 'rear_axle' or 'centre'"),
     ],
 )
 def test_wrong_texts_are_told_with_the_sources_there_are(text, message):
@@ -158,25 +153,28 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     assert coverage(parse("embedded"), 41) == "41 scenes"
 
 
-def arguments(words, use="test", **options):
+def arguments(words, use="test"):
     parser = argparse.ArgumentParser()
-    add_scene_arguments(parser, use, **options)
+    add_scene_arguments(parser, use)
     add_other_scenes(parser, "train")
     return parser.parse_args(words)
 
 
-NO = "nuscenes:/no@"
+NO = "nuscenes:/no"
 
 
 @pytest.mark.parametrize(
     ("words", "played", "trained"),
     [
         ("", "embedded/val", "embedded/train"),
-        ("--split all --limit 2", "embedded/all?limit=2", "embedded/train?limit=2"),
+        ("--scenes embedded/all --limit 2", "embedded/all?limit=2", "embedded/train?limit=2"),
         ("--scenes embedded", "embedded/val", "embedded/train"),
-        ("--dataroot /no", f"{NO}v1.0-trainval/ccdiff100", f"{NO}v1.0-trainval/train+train_val"),
-        (f"--dataroot /no --version {MINI}", f"{NO}{MINI}/mini_val", f"{NO}{MINI}/mini_train"),
-        (f"--scenes {NO}mine/all --train-split train val", f"{NO}mine/all", f"{NO}mine/train+val"),
+        (
+            f"--scenes {NO}",
+            f"{NO}@v1.0-trainval/ccdiff100",
+            f"{NO}@v1.0-trainval/train+train_val",
+        ),
+        (f"--scenes {NO}@{MINI}", f"{NO}@{MINI}/mini_val", f"{NO}@{MINI}/mini_train"),
         (
             "--scenes scenarionet:/a --train-scenes scenarionet:/b",
             "scenarionet:/a",
@@ -184,7 +182,7 @@ NO = "nuscenes:/no@"
         ),
     ],
 )
-def test_short_forms_and_texts_name_the_same(words, played, trained):
+def test_places_are_settled_by_their_use(words, played, trained):
     args = arguments(words.split())
     assert str(place_from(args)) == played
     assert str(other_place(args)) == trained
@@ -193,18 +191,14 @@ def test_short_forms_and_texts_name_the_same(words, played, trained):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--scenes", "embedded", "--dataroot", "/a"], "--dataroot is a part of --scenes"),
-        (["--scenes", "embedded", "--split", "val"], "--split is a part of --scenes"),
-        (["--version", MINI], "--version is a part of --dataroot"),
-        (["--split", "vla"], "no split 'vla'"),
+        (["--scenes", "nuscenes:/a@mini/vla"], "no split 'vla'"),
         (["--limit", "0"], "limit is 0"),
         (["--scenes", "scenarionet:/a"], "scenarionet:/a has no split to train on"),
-        (["--dataroot", "/a", "--version", "mine"], "no split to train on"),
-        (["--train-scenes", "embedded", "--train-split", "val"], "give one of them"),
+        (["--scenes", "nuscenes:/a@mine"], "no split to train on"),
     ],
 )
 def test_contradictions_are_refused(words, message, capsys):
-    trains = "train" in message or "them" in message
+    trains = "train" in message
     with pytest.raises(ConfigError, match=message):
         (other_place if trains else place_from)(arguments(words))
     if not trains:

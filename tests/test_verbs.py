@@ -254,7 +254,7 @@ def test_training_resumes_and_begins_with_weights_that_are_told_routes(tmp_path,
     ("words", "said"),
     [
         ("--scenes embedded/val", "12 scenes of val and city kept out of training, 0 remain"),
-        ("--dataroot /nowhere", "/nowhere"),
+        ("--scenes nuscenes:/nowhere", "/nowhere"),
     ],
 )
 def test_what_cannot_train_is_an_error_in_one_line(words, said, tmp_path, capsys):

@@ -297,7 +297,7 @@ def test_the_verb_says_what_is_wrong(words, out, message, tmp_path, capsys):
 
 
 def test_the_scenes_are_listed(capsys):
-    assert cli.main(["scenes", "--split", "val"]) == 0
+    assert cli.main(["scenes", "--scenes", "embedded/val"]) == 0
     lines = capsys.readouterr().out.splitlines()
     scenes = embedded_scenes("val")
     assert lines[0].split() == ["scene", "location", "seconds", "agents", "vehicles"]

@@ -229,7 +229,7 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     scenes = ["--scenes", source]
     if "--protocol" in table.command:
         own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
-        scenes = [] if own else ["--dataroot", parse(source).path or ""]
+        scenes = [] if own else ["--scenes", f"nuscenes:{parse(source).path}"]
     command = [*shlex.split(table.command), *scenes, "--workers", str(workers)]
     run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--out", str(folder), "--quiet"]
     subprocess.run(run, check=True, stdout=subprocess.DEVNULL)

@@ -6,7 +6,7 @@ import argparse
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from ccdiff_env.models import shipped_weights
 from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
+from ccdiff_env.scenes.sources import Place, parse
 from ccdiff_env.system.files import read_bytes
 
 _FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.2.json"
-#: Arguments that the protocol fixes, beside the version of the tables.
-_FIXED = ("traffic", "seeds", "scenes", "split", "limit")
+#: Arguments that the protocol fixes, beside the scenes.
+_FIXED = ("traffic", "seeds", "limit")
 
 
 @dataclass(frozen=True)
@@ -75,14 +76,16 @@ class Protocol:
                 raise UnknownNameError(f"no {what} {name!r}, there is {', '.join(known)}")
         level = self.fields["levels"][args.level]
         given = [name for name in _FIXED if getattr(args, name) is not None]
-        given += [] if args.version in (None, level.get("version")) else ["version"]
         if given:
             raise ConfigError(f"--{given[0]}: {self.name} fixes it, leave it out")
-        if ("embedded" in level) != (args.dataroot is None):
-            wants = "no --dataroot" if "embedded" in level else "--dataroot, a folder of nuScenes"
+        place = None if args.scenes is None else parse(args.scenes)
+        data = None if "embedded" in level else Place("nuscenes", place.path if place else None)
+        if place != data:
+            wants = "no --scenes" if data is None else "--scenes nuscenes:FOLDER"
             raise ConfigError(f"--level {args.level} of {self.name} takes {wants}")
-        args.version = level.get("version")
-        args.split = level.get("embedded", level.get("split"))
+        args.scenes = f"embedded/{level.get('embedded')}"
+        if data is not None:
+            args.scenes = str(replace(data, version=level["version"], split=level["split"]))
         args.traffic = ",".join(self.panel)
         args.seeds = ",".join(str(seed) for seed in level["seeds"])
         return {"protocol": self.name, "level": args.level}

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import Image
+from ccdiff_env.envs.image import image
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import StepArrays, Worlds, normalize_seed
 from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
@@ -56,8 +57,8 @@ class AsVector(VectorEnv[Any, Any, Any]):
         """Return an image [H, W, 3] of every world; ``None`` without a render mode."""
         if self.render_mode is None:
             return None
-        native, worlds = self.worlds.native, range(self.worlds.num_worlds)
-        return tuple(native.render(i, **self._render_options) for i in worlds)
+        worlds = range(self.worlds.num_worlds)
+        return tuple(image(self.worlds, i, **self._render_options) for i in worlds)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Do nothing: the worlds go with the environment."""

@@ -10,6 +10,7 @@ import gymnasium
 from gymnasium.wrappers import HumanRendering
 
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.image import image
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import StepArrays, Worlds
@@ -25,7 +26,6 @@ RENDER_OPTIONS: dict[str, Any] = {
     "span_m": 90.0,
     "centre": None,
     "heading_up": False,
-    "trails": True,
     "route": True,
     "labels": True,
     "theme": "light",
@@ -113,8 +113,7 @@ class DrawnWorld:
         return None
 
     def _image(self) -> Image:
-        image: Image = self.worlds.native.render(0, **self._render_options)
-        return image
+        return image(self.worlds, 0, **self._render_options)
 
     def _show(self) -> None:
         """Show the world in a window, where the render mode says so."""

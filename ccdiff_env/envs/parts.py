@@ -83,7 +83,6 @@ class OnWorlds:
             config.with_options(autoreset=shared.autoreset),
             num_worlds=shared.num_worlds,
             num_threads=shared.num_threads,
-            trails=self.render_mode is not None,
             criticality=shared.criticality,
         )
 

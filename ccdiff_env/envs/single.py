@@ -64,7 +64,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
             ``"none"``: only numbers at resets: index of the scene, seed, episode.
         render_mode: ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
         render_options: Options of images: ``size``, ``span_m``, ``centre``, ``heading_up``,
-            ``trails``, ``route``, ``labels``.
+            ``route``, ``labels``, ``theme``.
         criticality: How critical CCDiff traffic is in each episode: a number, a range to draw from,
             or a function of the progress of training, which :meth:`set_progress` sets (see
             :class:`~ccdiff_env.worlds.curriculum.Curriculum`).

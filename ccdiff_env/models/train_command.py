@@ -19,7 +19,7 @@ ROUTE_POINTS_M = (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
-    add_scene_arguments(parser, "train", several=True)
+    add_scene_arguments(parser, "train")
     names = ", ".join(name for name in NETWORKS if not KINDS[name].distilled)
     parser.add_argument("--model", default="ccdiff", help=f"network, of: {names}")
     parser.add_argument(

@@ -151,7 +151,6 @@ def load_nuscenes(
     ego_reference: EgoReference = "rear_axle",
     kinds: Sequence[str] | None = None,
     map_margin: float = 60.0,
-    min_annotations: int = 2,
     cache: bool | str | os.PathLike[str] = True,
 ) -> SceneSet:
     """Load scenes of nuScenes, or of any data set written in its schema.
@@ -178,7 +177,6 @@ def load_nuscenes(
         kinds: Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
             ``static``; all by default. The ego is always kept.
         map_margin: How far the map reaches beyond the tracks, metres.
-        min_annotations: Tracks with fewer annotations are dropped and reported.
         cache: ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path
             names the folder.
 
@@ -198,8 +196,6 @@ def load_nuscenes(
     if isinstance(scenes, str):
         scenes = [scenes]
     names = list(scenes) if scenes is not None else _names_of_split(split)
-    if min_annotations < 1:
-        raise ConfigError(f"min_annotations is {min_annotations}, expected at least 1")
     loaded, report = _native.load_nuscenes(
         os.fspath(dataroot),
         version,
@@ -211,7 +207,6 @@ def load_nuscenes(
         ego_reference=ego_reference,
         kinds=None if kinds is None else list(kinds),
         map_margin=map_margin,
-        min_annotations=min_annotations,
         cache_directory=cache_folder(cache),
     )
     if '"missing_maps":[]' not in report:

@@ -9,87 +9,58 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
 
-#: The sources that the short forms stand for, without ``--dataroot`` and with it.
-PLAIN, ROOTED = SOURCES[DEFAULT], SOURCES["nuscenes"]
-SHORT = ("dataroot", "version", "split")  #: Short forms of parts of ``--scenes``.
 
-
-def add_scene_arguments(
-    parser: argparse.ArgumentParser, use: str | None = None, *, several: bool = False
-) -> None:
-    """Add which scenes are played: ``--scenes``, its short forms, and ``--limit``.
+def add_scene_arguments(parser: argparse.ArgumentParser, use: str | None = None) -> None:
+    """Add which scenes are played: ``--scenes`` and ``--limit``.
 
     ``use`` is ``"train"`` or ``"test"``: which split of a source is meant where none is named; all
-    scenes for ``None``. With ``several``, ``--split`` takes several names.
+    scenes for ``None``.
     """
-    usual = Place(PLAIN.name, split=PLAIN.usual[""].get(use or "", "all"))
     forms = ", ".join(source.form for source in SOURCES.values())
+    splits = ", ".join(name for source in SOURCES.values() for name in split_names(source))
+    usual = settled(Place(DEFAULT), use)
     parser.set_defaults(scenes_use=use)
     parser.add_argument(
         "--scenes",
         metavar="SOURCE",
-        help=f"source of the scenes, one of: {forms} (default: {usual})",
+        help=f"source of the scenes, one of: {forms}; splits, joined by +: {splits} "
+        f"(default: {usual})",
     )
-    parser.add_argument(
-        "--dataroot",
-        metavar=ROOTED.path,
-        help=f"folder of {ROOTED.title}: short for --scenes {ROOTED.name}:{ROOTED.path} "
-        f"(default: the {PLAIN.title})",
-    )
-    parser.add_argument(
-        "--version",
-        help=f"folder of the tables in --dataroot (default: {', else '.join(ROOTED.versions)})",
-    )
-    parser.add_argument("--split", nargs="+" if several else None, help=_split_help(use))
     parser.add_argument("--limit", type=int, help="use only the first scenes (default: all)")
 
 
 def add_other_scenes(parser: argparse.ArgumentParser, use: str) -> None:
-    """Add ``--train-scenes`` and ``--train-split``, or those of another use."""
+    """Add ``--train-scenes``, or those of another use."""
     parser.set_defaults(other_use=use)
     parser.add_argument(
         f"--{use}-scenes",
         metavar="SOURCE",
         help=f"scenes to {use} on, as --scenes (default: another split of the same source)",
     )
-    parser.add_argument(f"--{use}-split", nargs="+", help=_split_help(use))
 
 
 def place_from(args: argparse.Namespace) -> Place:
-    """Return the place that the arguments name, with version and split; ``--scenes`` beside a short
-    form, and a text that names no scenes, are a :class:`ConfigError`.
+    """Return the place that the arguments name, with version and split; a text that names no scenes
+    is a :class:`ConfigError`.
     """
-    given = [name for name in SHORT if getattr(args, name) is not None]
-    if args.scenes is not None:
-        if given:
-            raise ConfigError(f"--{given[0]} is a part of --scenes: give one of them, not both")
-        place = parse(args.scenes)
-    elif args.dataroot is not None:
-        place = Place(ROOTED.name, str(args.dataroot), args.version, _joined(args.split))
-    elif args.version is not None:
-        raise ConfigError("--version is a part of --dataroot, which is not given")
-    else:
-        place = Place(PLAIN.name, split=_joined(args.split))
+    place = parse(DEFAULT if args.scenes is None else args.scenes)
     if args.limit is not None:
         place = replace(place, limit=args.limit)
     return settled(place, args.scenes_use)
 
 
 def other_place(args: argparse.Namespace) -> Place:
-    """Return the place of the other use that the arguments name; both forms, and nothing that says
-    which scenes of the source are meant, are a :class:`ConfigError`.
+    """Return the place of the other use that the arguments name; nothing that says which scenes of
+    the source are meant is a :class:`ConfigError`.
     """
     use: str = args.other_use
-    text, split = getattr(args, f"{use}_scenes"), _joined(getattr(args, f"{use}_split"))
-    if text is not None:
-        if split is not None:
-            raise ConfigError(f"--{use}-split is a part of --{use}-scenes: give one of them")
+    if (text := getattr(args, f"{use}_scenes")) is not None:
         return settled(parse(text), use)
     place = place_from(args)
     usual = SOURCES[place.source].usual.get(place.version or "", {}).get(use)
-    if split is None and usual is None:
+    if usual is None:
         raise ConfigError(f"{place} has no split to {use} on: give --{use}-scenes")
-    return settled(replace(place, split=split or usual), use)
+    return settled(replace(place, split=usual), use)
 
 
 def scenes_from(args: argparse.Namespace, *, other: bool = False) -> SceneSet:
@@ -100,15 +71,3 @@ def scenes_from(args: argparse.Namespace, *, other: bool = False) -> SceneSet:
 def sources_help() -> str:
     """Return a sentence on every source."""
     return " ".join(f"{s.form}: {s.title}; lacks {s.lacks}." for s in SOURCES.values())
-
-
-def _joined(split: str | list[str] | None) -> str | None:
-    return split if split is None or isinstance(split, str) else "+".join(split)
-
-
-def _split_help(use: str | None) -> str:
-    known = (ROOTED, PLAIN)
-    names = "; ".join(f"{s.title}: {', '.join(split_names(s))}" for s in known)
-    usual = [dict.fromkeys(of.get(use or "", "all") for of in s.usual.values()) for s in known]
-    defaults = (f"{s.title}: {', else '.join(u)}" for s, u in zip(known, usual, strict=True))
-    return f"split, one of: {names} (default: {'; '.join(defaults)})"

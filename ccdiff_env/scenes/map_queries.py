@@ -95,38 +95,25 @@ def _placed(
 def road_distance(
     scenes: Scene | Sequence[Scene], position_m: Any, *, elevation_m: Any = None, world: Any = None
 ) -> F32:
-    """Return the distances of places to the edge of the road, m, positive on the road.
+    """Return the distances [M] of places to the edge of the road, m, positive on the road.
 
     The road is what ``off_road`` goes by: the union of the drivable areas, else of the lanes'
     surfaces. It ends where the map was cut out.
 
     Args:
         scenes: One scene, or several.
-        position_m: Places, scene frame, m, [..., 2].
-        elevation_m: Elevations of the places [...], m: the road of their levels alone.
-        world: Scene of each place along the first axis, [M]; left out for one scene.
-
-    Returns:
-        ndarray: Distances of the shape of the places, [...].
+        position_m: Places, scene frame, m, [M, 2].
+        elevation_m: Elevations of the places [M], m: the road of their levels alone.
+        world: Scene of each place, index of ``scenes``, [M]; left out for one scene.
 
     Raises:
         ShapeError: If an array has another shape.
         ConfigError: If a number is not finite.
         SceneError: If a scene has no road.
     """
-    shape = np.shape(position_m)
-    if not shape or shape[-1] != 2:
-        raise ShapeError(f"position_m has shape {shape}, expected [..., 2]")
-    places = _floats("position_m", np.reshape(position_m, (-1, 2)), (None, 2))
-    listed, numbers = _worlds(scenes, world, len(places) if world is None else shape[0])
-    if world is not None:
-        numbers = numbers.repeat(len(places) // max(shape[0], 1))
-    level = np.zeros(0, np.float32)
-    if elevation_m is not None:
-        level = _floats("elevation_m", elevation_m, shape[:-1]).reshape(-1)
-    heading = np.zeros(len(places), np.float32)
-    found = _native.map_road_distance((listed, numbers, places, heading, level))
-    return found.reshape(shape[:-1])
+    position = _floats("position_m", position_m, (None, 2))
+    heading = np.zeros(len(position), np.float32)
+    return _native.map_road_distance(_placed(scenes, position, heading, elevation_m, world))
 
 
 def lane_ahead(

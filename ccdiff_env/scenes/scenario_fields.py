@@ -41,7 +41,7 @@ class ScenarioFields:
     path: Path
     data: dict[str, Any]
     notes: list[str] = field(default_factory=list)
-    dropped: Counter[tuple[str, str]] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
     numbers: int = 0
 
     def part(self, name: str) -> dict[Any, Any]:

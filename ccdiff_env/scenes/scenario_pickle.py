@@ -127,7 +127,7 @@ _GLOBALS: dict[str, Callable[..., Any] | None] = {
 
 
 def _bounded(step: Callable[[Any], None]) -> Callable[[Any], None]:
-    """Return a step whose result is a quick key: there are numbers without end of one hash."""
+    """Return a step whose result is a quick key: large integers can share one hash."""
 
     def load(machine: Any) -> None:
         step(machine)

@@ -10,7 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.scenes.load_report import CacheReport, Dropped, LoadReport, SceneReport
+from ccdiff_env.scenes.load_report import CacheReport, LoadReport, SceneReport
 from ccdiff_env.scenes.scenario_fields import F64, Heights, ScenarioFields, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, MapLayers, Polygon
@@ -74,7 +74,7 @@ def _states(
     if metadata.get("kind") in _KINDS.values():  # of a file that this package wrote
         kind = str(metadata["kind"])
     if kind is None:
-        source.dropped["unknown type", category] += 1
+        source.dropped[f"{category}: unknown type"] += 1
         return None
 
     def values(name: str, columns: int | None = None) -> F64:
@@ -87,7 +87,7 @@ def _states(
 
     valid = values("valid") != 0
     if valid.sum() < 2:
-        source.dropped["fewer than 2 steps", category] += 1
+        source.dropped[f"{category}: fewer than 2 steps"] += 1
         return None
     sizes = []
     for name in ("length", "width", "height"):
@@ -215,7 +215,7 @@ def _polygon(ring: F64) -> Polygon:
 class _Features:
     """Sorts map features into our layers.
 
-    ``seeds`` [N, 3] are places where vehicles were, ``places`` [N, 3] those of everybody, nothing
+    ``seeds`` [N, 3] are places where vehicles were, ``places`` [N, 3] those of all agents, nothing
     where the file does not tell their heights.
     """
 
@@ -262,8 +262,8 @@ class _Features:
             self.road = "given" if self._own["drivable_area"] else "none"
         if self.has_levels:
             source.notes.append(
-                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks "
-                "see the roads of all levels"
+                "levels of roads: agents more than 2.5 m higher or lower are out of reach; "
+                "networks see the roads of all levels"
             )
         for name, count in sorted(self._unused.items()):
             source.notes.append(f"{count} map features of type {name} have no layer here")
@@ -340,7 +340,7 @@ class _Features:
             self._heights.add(name, points[:, 2])
 
     def _link(self, lanes: Mapping[str, tuple[Lane, Mapping[str, Any]]]) -> None:
-        """Note who follows whom; lanes that are named and not in the file are left out."""
+        """Link lanes with their successors; lanes that are not in the file are left out."""
         index = {key: i for i, key in enumerate(lanes)}
         edges: set[tuple[int, int]] = set()
         for here, (key, (_, feature)) in enumerate(lanes.items()):
@@ -391,12 +391,11 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
     if tracks and tracks[0].id == _EGO_ID and metadata.get("dataset") == "nuscenes":
         _nuscenes_ego(source, tracks[0], dt, reference)
     scene: Scene | None = None
-    filled, steps, absences = 0, 0, 0
-    layers: dict[str, int] = {}
+    filled, absences = 0, 0
     road = "none"
     if tracks:
-        given, layers, road = _assembled(source, name, dt, tracks)
-        scene, (filled, steps, absences), notes = given._mended()
+        given, road = _assembled(source, name, dt, tracks)
+        scene, (filled, absences), notes = given._mended()
         source.notes.extend(notes)
     counts = Counter(track.category for track in tracks)
     report = SceneReport(
@@ -404,13 +403,11 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
         key_frames=num_steps,
         tracks=dict(sorted(counts.items())),
         annotations=int(sum(track.valid.sum() for track in tracks)),
-        dropped=tuple(Dropped(*key, count, 0) for key, count in sorted(source.dropped.items())),
+        dropped=dict(sorted(source.dropped.items())),
         filled_gaps=filled,
-        filled_key_frames=steps,
         absences=absences,
         ego_channel=None if sdc_id is None else "sdc",
         road=road,
-        map_layers=layers,
         notes=tuple(source.notes),
     )
     return scene, report
@@ -418,7 +415,7 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
 
 def _assembled(
     source: ScenarioFields, name: str, dt: float, tracks: Sequence[_Track]
-) -> tuple[Scene, dict[str, int], str]:
+) -> tuple[Scene, str]:
     valid = np.stack([track.valid for track in tracks])
     origin = _origin(source, tracks)
     position = np.stack([track.position for track in tracks]) - origin
@@ -452,10 +449,7 @@ def _assembled(
         elevation_m=heights.astype(np.float32) if told and features.has_levels else None,
         mend=False,
     )
-    counts = {
-        layer: len(items) for layer, items in features.layers.items() if isinstance(items, list)
-    }
-    return scene, counts, features.road
+    return scene, features.road
 
 
 def _files(path: Path) -> Iterator[Path]:
@@ -487,12 +481,11 @@ def read_scenarios(
         reports.append(report)
     if not scenes:
         raise DatasetError(f"no scenario with agents in {path}; without agents: {empty}")
-    return scenes, replace(
-        LoadReport.blank(),
+    return scenes, LoadReport(
         dataroot=os.fspath(path),
         version="scenarionet",
         scenes=tuple(reports),
         empty=tuple(empty),
-        cache=CacheReport(None, 0, len(scenes), ()),
+        cache=CacheReport(built=len(scenes)),
         seconds=time.perf_counter() - started,
     )

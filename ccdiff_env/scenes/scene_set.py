@@ -35,7 +35,7 @@ class SceneSet(Sequence[Scene]):
         self._by_name = {name: index for index, name in enumerate(self._names)}
         if len(self._by_name) != len(self._scenes):
             raise ConfigError("two scenes have the same name: names must be unique in a SceneSet")
-        self._report = report if report is not None else LoadReport.blank()
+        self._report = report if report is not None else LoadReport()
 
     @property
     def report(self) -> LoadReport:

@@ -1,6 +1,6 @@
 """Data sources: where scenes come from, and the texts that name them.
 
-``SOURCE:PATH@VERSION/SPLIT?ego_reference=centre&limit=N``: each source says which of these parts it
+``SOURCE:PATH@VERSION/SPLIT?limit=N``: each source says which of these parts it
 has. A source is one record of :data:`SOURCES`; commands, benchmarks, examples and environments take
 every one of them.
 """
@@ -13,17 +13,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_args
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import (
-    EgoReference,
-    SceneSet,
-    load_nuscenes,
-    load_scenarionet,
-    of_kinds,
-    splits,
-)
+from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.scenes.gpudrive import load_gpudrive
 from ccdiff_env.system.files import reading
@@ -43,8 +35,6 @@ class Place:
         path, version, split: Where its files are, and which of them; several splits are joined,
             ``"train+train_val"``.
         limit: Only so many scenes, the first ones.
-        ego_reference: Which point of a recording car its poses are of, where the source asks for
-            it.
         names, kinds: Only scenes of these names, and only agents of these types. They are not in
             the text. A source may use them to read less: what it leaves is left out afterwards.
     """
@@ -54,16 +44,13 @@ class Place:
     version: str | None = None
     split: str | None = None
     limit: int | None = None
-    ego_reference: str | None = None
     names: tuple[str, ...] | None = None
     kinds: tuple[str, ...] | None = None
 
     def __str__(self) -> str:
         marks = {":": self.path, "@": self.version, "/": self.split}
         text = self.source + "".join(f"{m}{part}" for m, part in marks.items() if part is not None)
-        options = {"ego_reference": self.ego_reference, "limit": self.limit}
-        given = "&".join(f"{name}={part}" for name, part in options.items() if part is not None)
-        return text + f"?{given}" * bool(given)
+        return text if self.limit is None else f"{text}?limit={self.limit}"
 
 
 @dataclass(frozen=True)
@@ -78,7 +65,6 @@ class Source:
         splits: Returns the scene names of every split; ``None`` where it has no splits.
         usual: The splits to ``"train"`` and to ``"test"`` on by default, by version (``""`` where
             the source has no versions). The first version that is there is the default.
-        ego_references: What ``ego_reference`` may be; nothing where poses are centres anyway.
         kept_out: Splits whose scenes no network is trained on.
         lacks: What its scenes do not have, in words.
     """
@@ -89,7 +75,6 @@ class Source:
     path: str | None = None
     splits: Callable[[], Mapping[str, Sequence[str]]] | None = None
     usual: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    ego_references: tuple[str, ...] = ()
     kept_out: tuple[str, ...] = ()
     lacks: str = ""
 
@@ -105,16 +90,10 @@ class Source:
         return self.name + "".join(parts) + "[/SPLIT]" * (self.splits is not None)
 
 
-def _options(place: Place) -> dict[str, Any]:
-    return {} if place.ego_reference is None else {"ego_reference": place.ego_reference}
-
-
 def _nuscenes(place: Place) -> SceneSet:
     split = None if place.names or place.split is None else place.split.split("+")
     version = place.version or "v1.0-trainval"
-    return load_nuscenes(
-        place.path or "", version, split, place.names, kinds=place.kinds, **_options(place)
-    )
+    return load_nuscenes(place.path or "", version, split, place.names, kinds=place.kinds)
 
 
 def _embedded(place: Place) -> SceneSet:
@@ -123,7 +102,7 @@ def _embedded(place: Place) -> SceneSet:
 
 
 def _scenarionet(place: Place) -> SceneSet:
-    return load_scenarionet(place.path or "", **_options(place))
+    return load_scenarionet(place.path or "")
 
 
 def _gpudrive(place: Place) -> SceneSet:
@@ -154,7 +133,6 @@ SOURCES: dict[str, Source] = {
                 "v1.0-trainval": {"train": "train+train_val", "test": "ccdiff100"},
                 "v1.0-mini": {"train": "mini_train", "test": "mini_val"},
             },
-            ego_references=get_args(EgoReference),
             kept_out=("val", "mini_val"),
             lacks="states of traffic lights, speed limits",
         ),
@@ -163,7 +141,6 @@ SOURCES: dict[str, Source] = {
             "ScenarioNet",
             _scenarionet,
             path="FILE_OR_FOLDER",
-            ego_references=get_args(EgoReference),
             lacks="a road where a file has neither road edges nor lanes",
         ),
         Source(
@@ -190,11 +167,8 @@ def parse(text: str) -> Place:
         ConfigError: If it names no source, no split of it, or a part that the source does not have
             or needs.
     """
-    option = r"(?:limit|ego_reference)=\w+"
-    found = re.fullmatch(rf"(\w*)(.*?)(?:\?({option}(?:&{option})*))?", text, re.DOTALL)
-    name, rest, given = found.groups() if found else (text, "", None)
-    options = dict(part.split("=") for part in given.split("&")) if given else {}
-    limit = options.get("limit")
+    found = re.fullmatch(r"(\w*)(.*?)(?:\?limit=(\w+))?", text, re.DOTALL)
+    name, rest, limit = found.groups() if found else (text, "", None)
     if limit is not None and not limit.isdecimal():
         raise _wrong(text, f"limit is {limit!r}, expected a whole number")
     if name not in SOURCES:
@@ -209,8 +183,7 @@ def parse(text: str) -> Place:
     elif rest:
         raise _wrong(text, f"{rest!r} after {name!r}")
     number = None if limit is None else int(limit)
-    place = Place(name, path, version, split, number, options.get("ego_reference"))
-    return _checked(place, text)
+    return _checked(Place(name, path, version, split, number), text)
 
 
 def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
@@ -235,10 +208,6 @@ def _checked(place: Place, text: str) -> Place:
     source, there = SOURCES[place.source], place.path is None or _is_there(place.path)
     if place.limit is not None and place.limit < 1:
         raise _wrong(text, f"limit is {place.limit}, expected at least 1")
-    reference = place.ego_reference
-    if reference is not None and reference not in source.ego_references:
-        which = " or ".join(map(repr, source.ego_references)) or f"none for {source.name}"
-        raise _wrong(text, f"ego_reference is {reference!r}, expected {which}")
     if source.path is not None and not place.path:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:
@@ -313,8 +282,7 @@ def load(
     Args:
         scenes: ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
             ``"scenarionet:/data/files"``. Without a version the first that is there is taken,
-            without a split all scenes. ``?limit=N`` and ``?ego_reference=centre`` may follow,
-            joined by ``&``.
+            without a split all scenes. ``?limit=N`` may follow.
         limit: Only so many scenes, the first ones.
         names: Only scenes of these names, in this order.
         kinds: Only agents of these types (``vehicle``, ``pedestrian``, ...), and the ego.
@@ -364,5 +332,4 @@ def title(place: Place, counted: str | None = None) -> str:
     name = place.version or (place.path and Path(place.path).name) or ""
     parts = [f"{source.title} {name}".strip(), counted or place.split or ""]
     parts += [] if place.limit is None else [f"the first {place.limit}"]
-    parts += ["ego poses taken as centres"] * (place.ego_reference == "centre")
     return ", ".join(part for part in parts if part)

@@ -62,9 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the page; print its path."""
     place = place_from(args)
-    own = args.names or any(
-        v is not None for v in (args.scenes, args.dataroot, args.split, args.limit)
-    )
+    own = args.names or args.scenes is not None or args.limit is not None
     write_playground(args.out, load(place, names=args.names or None) if own else None)
     say_page(args.out, open_it=args.open)
     return 0

@@ -122,7 +122,6 @@ class Video:
             trails=list(self._trails(step, there)),
             samples=list(self._planned(plan, selected=False)) if plan else [],
             plans=list(self._planned(plan, selected=True)) if plan else [],
-            arrows=[],
             collisions_m=self._marks(recent, step),
             names=[self._names[i] for i in there] if captions else [],
             caption=caption if captions else "",

@@ -33,7 +33,6 @@ from ccdiff_env.worlds.policy_file import adversary_policy_path, egos_policy
 from ccdiff_env.worlds.spaces import F32, U8, Form, Layout, StepArrays, read_columns
 
 PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
-TRAIL_STEPS = 31  #: Past steps in images.
 
 
 def _num_processors() -> int:
@@ -112,7 +111,6 @@ class Worlds:
         num_worlds: E.
         num_threads: Worker threads; ``None``: all processors for many worlds, else the calling
             thread. Results do not depend on it.
-        trails: Whether past positions are kept for images.
         criticality: Criticality of planned traffic by episode, see
             :class:`~ccdiff_env.worlds.curriculum.Curriculum`; ``None``: as configured.
     """
@@ -124,7 +122,6 @@ class Worlds:
         *,
         num_worlds: int,
         num_threads: int | None = None,
-        trails: bool = False,
         criticality: Criticality | None = None,
     ) -> None:
         for name, count in (("num_envs", num_worlds), ("num_threads", num_threads)):
@@ -136,7 +133,7 @@ class Worlds:
         self.scenes = scenes
         self.config = config
         self.num_worlds = num_worlds
-        self._num_threads, self._trail_steps = num_threads, TRAIL_STEPS if trails else 0
+        self._num_threads = num_threads
         self.native = self._made()
         if criticality is not None and not _models(config, scenes):
             config.guided_traffic("criticality")
@@ -170,7 +167,6 @@ class Worlds:
             self.config.to_json(),
             self.num_worlds,
             self._num_threads,
-            self._trail_steps,
             network_policies(self.config, self.scenes, threads),
             _models(self.config, self.scenes),
         )

@@ -52,7 +52,7 @@ def _absent(module: str, name: str) -> Any:
 
 
 class _Finder(MetaPathFinder, Loader):
-    """Last in line: finds modules of packages that nobody else found."""
+    """The last finder: finds modules of packages that no other one found."""
 
     def __init__(self, packages: frozenset[str]) -> None:
         self._packages = packages

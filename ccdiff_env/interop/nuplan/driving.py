@@ -137,7 +137,7 @@ class NuPlanPlanner:
             self._drives.pop(i, None)
 
     def __call__(self, obs: object) -> npt.NDArray[np.float32]:
-        """Return the actions [E, 3] of all worlds; zeros where nobody drives.
+        """Return the actions [E, 3] of all worlds; zeros where no planner drives.
 
         Raises:
             PolicyError: If the planner raises; names the scene and the step.

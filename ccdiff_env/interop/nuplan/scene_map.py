@@ -206,7 +206,7 @@ class _Crossing(_Area, Intersection):
 
 
 class _StopArea(_Area, StopLine):
-    """A stop line's area; scenes do not say whose."""
+    """A stop line's area; scenes do not say which lane it belongs to."""
 
     _kind = (StopLineType.UNKNOWN,)
     intersection_from: Any = property(lambda self: None)
@@ -311,7 +311,7 @@ class SceneMap(AbstractMap):
         return self._near(point, layer, 0.0)
 
     def get_one_map_object(self, point: Point2D, layer: SemanticMapLayer) -> Any:
-        """Of several return that whose centre line is nearest: lanes of nuScenes overlap."""
+        """Of several, return the one with the nearest centre line: lanes of nuScenes overlap."""
         at = Point(point.x, point.y)
 
         def away_m(found: Any) -> float:

@@ -140,7 +140,7 @@ def _changed(values: Mapping[str, Any], options: Mapping[str, Any], name: str) -
 def made_of(value: Any, name: str, path: str = "") -> Any:
     """Return what a value of settings means: dictionaries with a target become objects.
 
-    ``name`` is whose, for messages, and ``path`` its place in the settings. Raises
+    ``name`` is the planner's, for messages, and ``path`` the place in its settings. Raises
     :class:`ConfigError` if there is no such target, or its arguments are others.
     """
     if isinstance(value, list):

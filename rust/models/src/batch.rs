@@ -177,16 +177,14 @@ impl Targets {
 pub(crate) mod tests {
     use super::*;
     use crate::features::{Window, build};
+    use ccdiff_sim::geom::Pose2;
 
     /// Vehicles at the origin with these speeds, 4 m by 2 m; none sees another.
     pub(crate) fn cars(speed_mps: &[f32]) -> SceneFeatures {
         let (config, m) = (ModelConfig { map: None, ..ModelConfig::fast() }, speed_mps.len());
-        let zeros = || vec![0.0; m * config.history_steps];
         let window = Window {
             num_steps: config.history_steps,
-            x_m: zeros(),
-            y_m: zeros(),
-            heading_rad: zeros(),
+            poses: vec![Pose2::new(0.0, 0.0, 0.0); m * config.history_steps],
             speed_mps: speed_mps.iter().flat_map(|v| vec![*v; config.history_steps]).collect(),
             valid: vec![true; m * config.history_steps],
             length_m: vec![4.0; m],

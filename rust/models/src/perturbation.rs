@@ -65,10 +65,9 @@ impl Lateral {
         let moved = now.to_outer(Vector2::new(0.0, self.lateral_m).into());
         let target = Pose2::new(moved.x, moved.y, now.heading_rad + self.heading_rad);
         for at in agent * steps..(agent + 1) * steps {
-            let old = Point2::new(window.x_m[at], window.y_m[at]);
-            let new = target.to_outer(now.to_local(old));
-            (window.x_m[at], window.y_m[at]) = (new.x, new.y);
-            window.heading_rad[at] += self.heading_rad;
+            let old = window.poses[at];
+            let new = target.to_outer(now.to_local(old.position));
+            window.poses[at] = Pose2::new(new.x, new.y, old.heading_rad + self.heading_rad);
         }
     }
 
@@ -181,8 +180,7 @@ impl Longitudinal {
                 continue;
             };
             let pose = trail.at(self.along_m + self.scale * trail.driven_m[index]);
-            (window.x_m[at], window.y_m[at]) = (pose.position.x, pose.position.y);
-            window.heading_rad[at] = pose.heading_rad;
+            window.poses[at] = Pose2::new(pose.position.x, pose.position.y, pose.heading_rad);
             window.speed_mps[at] *= self.scale;
         }
     }
@@ -208,19 +206,13 @@ mod tests {
 
     /// A history without a vehicle's moves.
     fn window(steps: usize, speed_mps: f32) -> Window {
-        let zeros = || vec![0.0; steps];
-        let (x_m, y_m, heading_rad) = (zeros(), zeros(), zeros());
-        let (speed_mps, valid) = (vec![speed_mps; steps], vec![true; steps]);
-        let (length_m, width_m) = (vec![4.0], vec![2.0]);
         Window {
             num_steps: steps,
-            x_m,
-            y_m,
-            heading_rad,
-            speed_mps,
-            valid,
-            length_m,
-            width_m,
+            poses: vec![Pose2::new(0.0, 0.0, 0.0); steps],
+            speed_mps: vec![speed_mps; steps],
+            valid: vec![true; steps],
+            length_m: vec![4.0],
+            width_m: vec![2.0],
             ..Window::default()
         }
     }
@@ -245,9 +237,10 @@ mod tests {
 
     #[test]
     fn a_moved_history_keeps_its_shape() {
-        let mut window = Window { x_m: vec![0.0, 1.0, 2.0], ..window(3, 10.0) };
+        let poses = [0.0, 1.0, 2.0].map(|x| Pose2::new(x, 0.0, 0.0)).to_vec();
+        let mut window = Window { poses, ..window(3, 10.0) };
         Lateral { lateral_m: 0.5, heading_rad: 0.1 }.move_history(&mut window, 0);
-        assert!((window.x_m[2] - 2.0).abs() < 1e-6 && (window.y_m[2] - 0.5).abs() < 1e-6);
+        assert!((window.poses[2].position - Point2::new(2.0, 0.5)).norm() < 1e-6);
         let back = window.pose(0, 2).to_local(window.pose(0, 0).position);
         assert!((back.x + 2.0).abs() < 1e-5 && back.y.abs() < 1e-5);
     }

@@ -8,7 +8,7 @@ use ccdiff_models::config::ModelConfig;
 use ccdiff_models::features::{self, Window, route_ahead};
 use ccdiff_models::train::{TrainConfig, Trainer};
 use ccdiff_models::trajectory_model::{PlanInput, PlanOptions};
-use ccdiff_sim::geom::{Point2, Vector2};
+use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::stage::Route;
 use common::runs::{exported, loaded, quick, run_on};
@@ -69,7 +69,8 @@ fn places_ahead_are_those_of_the_route_in_the_agents_frame() {
     let scene = bend(0.0);
     let mut window = window(&scene, None);
     // seen from (24, 0), heading north in place of east
-    window.heading_rad[30] = std::f32::consts::FRAC_PI_2;
+    let here = window.poses[30].position;
+    window.poses[30] = Pose2::new(here.x, here.y, std::f32::consts::FRAC_PI_2);
     window.routes = vec![vec![Point2::new(29.0, 0.0), Point2::new(34.0, 1.0)]];
     let built = features::build(&window, None, &network(&POINTS_M[..2])).unwrap();
     let expected = [1.0, 0.0, -5.0, 1.0, -10.0];

@@ -4,6 +4,7 @@
 use ccdiff_nets::config::ModelConfig;
 use ccdiff_nets::inputs::features::Window;
 use ccdiff_nets::networks::planner::PlanOptions;
+use ccdiff_sim::geom::Pose2;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -46,11 +47,10 @@ fn a_new_network_plans_from_its_weights_and_names_what_they_lack() {
     let (h, knots) = (config.history_steps, config.num_knots());
     // two vehicles far apart at 5 and 10 m/s
     let speeds = [5.0, 10.0];
+    let x_m = |at: usize| 200.0 * (at / h) as f32 + 0.1 * speeds[at / h] * (at % h) as f32;
     let window = Window {
         num_steps: h,
-        x_m: (0..2 * h).map(|at| 200.0 * (at / h) as f32 + 0.1 * speeds[at / h] * (at % h) as f32).collect(),
-        y_m: vec![0.0; 2 * h],
-        heading_rad: vec![0.0; 2 * h],
+        poses: (0..2 * h).map(|at| Pose2::new(x_m(at), 0.0, 0.0)).collect(),
         speed_mps: (0..2 * h).map(|at| speeds[at / h]).collect(),
         valid: vec![true; 2 * h],
         length_m: vec![4.5; 2],

@@ -18,16 +18,12 @@ pub(crate) struct ArcLinePath {
     pub(crate) segment_length: [f64; 3],
 }
 
-/// Why a path cannot be followed.
-pub(crate) struct PathFault {
-    pub(crate) field: &'static str,
-    pub(crate) got: String,
-    pub(crate) expected: &'static str,
-}
+/// Why a path cannot be followed: field, value, and the rule that it breaks.
+pub(crate) type PathFault = (&'static str, String, &'static str);
 
 impl ArcLinePath {
     fn check(&self) -> Result<(), PathFault> {
-        let fault = |field, got, expected| Err(PathFault { field, got, expected });
+        let fault = |field, got, expected| Err((field, got, expected));
         if self.curvatures_1pm().is_none() {
             return fault("shape", format!("{:?}", self.shape), "three letters of L, S, R");
         }
@@ -158,7 +154,7 @@ mod tests {
 
     #[test]
     fn faults_name_the_field() {
-        let fault = |p: ArcLinePath| discretise(&[p], 1.0).err().unwrap().field;
+        let fault = |p: ArcLinePath| discretise(&[p], 1.0).err().unwrap().0;
         assert_eq!(fault(path("LXL", 1.0, [1.0; 3])), "shape");
         assert_eq!(fault(path("LS", 1.0, [1.0; 3])), "shape");
         assert_eq!(fault(path("LSL", 0.0, [1.0; 3])), "radius");

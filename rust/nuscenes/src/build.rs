@@ -33,7 +33,7 @@ pub(crate) fn build_scene(
         ego_channel: logged.ego_channel.clone(),
         ..SceneReport::default()
     };
-    note_timing(entry, logged, &mut report);
+    note_timing(logged, &mut report);
     let clock = Clock::of(logged, options);
     let (agents, tracks) = collect(logged, &clock, options, &mut report);
     let states = || tracks.iter().flat_map(|t| &t.states);
@@ -53,7 +53,6 @@ pub(crate) fn build_scene(
         crop(map, origin, &Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m))
     });
     let scene_map = scene_map.unwrap_or_default();
-    report.count_layers(&scene_map);
     report.road = if scene_map.drivable_area.is_empty() { Road::None } else { Road::Given };
     let scene = Scene {
         name: entry.name.clone(),
@@ -102,13 +101,7 @@ fn nominal_us(frame: usize) -> i64 {
     (frame as f64 * KEY_FRAME_INTERVAL_S * 1e6) as i64
 }
 
-fn note_timing(entry: &SceneEntry, logged: &LoggedScene, report: &mut SceneReport) {
-    let found = logged.timestamps_us.len();
-    if let Some(expected) = entry.nbr_samples.filter(|n| *n != found) {
-        report
-            .notes
-            .push(format!("the scene table counts {expected} key frames, the sample table has {found}"));
-    }
+fn note_timing(logged: &LoggedScene, report: &mut SceneReport) {
     let intervals = logged.timestamps_us.windows(2).map(|w| (w[1] as f64 - w[0] as f64) * 1e-6);
     let off = intervals.filter(|s| (s - KEY_FRAME_INTERVAL_S).abs() > JITTER_NOTED_S).count();
     if off > 0 {
@@ -130,7 +123,6 @@ fn collect(
         let times_us: Vec<i64> = keys.iter().map(|key| clock.time_us(key)).collect();
         let track = resample(keys, &times_us, clock.steps, options.interpolation, smoothing_s3);
         report.filled_gaps += track.filled_gaps;
-        report.filled_key_frames += track.filled_key_frames;
         *report.tracks.entry(agent.category.clone()).or_default() += 1;
         agents.push(agent);
         tracks.push(track);
@@ -150,20 +142,20 @@ fn collect(
                 report.annotations += track.keys.len();
                 keep(agent, &track.keys, ANNOTATION_SMOOTHING_S3, report);
             }
-            Err(reason) => report.drop_track(&reason, &track.category, track.keys.len()),
+            Err(reason) => report.drop_track(&track.category, reason),
         }
     }
     (agents, tracks)
 }
 
 /// The kind of a track that is to be kept, or why it is not.
-fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Result<AgentKind, String> {
+fn wanted_kind(track: &LoggedTrack, options: &BuildOptions) -> std::result::Result<AgentKind, &'static str> {
     let kind = kind_of_category(&track.category).ok_or("unknown category")?;
     if options.kinds.as_ref().is_some_and(|kinds| !kinds.contains(&kind)) {
-        return Err("kind not asked for".to_owned());
+        return Err("kind not asked for");
     }
-    if track.keys.len() < options.min_annotations {
-        return Err(format!("fewer than {} annotations", options.min_annotations));
+    if track.keys.len() < 2 {
+        return Err("fewer than 2 annotations");
     }
     Ok(kind)
 }

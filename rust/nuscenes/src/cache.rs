@@ -17,7 +17,7 @@ use std::time::UNIX_EPOCH;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// Raised whenever scenes are built or encoded differently.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 const MAGIC: &[u8; 8] = b"ccdscene";
 const CHECKSUM_BYTES: usize = 16;
 
@@ -41,11 +41,7 @@ pub(crate) struct Cache {
     notes: Mutex<Vec<String>>,
 }
 
-/// What changes with a file: its path, size and times, and its inode where the system has them, which also tell a file that
-/// was swapped with its old times.
-///
-/// # Errors
-/// A missing or unreadable file; `what` it is is for the message.
+/// What changes with a file: its path, size, times and inode; `what` it is is for the message.
 pub(crate) fn stamp(path: &Path, what: &str) -> Result<Hash> {
     let failed = |e| NuscenesError::from_io(path, what, e);
     let metadata = fs::metadata(path).map_err(failed)?;

@@ -7,10 +7,7 @@ use ccdiff_sim::scene::{Lane, Map};
 /// Clipped polygons smaller than this are slivers along the cut, square metres.
 const MIN_AREA_M2: Real = 1e-3;
 
-/// Cuts a map to a rectangle given in the global frame.
-///
-/// Lanes whose bounding box touches the rectangle stay whole, with their links to one another; polygons and lines are
-/// clipped.
+/// Cuts a map to a rectangle given in the global frame; lanes whose bounding box touches it stay whole.
 pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds) -> Map {
     let cutter =
         Cutter { origin, rect: *rect, min: recentre(origin, &rect.min), max: recentre(origin, &rect.max) };

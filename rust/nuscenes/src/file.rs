@@ -8,9 +8,6 @@ use std::path::Path;
 pub(crate) const MOST_BYTES: u64 = 1 << 30;
 
 /// Opens a file, or what a link to one leads to.
-///
-/// # Errors
-/// Whatever the system says; [`ErrorKind::InvalidInput`] where it is no regular file.
 pub(crate) fn open(path: &Path) -> Result<File> {
     let refuse = || Err(Error::new(ErrorKind::InvalidInput, "it is not a regular file"));
     // asked first: to open a pipe waits for its writer
@@ -22,9 +19,6 @@ pub(crate) fn open(path: &Path) -> Result<File> {
 }
 
 /// The bytes of a file.
-///
-/// # Errors
-/// As [`open`], and for a file of more than `most` bytes.
 pub(crate) fn read(path: &Path, most: u64) -> Result<Vec<u8>> {
     let file = open(path)?;
     let len = file.metadata()?.len();

@@ -9,6 +9,7 @@ use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::load::Loaded;
 use crate::report::{CacheReport, LoadReport, Road, SceneReport};
+use crate::resample::unwrapped;
 use crate::stream::parse;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
@@ -173,7 +174,6 @@ impl Reader<'_> {
         report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
         let seeds = vehicles(&agents, &tracks);
         let map = self.map(origin, &seeds, &bounds, &mut report)?;
-        report.count_layers(&map);
         let scene = Scene {
             token,
             name,
@@ -224,7 +224,7 @@ impl Reader<'_> {
                     let expected = "a vehicle, pedestrian or cyclist that is there for two steps";
                     return self.fault(format!("objects[{i}]"), "sdc_track_index", reason, expected);
                 }
-                Some(reason) => report.drop_track(reason, &object.kind, steps),
+                Some(reason) => report.drop_track(&object.kind, reason),
                 None if i != ego => kept.push(i),
                 None => {}
             }
@@ -338,7 +338,7 @@ impl Reader<'_> {
             let heights = states.map(|state| if state.2 { ground(state) } else { 0.0 });
             tracks.elevation_m = heights.collect();
             report.notes.push(
-                "levels of roads: who is more than 2.5 m higher or lower is out of reach; networks see the roads of \
+                "levels of roads: agents more than 2.5 m higher or lower are out of reach; networks see the roads of \
                  all levels"
                     .into(),
             );
@@ -458,13 +458,7 @@ fn vehicles(agents: &[Agent], tracks: &Tracks) -> Vec<(Point2, Real)> {
     (0..tracks.valid.len()).filter(of_vehicle).map(|i| (tracks.position[i], height(i))).collect()
 }
 
-/// The angle that differs from the one before by at most half a turn.
-fn unwrapped(before: f64, angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    before + (angle - before + PI).rem_euclid(TAU) - PI
-}
-
-/// A ring without its first point at the end once more.
+/// A ring without the repeated first point at its end.
 fn area(mut ring: Vec<Point2>) -> Polygon {
     if ring.first() == ring.last() {
         ring.pop();

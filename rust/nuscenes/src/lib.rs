@@ -4,17 +4,8 @@
 //! out: scenes in their own frames and a report of what was kept and what was not. Quirks of the data set (tokens,
 //! quaternions, 2 Hz key frames, node lists) stop here.
 //!
-//! - `stream`: a table as a stream of records, parsed in parallel
-//! - `token`: tokens, and what is looked up by them
-//! - `tables`: rows, and their join to the logged facts of each scene
-//! - `resample`: key frames to steps, `spline`: smooth curves through them
-//! - `arcline`, `map_file`, `crop`: centre lines, the map of a location, the part of it round a scene
-//! - `build`: one scene
-//! - `file`: regular files of a bounded size
-//! - `category`: categories as kinds of agents
-//! - `cache`: built scenes on disk
-//! - `load`: all of it
-//! - `gpudrive`: Waymo scenes in GPUDrive's JSON
+//! `load` reads tables (`stream`, `token`, `tables`), makes steps of key frames (`resample`, `spline`) and maps (`arcline`,
+//! `map_file`, `crop`), and keeps built scenes (`cache`). `gpudrive` reads Waymo scenes in GPUDrive's JSON.
 
 mod arcline;
 mod build;
@@ -44,4 +35,4 @@ pub use options::{
     BuildOptions, EGO_AXLE_TO_CENTRE_M, EgoReference, Interpolation, KEY_FRAME_INTERVAL_S, KeyFrameTiming,
     LoadOptions, Selection,
 };
-pub use report::{CacheReport, Dropped, LoadReport, MapReport, Road, SceneReport};
+pub use report::{CacheReport, LoadReport, Road, SceneReport};

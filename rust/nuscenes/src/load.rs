@@ -5,12 +5,12 @@ use crate::cache::{Cache, Hash, stamp};
 use crate::error::{NuscenesError, Result};
 use crate::map_file::{GlobalMap, map_path, read_map};
 use crate::options::{LoadOptions, Selection};
-use crate::report::{LoadReport, MapReport, SceneReport};
+use crate::report::{LoadReport, SceneReport};
 use crate::tables::{SceneEntry, TABLES, Tables};
 use ccdiff_sim::scene::Scene;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -74,7 +74,7 @@ fn versions(dataroot: &Path) -> String {
 }
 
 type Built = (Option<Scene>, SceneReport);
-type Maps = BTreeMap<String, (Option<GlobalMap>, MapReport)>;
+type Maps = BTreeMap<String, (Option<GlobalMap>, Vec<String>)>;
 
 struct Load<'a> {
     dataroot: &'a Path,
@@ -125,9 +125,8 @@ impl Load<'_> {
                 built[slot] = Some(scene);
             }
             self.report.cache.built = lost.len();
-            let (used, reports): (Vec<_>, Vec<_>) = maps.into_values().unzip();
-            let read = used.iter().zip(reports).filter(|(map, _)| map.is_some());
-            self.report.maps = read.map(|(_, report)| report).collect();
+            let (used, notes): (Vec<_>, Vec<_>) = maps.into_values().unzip();
+            self.report.map_notes = notes.concat();
             // tens of thousands of small vectors: given back while the caller goes on
             rayon::spawn(move || drop((logged, used)));
         }
@@ -203,16 +202,12 @@ impl Load<'_> {
         }
     }
 
-    fn map_path(&self, location: &str) -> PathBuf {
-        map_path(self.dataroot, location)
-    }
-
     fn scene_keys(&self, tables: Hash, entries: &[SceneEntry], wanted: &[usize]) -> Result<Vec<Hash>> {
         let mut maps: BTreeMap<&str, Option<Hash>> = BTreeMap::new();
         let key = |index: &usize| {
             let entry = &entries[*index];
             if !maps.contains_key(entry.location.as_str()) {
-                let path = self.map_path(&entry.location);
+                let path = map_path(self.dataroot, &entry.location);
                 let hash = match stamp(&path, "map expansion") {
                     Err(NuscenesError::Missing { .. }) => None,
                     other => Some(other?),
@@ -236,13 +231,11 @@ impl Load<'_> {
 
     /// Maps of the locations, read once each; `None` where there is no file.
     fn read_maps<'e>(&self, entries: impl Iterator<Item = &'e SceneEntry>) -> Result<Maps> {
-        let mut locations: Vec<&str> = entries.map(|e| e.location.as_str()).collect();
-        locations.sort_unstable();
-        locations.dedup();
+        let locations: Vec<&str> = locations(entries).into_iter().collect();
         let read = |location: &&str| {
-            let map = match read_map(&self.map_path(location), location) {
-                Err(NuscenesError::Missing { .. }) => (None, MapReport::default()),
-                other => other.map(|(map, report)| (Some(map), report))?,
+            let map = match read_map(&map_path(self.dataroot, location), location) {
+                Err(NuscenesError::Missing { .. }) => (None, Vec::new()),
+                other => other.map(|(map, notes)| (Some(map), notes))?,
             };
             Ok(((*location).to_owned(), map))
         };
@@ -250,12 +243,14 @@ impl Load<'_> {
     }
 
     fn note_missing_maps<'e>(&mut self, entries: impl Iterator<Item = &'e SceneEntry>) {
-        let mut locations: Vec<&str> = entries.map(|e| e.location.as_str()).collect();
-        locations.sort_unstable();
-        locations.dedup();
-        let missing = locations.into_iter().filter(|l| !self.map_path(l).is_file());
+        let missing = locations(entries).into_iter().filter(|l| !map_path(self.dataroot, l).is_file());
         self.report.missing_maps = missing.map(str::to_owned).collect();
     }
+}
+
+/// Locations of scenes, each once.
+fn locations<'e>(entries: impl Iterator<Item = &'e SceneEntry>) -> BTreeSet<&'e str> {
+    entries.map(|e| e.location.as_str()).collect()
 }
 
 /// A location becomes part of a path.

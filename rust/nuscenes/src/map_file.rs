@@ -3,7 +3,6 @@
 use crate::arcline::{ArcLinePath, discretise};
 use crate::error::{NuscenesError, Result};
 use crate::file;
-use crate::report::MapReport;
 use crate::stream::{BYTE_ORDER_MARK, parse};
 use crate::token::{Index, Token, index};
 use ccdiff_sim::scene::LaneKind;
@@ -109,10 +108,7 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
 }
 
 /// Reads the map of a location.
-///
-/// # Errors
-/// Unreadable files, invalid JSON, references to nodes, polygons or lines that do not exist, damaged centre lines.
-pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapReport)> {
+pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, Vec<String>)> {
     let bytes =
         file::read(path, file::MOST_BYTES).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
     let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&bytes);
@@ -123,20 +119,20 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, MapRep
     }
     let file: MapFile = parse(text, path, (bytes.len() - text.len()) as u64)?;
     let assembler = Assembler::new(&file, path)?;
-    let mut report = MapReport { location: location.to_owned(), ..MapReport::default() };
-    let lanes = assembler.lanes(&file, &mut report)?;
+    let mut notes = Vec::new();
+    let lanes = assembler.lanes(&file, &mut notes)?;
     let map = GlobalMap {
-        drivable_area: assembler.drivable_area(&file.drivable_area, &mut report)?,
-        ped_crossings: assembler.areas("ped_crossing", &file.ped_crossing, &mut report)?,
-        walkways: assembler.areas("walkway", &file.walkway, &mut report)?,
-        stop_lines: assembler.areas("stop_line", &file.stop_line, &mut report)?,
-        carpark_areas: assembler.areas("carpark_area", &file.carpark_area, &mut report)?,
-        road_dividers: assembler.dividers("road_divider", &file.road_divider, &mut report)?,
-        lane_dividers: assembler.dividers("lane_divider", &file.lane_divider, &mut report)?,
+        drivable_area: assembler.drivable_area(&file.drivable_area, &mut notes)?,
+        ped_crossings: assembler.areas("ped_crossing", &file.ped_crossing, &mut notes)?,
+        walkways: assembler.areas("walkway", &file.walkway, &mut notes)?,
+        stop_lines: assembler.areas("stop_line", &file.stop_line, &mut notes)?,
+        carpark_areas: assembler.areas("carpark_area", &file.carpark_area, &mut notes)?,
+        road_dividers: assembler.dividers("road_divider", &file.road_divider, &mut notes)?,
+        lane_dividers: assembler.dividers("lane_divider", &file.lane_divider, &mut notes)?,
         lane_bounds: lanes.iter().map(GlobalLane::bounds).collect(),
         lanes,
     };
-    Ok((map, report))
+    Ok((map, notes.into_iter().map(|note| format!("{location}: {note}")).collect()))
 }
 
 /// The layers of a map file as they are written; those that are left out are empty.
@@ -221,9 +217,9 @@ struct Assembler<'a> {
     lines: Index<&'a [Token]>,
 }
 
-fn note(report: &mut MapReport, count: usize, words: &str) {
+fn note(notes: &mut Vec<String>, count: usize, words: &str) {
     if count > 0 {
-        report.notes.push(format!("{count} {words}"));
+        notes.push(format!("{count} {words}"));
     }
 }
 
@@ -289,26 +285,26 @@ impl<'a> Assembler<'a> {
         &self,
         tokens: impl ParallelIterator<Item = (&'r str, Option<Token>)>,
         left_out: &str,
-        report: &mut MapReport,
+        notes: &mut Vec<String>,
     ) -> Result<Vec<GlobalPolygon>> {
         let made = tokens.map(|(owner, token)| self.polygon(owner, token)).collect::<Result<Vec<_>>>()?;
-        note(report, made.iter().filter(|p| p.is_none()).count(), left_out);
+        note(notes, made.iter().filter(|p| p.is_none()).count(), left_out);
         Ok(made.into_iter().flatten().collect())
     }
 
-    fn drivable_area(&self, rows: &[DrivableAreaRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+    fn drivable_area(&self, rows: &[DrivableAreaRow], notes: &mut Vec<String>) -> Result<Vec<GlobalPolygon>> {
         let tokens = rows
             .par_iter()
             .flat_map(|row| row.polygon_tokens.par_iter().map(|token| (row.token.as_str(), Some(*token))));
-        self.polygons(tokens, "drivable_area polygons with fewer than three corners left out", report)
+        self.polygons(tokens, "drivable_area polygons with fewer than three corners left out", notes)
     }
 
-    fn areas(&self, layer: &str, rows: &[AreaRow], report: &mut MapReport) -> Result<Vec<GlobalPolygon>> {
+    fn areas(&self, layer: &str, rows: &[AreaRow], notes: &mut Vec<String>) -> Result<Vec<GlobalPolygon>> {
         let tokens = rows.par_iter().map(|row| (row.token.as_str(), row.polygon_token));
-        self.polygons(tokens, &format!("{layer} records without an area left out"), report)
+        self.polygons(tokens, &format!("{layer} records without an area left out"), notes)
     }
 
-    fn dividers(&self, layer: &str, rows: &[DividerRow], report: &mut MapReport) -> Result<Vec<GlobalLine>> {
+    fn dividers(&self, layer: &str, rows: &[DividerRow], notes: &mut Vec<String>) -> Result<Vec<GlobalLine>> {
         let line = |DividerRow { token, line_token }: &DividerRow| {
             let nodes = self.lines.get(line_token);
             let nodes = nodes.ok_or_else(|| self.dangling(token, "line_token", *line_token, "line"))?;
@@ -316,7 +312,7 @@ impl<'a> Assembler<'a> {
         };
         let mut lines = rows.par_iter().map(line).collect::<Result<Vec<_>>>()?;
         lines.retain(|line| line.points.len() >= 2);
-        note(report, rows.len() - lines.len(), &format!("{layer} records of fewer than two points left out"));
+        note(notes, rows.len() - lines.len(), &format!("{layer} records of fewer than two points left out"));
         Ok(lines)
     }
 
@@ -325,13 +321,13 @@ impl<'a> Assembler<'a> {
         let id = row.token.clone();
         let paths = file.arcline_path_3.get(&id).map_or(&[][..], Vec::as_slice);
         let centreline = discretise(paths, CENTRELINE_SPACING_M)
-            .map_err(|fault| NuscenesError::value(self.path, &id, fault.field, fault.got, fault.expected))?;
+            .map_err(|(field, got, expected)| NuscenesError::value(self.path, &id, field, got, expected))?;
         let polygon = self.polygon(&id, row.polygon_token)?;
         let (successors, predecessors) = (Vec::new(), Vec::new());
         Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })
     }
 
-    fn lanes(&self, file: &MapFile, report: &mut MapReport) -> Result<Vec<GlobalLane>> {
+    fn lanes(&self, file: &MapFile, notes: &mut Vec<String>) -> Result<Vec<GlobalLane>> {
         let mut lanes = Vec::new();
         for (rows, kind) in [(&file.lane, LaneKind::Lane), (&file.lane_connector, LaneKind::Connector)] {
             let made = rows.par_iter().map(|row| self.lane(row, kind, file));
@@ -339,9 +335,9 @@ impl<'a> Assembler<'a> {
         }
         let before = lanes.len();
         lanes.retain(|lane| !lane.centreline.is_empty());
-        note(report, before - lanes.len(), "lanes without a centre line left out");
+        note(notes, before - lanes.len(), "lanes without a centre line left out");
         let without_area = lanes.iter().filter(|lane| lane.polygon.is_none()).count();
-        note(report, without_area, "lanes without a polygon");
+        note(notes, without_area, "lanes without a polygon");
         let mut index: BTreeMap<String, u32> = BTreeMap::new();
         for (i, lane) in lanes.iter().enumerate() {
             if index.insert(lane.id.clone(), i as u32).is_some() {
@@ -349,7 +345,7 @@ impl<'a> Assembler<'a> {
             }
         }
         let lost = link(&mut lanes, &index, &file.connectivity);
-        note(report, lost, "links to lanes that are not there left out");
+        note(notes, lost, "links to lanes that are not there left out");
         Ok(lanes)
     }
 }

@@ -57,23 +57,16 @@ pub enum Interpolation {
     Linear,
 }
 
-/// How scenes are built from the tables. All of it is part of the cache key.
+/// How scenes are built from the tables, as `ccdiff_env.load_nuscenes` describes it. All of it is part of the cache key.
+#[allow(missing_docs, reason = "fields are described in ccdiff_env/scenes/__init__.py")]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BuildOptions {
-    /// Time between steps, seconds; must divide 0.5 s.
     pub dt_s: f64,
-    /// When key frames were.
     pub timing: KeyFrameTiming,
-    /// How states between key frames are made.
     pub interpolation: Interpolation,
-    /// Which point of the recording car its poses are of.
     pub ego_reference: EgoReference,
-    /// Kinds to keep; `None` keeps all. The ego is always kept.
     pub kinds: Option<Vec<AgentKind>>,
-    /// How far the map reaches beyond the tracks, metres.
     pub map_margin_m: f64,
-    /// Tracks with fewer annotations are dropped.
-    pub min_annotations: usize,
 }
 
 impl Default for BuildOptions {
@@ -85,7 +78,6 @@ impl Default for BuildOptions {
             ego_reference: EgoReference::RearAxle,
             kinds: None,
             map_margin_m: 60.0,
-            min_annotations: 2,
         }
     }
 }
@@ -103,13 +95,6 @@ impl BuildOptions {
         if !(0.0..=10_000.0).contains(&self.map_margin_m) {
             let got = self.map_margin_m.to_string();
             return Err(NuscenesError::Option { field: "map_margin", got, expected: "0 to 10000 metres" });
-        }
-        if self.min_annotations == 0 {
-            return Err(NuscenesError::Option {
-                field: "min_annotations",
-                got: "0".into(),
-                expected: "at least 1",
-            });
         }
         Ok(())
     }

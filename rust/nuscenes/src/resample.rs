@@ -29,8 +29,6 @@ pub(crate) struct Resampled {
     pub(crate) absences: Vec<Range<usize>>,
     /// Gaps inside the track that were filled.
     pub(crate) filled_gaps: usize,
-    /// Key frames in those gaps.
-    pub(crate) filled_key_frames: usize,
 }
 
 /// Steps of a scene: step s is s * `step_us` after its first key frame.
@@ -56,10 +54,8 @@ impl Steps {
     }
 }
 
-/// Resamples a track; `keys` in time order, `times_us` their times after the first key frame of the scene.
-///
-/// Missing key frames are bridged as the intervals between others are, unless the gap is longer than two seconds. A step that is nearest to an end of the track but
-/// lies beyond it continues the motion there.
+/// Resamples a track; `keys` in time order, `times_us` their times after the first key frame of the scene. Motion goes
+/// straight on to a step that is nearest to an end of the track but lies beyond it.
 pub(crate) fn resample(
     keys: &[Key],
     times_us: &[i64],
@@ -76,10 +72,12 @@ pub(crate) fn resample(
             out.absences.push(steps.nearest(times[0]) + 1..steps.nearest(times[1]));
         } else {
             out.filled_gaps += usize::from(missing > 0);
-            out.filled_key_frames += missing;
         }
     }
-    let headings = unwrapped(keys);
+    let mut headings: Vec<f64> = Vec::with_capacity(keys.len());
+    for key in keys {
+        headings.push(headings.last().map_or(key.yaw_rad, |before| unwrapped(*before, key.yaw_rad)));
+    }
     let track = match (interpolation, keys) {
         (_, [key]) => Track::Still(State {
             position_m: [key.x_m, key.y_m],
@@ -101,17 +99,9 @@ pub(crate) fn resample(
     out
 }
 
-/// Yaw without jumps: neighbouring key frames differ by at most half a turn.
-fn unwrapped(keys: &[Key]) -> Vec<f64> {
-    let mut headings: Vec<f64> = Vec::with_capacity(keys.len());
-    for key in keys {
-        let heading = match headings.last() {
-            Some(before) => before + (key.yaw_rad - before + PI).rem_euclid(TAU) - PI,
-            None => key.yaw_rad,
-        };
-        headings.push(heading);
-    }
-    headings
+/// The angle that differs from the one before by at most half a turn.
+pub(crate) fn unwrapped(before: f64, angle: f64) -> f64 {
+    before + (angle - before + PI).rem_euclid(TAU) - PI
 }
 
 /// States at key frames. Velocities are those of the devkit's `box_velocity`: central differences over the neighbours,
@@ -193,7 +183,7 @@ mod tests {
         for way in [Interpolation::Linear, Interpolation::Smooth] {
             let track = at_10_hz(&[key(1, 0.0, 0.0), key(4, 3.0, 0.0)], way, 0.003);
             assert_eq!((track.first_step, track.states.len()), (5, 16));
-            assert_eq!((track.filled_gaps, track.filled_key_frames), (1, 2));
+            assert_eq!(track.filled_gaps, 1);
             assert!((track.states[5].position_m[0] - 1.0).abs() < 1e-12);
             assert!(track.states.iter().all(|s| (s.velocity_mps[0] - 2.0).abs() < 1e-12));
         }

@@ -22,9 +22,6 @@ pub(crate) const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 const RECORDS_PER_TASK: usize = 256;
 
 /// What `keep` makes of the rows of a table, in the order of the file.
-///
-/// # Errors
-/// Missing and unreadable files, invalid JSON (with its byte offset), and whatever `keep` refuses.
 pub(crate) fn read_table<Row: DeserializeOwned, Kept: Send>(
     path: &Path,
     what: &str,
@@ -65,9 +62,6 @@ fn read_rows<Row: DeserializeOwned, Kept: Send>(
 }
 
 /// A value of JSON from the text at an offset of a file.
-///
-/// # Errors
-/// [`NuscenesError::Json`] with the place, the field and the beginning of the text.
 pub(crate) fn parse<T: DeserializeOwned>(text: &[u8], path: &Path, offset: u64) -> Result<T> {
     serde_json::from_slice(text).map_err(|error| {
         let lines = text.split_inclusive(|byte| *byte == b'\n').take(error.line().saturating_sub(1));

@@ -44,7 +44,6 @@ pub(crate) struct SceneEntry {
     pub(crate) name: String,
     pub(crate) token: String,
     pub(crate) location: String,
-    pub(crate) nbr_samples: Option<usize>,
 }
 
 /// A pose on the ground plane in the global frame, at a time.
@@ -94,7 +93,6 @@ struct SceneRow {
     token: String,
     name: String,
     log_token: Token,
-    nbr_samples: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -183,11 +181,11 @@ impl Tables {
     /// The scene table, in its order, with the location of each scene.
     pub(crate) fn read_scenes(&self) -> Result<Vec<SceneEntry>> {
         let locations = self.names("log")?;
-        let scenes = self.read("scene", |SceneRow { token, name, log_token, nbr_samples }| {
+        let scenes = self.read("scene", |SceneRow { token, name, log_token }| {
             let location = locations
                 .get(&log_token)
                 .ok_or_else(|| self.dangling(("scene", "log_token"), &token, log_token, "log"))?;
-            Ok(Some(SceneEntry { name, token, location: location.clone(), nbr_samples }))
+            Ok(Some(SceneEntry { name, token, location: location.clone() }))
         })?;
         for field in [|s: &SceneEntry| s.name.clone(), |s: &SceneEntry| s.token.clone()] {
             let mut values: Vec<String> = scenes.iter().map(field).collect();

@@ -6,11 +6,7 @@ use xxhash_rust::xxh3::xxh3_128;
 
 const BYTES: usize = 32;
 
-/// A token of the data set in the 32 bytes that official ones have: shorter texts are filled up with zeros, longer ones
-/// stand as their hash.
-///
-/// Two longer texts of one hash would be reported as a duplicate or a wrong reference; with 128 bits that does not happen
-/// by chance.
+/// A token in the 32 bytes of official ones: shorter texts are filled up with zeros, longer ones become their hash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub(crate) struct Token([u8; BYTES]);
 
@@ -19,9 +15,6 @@ pub(crate) struct Token([u8; BYTES]);
 pub(crate) type Index<T> = std::collections::HashMap<Token, T>;
 
 /// Collects values by token.
-///
-/// # Errors
-/// The first token that is there twice.
 pub(crate) fn index<T>(rows: impl IntoIterator<Item = (Token, T)>) -> Result<Index<T>, Token> {
     let rows = rows.into_iter();
     let mut found = Index::with_capacity(rows.size_hint().0);

@@ -18,16 +18,6 @@ use pyo3::types::{PyCapsule, PyDict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// What a driver is made from.
-struct Recipe<'a> {
-    /// Name in the batch.
-    name: &'a str,
-    /// Options as JSON.
-    options: Value,
-    /// The object behind a Python model.
-    model: Option<&'a Py<PyAny>>,
-}
-
 /// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of earlier versions count in this order.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = KINDS.iter().chain([&python_driver::KIND]);
@@ -65,16 +55,11 @@ fn title(kind: &str) -> &'static str {
     of(kind).map_or_else(|| drawn(kind).title(), |kind| kind.title)
 }
 
-/// Both.
-pub(crate) fn look(kind: &str) -> (DrawStyle, &'static str) {
-    (drawn(kind), title(kind))
-}
-
 /// Name, title and number in images.
 type Row = (&'static str, &'static str, u8);
 
-/// Name, title and number in images of everybody who may move an agent: those that images tell apart, in
-/// the order of their numbers, then the kinds that look like one of them.
+/// Name, title and number in images of all that may move an agent: those that images tell apart, in the order of their
+/// numbers, then the kinds that look like one of them.
 #[pyfunction]
 pub(crate) fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
@@ -109,23 +94,9 @@ pub(crate) fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         .collect()
 }
 
-/// Traffic of a model of the user's own.
-fn python(recipe: &Recipe<'_>) -> PyResult<BoxedDriver> {
-    let model = recipe.model.ok_or_else(|| {
-        let message = format!("config: named_drivers: {}: no Python object was handed over", recipe.name);
-        py::ConfigError::new_err(message)
-    })?;
-    let model = Python::attach(|py| model.clone_ref(py));
-    let path = path_of(recipe.name, python_driver::KIND.name);
-    let options = options::read(&path, &recipe.options.to_string()).map_err(from_sim)?;
-    Ok(Box::new(PythonDriver::new(recipe.name, options, model)))
-}
-
-/// What is to be made beside the drivers that every batch has: the drivers that agents have, and all under names of their own.
-fn recipes<'a>(
-    config: &'a WorldConfig,
-    models: &'a BTreeMap<String, Py<PyAny>>,
-) -> PyResult<Vec<(&'static Kind, Recipe<'a>)>> {
+/// What is to be made beside the drivers that every batch has, those that agents have and all under names of their own: kind,
+/// name in the batch, options as JSON.
+fn recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, String)>> {
     let mut found = Vec::new();
     for (name, driver) in &config.named_drivers {
         let one = driver.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
@@ -139,10 +110,10 @@ fn recipes<'a>(
             return Err(py::ConfigError::new_err(message));
         };
         if kind.name != name || config.names(name) {
-            found.push((kind, Recipe { name, options: options.clone(), model: models.get(name) }));
+            found.push((kind, name.as_str(), options.to_string()));
         }
     }
-    // who drives by a kind without options of its own has those that all networks share, or the default ones
+    // a driver of a kind without options of its own has those that all networks share, or the default ones
     let shared = config.named_drivers.get(SHARED).and_then(|driver| driver.get(SHARED));
     for kind in
         kinds().filter(|k| !k.always && config.names(k.name) && !config.named_drivers.contains_key(k.name))
@@ -151,8 +122,7 @@ fn recipes<'a>(
         if shared.is_none() && kind.make.is_none() && kind.name != EGOS.name {
             continue;
         }
-        let options = shared.cloned().unwrap_or_else(|| Value::Object(Default::default()));
-        found.push((kind, Recipe { name: kind.name, options, model: None }));
+        found.push((kind, kind.name, shared.map_or_else(|| "{}".to_owned(), Value::to_string)));
     }
     Ok(found)
 }
@@ -161,10 +131,8 @@ fn recipes<'a>(
 #[pyfunction]
 pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
-    let none = BTreeMap::new();
-    let wanted = recipes(&config, &none)?;
-    let wanted = wanted.into_iter().filter(|(kind, _)| has_file(kind));
-    Ok(wanted.map(|(kind, r)| (r.name.to_owned(), kind.name, r.options.to_string())).collect())
+    let wanted = recipes(&config)?.into_iter().filter(|(kind, ..)| has_file(kind));
+    Ok(wanted.map(|(kind, name, options)| (name.to_owned(), kind.name, options)).collect())
 }
 
 /// The drivers in capsules of the module of networks, by name.
@@ -181,20 +149,21 @@ pub(crate) fn boxed(
     models: &BTreeMap<String, Py<PyAny>>,
 ) -> PyResult<Vec<(String, BoxedDriver)>> {
     let mut made = Vec::new();
-    for (kind, recipe) in recipes(config, models)? {
-        let driver = match (kind.make, networks.remove(recipe.name)) {
-            (Some(make), _) => {
-                let path = path_of(recipe.name, kind.name);
-                make(&path, &recipe.options.to_string()).map_err(from_sim)?
+    for (kind, name, options) in recipes(config)? {
+        let path = path_of(name, kind.name);
+        let driver: BoxedDriver = match (kind.make, networks.remove(name), models.get(name)) {
+            (Some(make), ..) => make(&path, &options).map_err(from_sim)?,
+            (None, Some(driver), _) => driver,
+            (None, None, Some(model)) if kind.name == python_driver::KIND.name => {
+                let options = options::read(&path, &options).map_err(from_sim)?;
+                Box::new(PythonDriver::new(name, options, Python::attach(|py| model.clone_ref(py))))
             }
-            (None, Some(driver)) => driver,
-            (None, None) if kind.name == python_driver::KIND.name => python(&recipe)?,
-            (None, None) => {
-                let message = format!("config: named_drivers: {}: no network was handed over", recipe.name);
+            _ => {
+                let message = format!("config: named_drivers: {name}: no network or model was handed over");
                 return Err(py::ConfigError::new_err(message));
             }
         };
-        made.push((recipe.name.to_owned(), driver));
+        made.push((name.to_owned(), driver));
     }
     Ok(made)
 }

@@ -7,52 +7,26 @@ use pyo3::exceptions::{PyRuntimeError, PyUnicodeError};
 use pyo3::prelude::*;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// The process in which an object was made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct ProcessGuard(u32);
-
-impl ProcessGuard {
-    /// This process.
-    pub(crate) fn here() -> Self {
-        Self(std::process::id())
+/// Refuses a forked child of the process in which an object was made: its copies of the worker threads do not run.
+pub(crate) fn check_process(home: u32) -> PyResult<()> {
+    let here = std::process::id();
+    if here == home {
+        return Ok(());
     }
-
-    /// Whether this is still the process of the object.
-    pub(crate) fn is_here(self) -> bool {
-        self == Self::here()
-    }
-
-    /// Refuses a forked child: its copies of the worker threads do not run.
-    ///
-    /// # Errors
-    /// `ForkError`.
-    pub(crate) fn check(self) -> PyResult<()> {
-        if self.is_here() {
-            return Ok(());
-        }
-        Err(py::ForkError::new_err(format!(
-            "made in process {}, used in its forked child {}: worker threads do not survive a fork. Use the \
-             \"spawn\" start method, or one vector environment instead of one environment per process",
-            self.0,
-            std::process::id()
-        )))
-    }
+    Err(py::ForkError::new_err(format!(
+        "made in process {home}, used in its forked child {here}: worker threads do not survive a fork. Use the \
+         \"spawn\" start method, or one vector environment instead of one environment per process"
+    )))
 }
 
 /// Flags of an array in its order of rows: any byte but 0 is true. (A `bool` of Rust may be 0 or 1 only, an array of
 /// numpy holds what its maker put there.)
-///
-/// # Errors
-/// Whatever numpy says.
 pub(crate) fn flags<D: ndarray::Dimension>(array: &PyReadonlyArray<'_, bool, D>) -> PyResult<Vec<bool>> {
     let bytes: PyReadonlyArrayDyn<'_, u8> = array.as_any().call_method1("view", ("uint8",))?.extract()?;
     Ok(bytes.as_array().iter().map(|byte| *byte != 0).collect())
 }
 
 /// Runs a call without the GIL; a panic becomes a `RuntimeError`.
-///
-/// # Errors
-/// The call's own error, or `RuntimeError` for a panic.
 pub(crate) fn enter<T, F>(python: Python<'_>, call: F) -> PyResult<T>
 where
     T: Send,

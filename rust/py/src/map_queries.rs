@@ -2,12 +2,10 @@
 
 use crate::enter::enter;
 use crate::scene::PyScene;
-use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
+use ccdiff_bridge::errors::py::{ConfigError, SceneError, UnknownNameError};
 use ccdiff_sim::geom::{Point2, Pose2};
 use ccdiff_sim::stage::PreparedScene;
-use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
-};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
@@ -24,7 +22,8 @@ struct Places {
     elevation_m: Vec<f32>,
 }
 
-/// Scenes, the number of the scene of each place [M], positions [M, 2], headings [M] and elevations [M] or [0].
+/// Scenes, the number of the scene of each place [M], positions [M, 2], headings [M] and elevations [M] or [0], whose shapes
+/// the caller has checked.
 type AskedPlaces<'py> = (
     Vec<PyRef<'py, PyScene>>,
     PyReadonlyArray1<'py, i64>,
@@ -39,14 +38,6 @@ impl Places {
         py: Python<'_>,
         (scenes, world, position, heading, elevation): &AskedPlaces<'_>,
     ) -> PyResult<Self> {
-        let n = position.shape()[0];
-        let level = elevation.is_empty() || elevation.len() == n;
-        if position.shape() != [n, 2] || world.len() != n || heading.len() != n || !level {
-            let got = (position.shape(), heading.shape(), elevation.shape(), world.shape());
-            let names = "position_m, heading_rad, elevation_m, world";
-            let message = format!("{names} have shapes {got:?}, expected [M, 2], [M], [M], [M]");
-            return Err(ShapeError::new_err(message));
-        }
         let known = |w: &i64| usize::try_from(*w).ok().filter(|w| *w < scenes.len());
         let numbers = world.as_array().into_iter().map(|w| {
             let message = || format!("world {w}, expected 0 to {}", scenes.len().saturating_sub(1));

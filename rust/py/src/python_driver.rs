@@ -97,7 +97,7 @@ impl PythonDriver {
         let answer = answer.try_readonly()?;
         let flat = answer.as_slice()?;
         let mut plans: Vec<PlanState> = due.iter().map(|r| empty(r, steps)).collect();
-        // whoever calls has checked the shape
+        // the caller has checked the shape
         let rows = told.iter().enumerate().flat_map(|(w, world)| world.rows.iter().map(move |row| (w, row)));
         for ((w, row), plan) in rows.zip(flat.chunks_exact((steps * width).max(1))) {
             if row.drives {

@@ -2,33 +2,25 @@
 
 use crate::enter::flags;
 use ccdiff_bridge::Handed;
-use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError, UnknownNameError};
+use ccdiff_bridge::errors::py::{ConfigError, SceneError, ShapeError};
 use ccdiff_render::{
-    AgentBox, Arrow, Camera, Centre, DrawStyle, Drawing, Image, Line, MapLayers, RenderError, Rgb, Theme,
-    look, palette, render, render_svg,
+    AgentBox, Camera, DrawStyle, Drawing, Line, MapLayers, RenderError, Rgb, Theme, look, palette, render,
+    render_svg,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
-use ccdiff_sim::scene::{AgentKind, Map, Scene};
-use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use ccdiff_sim::scene::{AgentKind, Map};
+use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 /// The Python exception for a renderer's error.
-pub(crate) fn from_render(error: RenderError) -> PyErr {
+fn from_render(error: RenderError) -> PyErr {
     let message = error.to_string();
     match error {
         RenderError::Map { .. } => SceneError::new_err(message),
-        RenderError::Config { .. } | RenderError::Item { .. } | RenderError::Step { .. } => {
-            ConfigError::new_err(message)
-        }
+        RenderError::Value { .. } => ConfigError::new_err(message),
     }
-}
-
-/// The image as an array [H, W, 3].
-pub(crate) fn to_array(py: Python<'_>, image: Image) -> PyResult<Bound<'_, PyArray3<u8>>> {
-    let shape = [image.height as usize, image.width as usize, 3];
-    PyArray1::from_vec(py, image.rgb).reshape(shape)
 }
 
 /// How many maps stay prepared.
@@ -39,10 +31,7 @@ const MAPS_KEPT: usize = 8;
 static PREPARED: Mutex<Vec<(Weak<Map>, Arc<MapLayers>)>> = Mutex::new(Vec::new());
 
 /// The layers of a map, prepared at the first call.
-///
-/// # Errors
-/// `SceneError` for a map that breaks a rule.
-pub(crate) fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
+fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
     let lock = || PREPARED.lock().unwrap_or_else(PoisonError::into_inner);
     let known = lock().iter().find(|(key, _)| std::ptr::eq(key.as_ptr(), Arc::as_ptr(map))).cloned();
     if let Some((_, layers)) = known {
@@ -58,31 +47,8 @@ pub(crate) fn layers_of(map: &Arc<Map>) -> PyResult<Arc<MapLayers>> {
     Ok(layers)
 }
 
-/// What is in the middle of an image.
-#[derive(FromPyObject)]
-pub(crate) enum CentreArg {
-    /// Id of an agent.
-    Id(String),
-    /// x, y in the scene frame, metres.
-    Point((f32, f32)),
-}
-
-/// The same in a scene.
-///
-/// # Errors
-/// `UnknownNameError` for an agent that the scene does not have.
-pub(crate) fn centre_of(scene: &Scene, centre: CentreArg) -> PyResult<Centre> {
-    match centre {
-        CentreArg::Point((x, y)) => Ok(Centre::Point(Point2::new(x, y))),
-        CentreArg::Id(id) => scene
-            .agent_index(&id)
-            .map(Centre::Agent)
-            .ok_or_else(|| UnknownNameError::new_err(format!("scene {:?} has no agent {id:?}", scene.name))),
-    }
-}
-
 /// Width and height as the camera counts them.
-pub(crate) fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
+fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
     match (u32::try_from(width), u32::try_from(height)) {
         (Ok(w), Ok(h)) => Ok((w, h)),
         _ => {
@@ -92,7 +58,7 @@ pub(crate) fn pixels((width, height): (i64, i64)) -> PyResult<(u32, u32)> {
 }
 
 /// The theme of a name.
-pub(crate) fn theme_of(name: &str) -> PyResult<Theme> {
+fn theme_of(name: &str) -> PyResult<Theme> {
     Theme::ALL.into_iter().find(|t| t.name() == name).ok_or_else(|| {
         ConfigError::new_err(format!(
             "theme is {name:?}, expected one of {}",
@@ -166,10 +132,11 @@ fn boxes(
         .collect()
 }
 
-/// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.view.video`.
+/// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.envs.image`.
 #[pyfunction]
 #[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
-    route_m, trails, samples, plans, arrows, collisions_m, names, caption, scale_bar, legend, theme, svg))]
+    route_m, trails=Vec::new(), samples=Vec::new(), plans=Vec::new(), collisions_m, names, caption, scale_bar,
+    legend, theme, svg=false))]
 pub(crate) fn render_arrays<'py>(
     py: Python<'py>,
     position_m: Points<'py>,
@@ -189,7 +156,6 @@ pub(crate) fn render_arrays<'py>(
     trails: Vec<(Points<'py>, u8)>,
     samples: Vec<(Points<'py>, u8)>,
     plans: Vec<(Points<'py>, u8)>,
-    arrows: Vec<(usize, usize, f32)>,
     collisions_m: Points<'py>,
     names: Vec<String>,
     caption: &str,
@@ -207,16 +173,6 @@ pub(crate) fn render_arrays<'py>(
     let legend: Vec<(Rgb, String)> =
         legend.into_iter().map(|((r, g, b), title)| (Rgb(r, g, b), title)).collect();
     let theme = theme_of(theme)?;
-    let at = |agent_idx: usize| {
-        boxes.get(agent_idx).map(|b| b.pose.position).ok_or_else(|| {
-            let message = format!("arrow of agent {agent_idx}, but there are {} agents", boxes.len());
-            ConfigError::new_err(message)
-        })
-    };
-    let arrows: Vec<Arrow> = arrows
-        .iter()
-        .map(|(i, j, weight)| Ok(Arrow { from: at(*i)?, to: at(*j)?, weight: *weight }))
-        .collect::<PyResult<_>>()?;
     let (route, collisions) = (points("route_m", &route_m)?, points("collisions_m", &collisions_m)?);
     let (width, height) = pixels(size)?;
     let centre = Point2::new(centre_m.0, centre_m.1);
@@ -232,7 +188,6 @@ pub(crate) fn render_arrays<'py>(
             plans: &plans,
             boxes: &boxes,
             names: &names,
-            arrows: &arrows,
             collisions: &collisions,
             caption,
             scale_bar,
@@ -242,7 +197,7 @@ pub(crate) fn render_arrays<'py>(
         if svg { render_svg(&drawing, &camera).map(Err) } else { render(&drawing, &camera).map(Ok) }
     });
     match image.map_err(from_render)? {
-        Ok(image) => Ok(to_array(py, image)?.into_any()),
+        Ok(rgb) => Ok(PyArray1::from_vec(py, rgb).reshape([height as usize, width as usize, 3])?.into_any()),
         Err(text) => Ok(PyString::new(py, &text).into_any()),
     }
 }

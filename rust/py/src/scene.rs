@@ -1,21 +1,17 @@
 //! `Scene`, and the functions that load scenes.
 
 use crate::enter::{Text, flags};
-use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
     BuildOptions, LoadOptions, Loaded, NuscenesError, Selection, decode_scene, encode_scene, load, scene_hash,
 };
-use ccdiff_render::{Frame, Shown};
 use ccdiff_sim::geom::{Point2, Vector2};
 use ccdiff_sim::options;
-use ccdiff_sim::scene::{Agent, AgentKind, EGO_ID, Scene, Tracks};
+use ccdiff_sim::scene::{Agent, AgentKind, Scene, Tracks};
 use ccdiff_sim::stage::{PreparedScene, hitches};
 use ccdiff_sim::world::{VehicleRanking, ranked_vehicles};
-use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods,
-};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyCapsule, PyDict};
@@ -174,12 +170,11 @@ impl PyScene {
         Ok(Arc::new(scene).into())
     }
 
-    /// The scene with its log mended, as other loaders do it; gaps filled, steps in them, absences, and notes.
-    fn _mended(&self) -> (Self, [usize; 3], Vec<String>) {
+    /// The scene with its log mended, as other loaders do it; gaps filled, absences, and notes.
+    fn _mended(&self) -> (Self, [usize; 2], Vec<String>) {
         let mut scene = Scene::clone(&self.scene);
         let mended = scene.mend();
-        let counts = [mended.filled_gaps, mended.filled_steps, mended.absences];
-        (Arc::new(scene).into(), counts, mended.notes)
+        (Arc::new(scene).into(), [mended.filled_gaps, mended.absences], mended.notes)
     }
 
     /// The scene that `to_bytes` wrote.
@@ -331,33 +326,6 @@ impl PyScene {
         Ok(Arc::new(self.scene.with_ego(found)).into())
     }
 
-    /// One step of the log as an image, uint8 [H, W, 3].
-    #[pyo3(signature = (step=0, *, size=(640, 640), span_m=100.0, centre=CentreArg::Id(EGO_ID.to_owned()),
-        heading_up=false, trails=true, route=true, labels=true, theme="light"))]
-    fn render<'py>(
-        &self,
-        py: Python<'py>,
-        step: isize,
-        size: (i64, i64),
-        span_m: f32,
-        centre: CentreArg,
-        heading_up: bool,
-        trails: bool,
-        route: bool,
-        labels: bool,
-        theme: &str,
-    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        let scene = &self.scene;
-        let (theme, centre, (width, height)) = (theme_of(theme)?, centre_of(scene, centre)?, pixels(size)?);
-        let frame = Frame { centre: Some(centre), span_m, width, height, heading_up, route, labels, theme };
-        let step_idx = usize::try_from(step).map_err(|_| {
-            py::ConfigError::new_err(format!("step is {step}, expected 0 to {}", scene.num_steps - 1))
-        })?;
-        let layers = layers_of(&scene.map)?;
-        let image = py.detach(|| Shown::of_log(scene, step_idx, trails, frame)?.render(&layers));
-        to_array(py, image.map_err(from_render)?)
-    }
-
     /// The scene itself: it never changes.
     fn __copy__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
         slf
@@ -396,7 +364,7 @@ fn named<T: serde::de::DeserializeOwned>(field: &str, name: &str, expected: &str
 /// Loads nuScenes scenes; returns them with the report as JSON.
 #[pyfunction]
 #[pyo3(signature = (dataroot, version, *, names, exactly, dt, timing, interpolation, ego_reference, kinds, map_margin,
-    min_annotations, cache_directory))]
+    cache_directory))]
 pub(crate) fn load_nuscenes(
     py: Python<'_>,
     dataroot: PathBuf,
@@ -409,7 +377,6 @@ pub(crate) fn load_nuscenes(
     ego_reference: &str,
     kinds: Option<Vec<String>>,
     map_margin: f64,
-    min_annotations: usize,
     cache_directory: Option<PathBuf>,
 ) -> PyResult<(Vec<PyScene>, String)> {
     let kinds = kinds.map(|names| names.iter().map(|n| kind(n)).collect::<PyResult<Vec<_>>>()).transpose()?;
@@ -425,7 +392,6 @@ pub(crate) fn load_nuscenes(
         ego_reference: named("ego_reference", ego_reference, "\"rear_axle\" or \"centre\"")?,
         kinds,
         map_margin_m: map_margin,
-        min_annotations,
     };
     let options = LoadOptions { selection, build, cache_directory };
     with_report(py.detach(|| load(&dataroot, version, &options)))

@@ -190,7 +190,7 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
 /// Fills in what a map lacks: links between lanes that have none, and the area where vehicles may drive, from `edges` with
 /// the road on their left and from lanes and `surfaces`. `seeds` [N, 2] are places where vehicles were.
 ///
-/// Where `tracks`, places [N, 3] of everybody, or `heights` of the points of lanes, edges and the other layers show roads
+/// Where `tracks`, places [N, 3] of all agents, or `heights` of the points of lanes, edges and the other layers show roads
 /// that pass over each other, each level's road is made on its own; otherwise elevations are left out.
 ///
 /// Returns the layers, how the area was had: "given", "edges", "lanes" or "none", and the elevations between levels.

@@ -1,9 +1,8 @@
 //! `VecWorld`: many worlds stepped as one batch, writing into the caller's arrays.
 
 use crate::drivers;
-use crate::enter::{ProcessGuard, enter, flags};
+use crate::enter::{check_process, enter, flags};
 use crate::planner::PyPlanner;
-use crate::render::{CentreArg, centre_of, from_render, layers_of, pixels, theme_of, to_array};
 use crate::scene::PyScene;
 use crate::schemas::to_json;
 use crate::step_arrays::{Outputs, elements, typed, writable};
@@ -11,7 +10,6 @@ use crate::swift;
 use crate::world_plans;
 use crate::world_state;
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_render::{Frame, Shown, Trails};
 use ccdiff_sim::drivers::PlanOverride;
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::world::{
@@ -25,18 +23,22 @@ use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 /// Ego (index), start (step) and style (factors by name) of an episode, where they are asked for.
 type WantedEpisode = (Option<usize>, Option<usize>, BTreeMap<String, f32>);
+/// Off the road with a corner [A], and with the centre [A].
+type OffRoadArrays<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>);
+/// Lane and position along it, and seconds to a contact.
+type ScoreRow = (Option<(u32, f32)>, Option<f32>);
 
 /// Worlds that play scenes. One thread at a time: a second one gets `ThreadError`.
 #[pyclass(frozen, name = "VecWorld", module = "ccdiff_env._native")]
 pub(crate) struct PyVecWorld {
-    home: ProcessGuard,
+    /// Process in which they were made.
+    home: u32,
     held: Mutex<Held>,
 }
 
 /// What one thread at a time works with.
 struct Held {
     world: VecWorld,
-    trails: Option<Trails>,
     /// Actions of the present step.
     actions: Vec<f32>,
     /// The arrays that a reset or step writes.
@@ -75,24 +77,23 @@ impl PyVecWorld {
 
     /// The same in the process in which the worlds were made.
     fn here(&self) -> PyResult<MutexGuard<'_, Held>> {
-        self.home.check()?;
+        check_process(self.home)?;
         self.lock()
     }
 }
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `trail_steps` past positions are kept for images, `networks` are drivers by
-    /// name ([`drivers::networks_wanted`]), `models` the objects behind Python models.
+    /// Worlds over scenes; `networks` are drivers by name ([`drivers::networks_wanted`]), `models` the objects behind
+    /// Python models.
     #[new]
-    #[pyo3(signature = (scenes, config, num_worlds, num_threads, trail_steps=0, networks=None, models=None))]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, networks=None, models=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<PyRef<'_, PyScene>>,
         config: &str,
         num_worlds: usize,
         num_threads: usize,
-        trail_steps: usize,
         networks: Option<BTreeMap<String, Bound<'_, PyCapsule>>>,
         models: Option<BTreeMap<String, Py<PyAny>>>,
     ) -> PyResult<Self> {
@@ -104,10 +105,9 @@ impl PyVecWorld {
             VecWorld::new(scenes, drivers::told_apart(config), num_worlds, num_threads, made)
                 .map_err(from_sim)
         })?;
-        let trails = (trail_steps > 0).then(|| Trails::new(num_worlds, trail_steps));
         let arrays = world.extent().arrays(num_worlds);
-        let held = Held { world, trails, actions: Vec::new(), arrays };
-        Ok(Self { home: ProcessGuard::here(), held: Mutex::new(held) })
+        let held = Held { world, actions: Vec::new(), arrays };
+        Ok(Self { home: std::process::id(), held: Mutex::new(held) })
     }
 
     /// Draws the scenes of later episodes by weights [S]; all alike for `None`.
@@ -144,13 +144,7 @@ impl PyVecWorld {
         let wanted: Vec<_> =
             wanted.into_iter().map(|(ego, start, style)| Wanted { ego, start, style }).collect();
         let request = ResetRequest { seeds: &seeds, scenes: &scenes, wanted: &wanted, mask: mask.as_deref() };
-        enter(py, || world.reset(&request, buffers).map_err(from_sim))?;
-        if let Some(trails) = &mut me.trails {
-            for i in (0..me.world.num_worlds()).filter(|i| mask.as_ref().is_none_or(|m| m[*i])) {
-                trails.restart(&me.world, i).map_err(from_sim)?;
-            }
-        }
-        Ok(())
+        enter(py, || world.reset(&request, buffers).map_err(from_sim))
     }
 
     /// One step of all worlds, or of those of `active` [E]; actions [E, C, W] float32.
@@ -165,7 +159,7 @@ impl PyVecWorld {
         let mut me = self.here()?;
         let me = &mut *me;
         let shape = [me.world.num_worlds(), me.world.config().num_slots, me.world.decoder().width()];
-        // copied, so that nobody changes them while the GIL is released
+        // copied, so that no other thread changes them while the GIL is released
         me.actions.clear();
         me.actions.extend_from_slice(typed::<f32>("actions", actions, &shape)?.try_readonly()?.as_slice()?);
         let active = match active {
@@ -175,11 +169,7 @@ impl PyVecWorld {
         let active = active.as_deref();
         let mut outputs = Outputs::check(out, &me.arrays)?;
         let (world, actions, buffers) = (&mut me.world, &me.actions, outputs.buffers()?);
-        enter(py, || world.step(actions, active, buffers).map_err(from_sim))?;
-        if let Some(trails) = &mut me.trails {
-            trails.follow(&me.world, active, elements(&mut outputs.was_reset)?).map_err(from_sim)?;
-        }
-        Ok(())
+        enter(py, || world.step(actions, active, buffers).map_err(from_sim))
     }
 
     /// Writes the present observations [C, D] and rasters [C, P, S, S] of one world.
@@ -242,13 +232,8 @@ impl PyVecWorld {
     /// Puts a world into the state of a snapshot.
     fn restore(&self, py: Python<'_>, world_idx: usize, snapshot: &[u8]) -> PyResult<()> {
         let mut me = self.here()?;
-        let me = &mut *me;
         let world = &mut me.world;
-        enter(py, || world.restore(world_idx, snapshot).map_err(from_sim))?;
-        if let Some(trails) = &mut me.trails {
-            trails.forget(world_idx);
-        }
-        Ok(())
+        enter(py, || world.restore(world_idx, snapshot).map_err(from_sim))
     }
 
     /// Lets a world go on with the random numbers of another seed.
@@ -354,7 +339,7 @@ impl PyVecWorld {
     }
 
     /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it
-    /// guides; `None` where it guides nobody.
+    /// guides; `None` where it guides none.
     fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32, f32)>> {
         let me = self.lock()?;
         let Some(plan) = me.world.explain(world_idx, None).map_err(from_sim)? else { return Ok(None) };
@@ -444,9 +429,10 @@ impl PyVecWorld {
     }
 
     /// Agents with a corner, and with the centre, off the road [A] each.
-    fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<world_state::OffRoadArrays<'py>> {
-        let me = self.lock()?;
-        Ok(world_state::off_road(py, &me.world.status(world_idx).map_err(from_sim)?.off_road()))
+    fn off_road<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<OffRoadArrays<'py>> {
+        let facts = self.lock()?.world.status(world_idx).map_err(from_sim)?.off_road();
+        let (corner, centre) = facts.iter().map(|f| (f.corner, f.centroid)).unzip();
+        Ok((PyArray1::from_vec(py, corner), PyArray1::from_vec(py, centre)))
     }
 
     /// Metres by which the farthest corner of each slot's agent is off the road.
@@ -462,7 +448,7 @@ impl PyVecWorld {
     }
 
     /// What the closed-loop score looks at in the present state of the first slot, which was in `lane_before`: its lane
-    /// and the position along it, and time to the contact to expect with who is not `ignored`.
+    /// and the position along it, and time to the contact to expect with agents that are not `ignored`.
     #[pyo3(signature = (world_idx, lane_before, ignored, horizon_s))]
     fn score_facts(
         &self,
@@ -470,10 +456,11 @@ impl PyVecWorld {
         lane_before: Option<usize>,
         ignored: Vec<usize>,
         horizon_s: f32,
-    ) -> PyResult<world_state::ScoreRow> {
+    ) -> PyResult<ScoreRow> {
         let me = self.lock()?;
         let status = me.world.status(world_idx).map_err(from_sim)?;
-        Ok(world_state::score_row(&status.score_facts(lane_before, &ignored, horizon_s)))
+        let facts = status.score_facts(lane_before, &ignored, horizon_s);
+        Ok((facts.lane.map(|lane| (lane.lane_idx, lane.s_m)), facts.contact_s))
     }
 
     /// Vehicles of a world that may become adversaries, nearest to the ego first, at most R of them; their features [R, F].
@@ -491,35 +478,9 @@ impl PyVecWorld {
     /// Actions [C, W] that bring each slot's agent towards its next logged state.
     fn expert_actions<'py>(&self, py: Python<'py>, world_idx: usize) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let me = self.lock()?;
-        let actions = me.world.expert_actions(world_idx).map_err(from_sim)?;
-        world_state::actions(py, &actions, me.world.decoder().width())
-    }
-
-    /// Image [H, W, 3] of a world.
-    #[pyo3(signature = (world_idx, *, size, span_m, centre, heading_up, trails, route, labels, theme))]
-    fn render<'py>(
-        &self,
-        py: Python<'py>,
-        world_idx: usize,
-        size: (i64, i64),
-        span_m: f32,
-        centre: Option<CentreArg>,
-        heading_up: bool,
-        trails: bool,
-        route: bool,
-        labels: bool,
-        theme: &str,
-    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
-        let me = self.here()?;
-        let theme = theme_of(theme)?;
-        let scene_idx = me.world.status(world_idx).map_err(from_sim)?.scene_idx;
-        let scene = me.world.scene(scene_idx).map_err(from_sim)?;
-        let centre = centre.map(|centre| centre_of(scene, centre)).transpose()?;
-        let (width, height) = pixels(size)?;
-        let frame = Frame { centre, span_m, width, height, heading_up, route, labels, theme };
-        let trail = me.trails.as_ref().filter(|_| trails).and_then(|t| t.of(world_idx));
-        let image = Shown::of_world(&me.world, world_idx, trail, frame, drivers::look).map_err(from_sim)?;
-        let layers = layers_of(&scene.map)?;
-        to_array(py, py.detach(|| image.render(&layers)).map_err(from_render)?)
+        let (actions, width) =
+            (me.world.expert_actions(world_idx).map_err(from_sim)?, me.world.decoder().width());
+        let flat = actions.iter().flat_map(|action| action.iter().take(width).copied()).collect();
+        PyArray1::from_vec(py, flat).reshape([actions.len(), width])
     }
 }

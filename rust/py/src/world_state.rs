@@ -1,9 +1,8 @@
 //! States and facts of a running world as arrays.
 
-use ccdiff_sim::dynamics::Action;
-use ccdiff_sim::events::{Contact, OffRoad};
+use ccdiff_sim::events::Contact;
 use ccdiff_sim::geom::Point2;
-use ccdiff_sim::world::{ScoreFacts, WorldStatus};
+use ccdiff_sim::world::WorldStatus;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -12,10 +11,6 @@ use pyo3::types::PyDict;
 pub(crate) type Route<'py> = Option<(Bound<'py, PyArray2<f32>>, (f32, f32))>;
 /// (agent, partner, side of the agent that is hit, closing speed m/s, at fault).
 pub(crate) type ContactRow = (u32, u32, &'static str, f32, bool);
-/// (lane and position along it, seconds to a contact).
-pub(crate) type ScoreRow = (Option<(u32, f32)>, Option<f32>);
-/// Off the road with a corner [A], and with the centre [A].
-pub(crate) type OffRoadArrays<'py> = (Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<bool>>);
 
 /// Present states; entries of agents that are not active are zero.
 pub(crate) fn states<'py>(py: Python<'py>, status: &WorldStatus<'_>) -> PyResult<Bound<'py, PyDict>> {
@@ -53,26 +48,4 @@ pub(crate) fn route(py: Python<'_>, route: Option<(Vec<Point2>, Point2)>) -> PyR
 pub(crate) fn contacts(pairs: &[(Contact, Contact)]) -> Vec<ContactRow> {
     let row = |agent: u32, c: &Contact| (agent, c.partner, c.kind.name(), c.closing_speed_mps, c.at_fault);
     pairs.iter().flat_map(|(of_i, of_j)| [row(of_j.partner, of_i), row(of_i.partner, of_j)]).collect()
-}
-
-/// What the closed-loop score looks at.
-pub(crate) fn score_row(facts: &ScoreFacts) -> ScoreRow {
-    (facts.lane.map(|l| (l.lane_idx, l.s_m)), facts.contact_s)
-}
-
-/// Who is off the road.
-pub(crate) fn off_road<'py>(py: Python<'py>, facts: &[OffRoad]) -> OffRoadArrays<'py> {
-    let corner = facts.iter().map(|f| f.corner).collect();
-    let centre = facts.iter().map(|f| f.centroid).collect();
-    (PyArray1::from_vec(py, corner), PyArray1::from_vec(py, centre))
-}
-
-/// The used columns of actions.
-pub(crate) fn actions<'py>(
-    py: Python<'py>,
-    actions: &[Action],
-    width: usize,
-) -> PyResult<Bound<'py, PyArray2<f32>>> {
-    let flat = actions.iter().flat_map(|a| a.iter().take(width).copied()).collect();
-    PyArray1::from_vec(py, flat).reshape([actions.len(), width])
 }

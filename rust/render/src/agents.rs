@@ -21,7 +21,7 @@ pub struct AgentBox {
     pub width_m: Real,
     /// Kind: sets the shape.
     pub kind: AgentKind,
-    /// Who moves it: sets the colour.
+    /// Its driver: sets the colour.
     pub driver: DrawStyle,
     /// Whether it is in a collision: outlined in red.
     pub collided: bool,

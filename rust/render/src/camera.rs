@@ -39,15 +39,12 @@ impl Camera {
     }
 
     /// Checks the camera and prepares its map from metres to pixels.
-    ///
-    /// # Errors
-    /// [`RenderError::Config`].
     pub(crate) fn view(&self) -> Result<View> {
         let sides = 1..=MAX_SIDE_PX;
         if !(sides.contains(&self.width) && sides.contains(&self.height)) {
             return Err(RenderError::size(self.width, self.height));
         }
-        let fail = |field, got, expected: &str| Err(RenderError::config(field, got, expected));
+        let fail = |field, got, expected: &str| Err(RenderError::value(field, got, expected));
         if !self.centre.coords.iter().all(|v| v.abs() < 1e6) {
             return fail("camera: centre", self.centre.to_string(), "finite numbers within 1000 km");
         }
@@ -55,11 +52,8 @@ impl Camera {
             return fail("camera: up_rad", self.up_rad.to_string(), "a finite angle");
         }
         if !(1e-4..=1e4).contains(&self.metres_per_pixel) {
-            return fail(
-                "camera: metres_per_pixel",
-                self.metres_per_pixel.to_string(),
-                "0.0001 to 10000 metres",
-            );
+            let got = self.metres_per_pixel.to_string();
+            return fail("camera: metres_per_pixel", got, "0.0001 to 10000 metres");
         }
         let (sin, cos) = math::sin_cos(self.up_rad);
         let (width_px, height_px) = (self.width as Real, self.height as Real);

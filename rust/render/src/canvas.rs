@@ -1,7 +1,6 @@
 //! Anti-aliased fills and strokes in pixels, on top of `tiny-skia`.
 
 use crate::camera::View;
-use crate::image::Image;
 use crate::palette::{Palette, Rgb, Theme};
 use ccdiff_sim::geom::{Point2, Pose2, Vector2};
 use std::fmt::Write;
@@ -112,16 +111,16 @@ impl Canvas {
     }
 
     /// Drops the alpha channel: everything was drawn on an opaque ground.
-    pub(crate) fn finish(self) -> Image {
+    pub(crate) fn finish(self) -> Vec<u8> {
         let Surface::Pixels(pixmap) = self.surface else {
-            return Image { width: 0, height: 0, rgb: Vec::new() };
+            return Vec::new();
         };
         let rgba = pixmap.data();
         let mut rgb = vec![0; rgba.len() / 4 * 3];
         for (to, from) in rgb.chunks_exact_mut(3).zip(rgba.chunks_exact(4)) {
             to.copy_from_slice(&from[..3]);
         }
-        Image { width: pixmap.width(), height: pixmap.height(), rgb }
+        rgb
     }
 
     /// The SVG of so many pixels, on the colour of the ground.

@@ -4,9 +4,8 @@ use crate::agents::AgentBox;
 use crate::camera::Camera;
 use crate::canvas::Canvas;
 use crate::error::{RenderError, Result};
-use crate::image::Image;
 use crate::layers::MapLayers;
-use crate::lines::{Arrow, Line};
+use crate::lines::Line;
 use crate::palette::{Rgb, Theme};
 use crate::{agents, lines, text};
 use ccdiff_sim::geom::Point2;
@@ -28,8 +27,6 @@ pub struct Drawing<'a> {
     pub boxes: &'a [AgentBox],
     /// Names of the agents, in their order; they are written where there is room.
     pub names: &'a [String],
-    /// Edges of the causal graph.
-    pub arrows: &'a [Arrow],
     /// Points of collisions.
     pub collisions: &'a [Point2],
     /// Line of text in the upper left corner: figures, letters, `. , : - + = / _ ( )`. Empty: none.
@@ -48,7 +45,7 @@ impl Drawing<'_> {
         const FINITE: &str = "finite numbers within 1000 km";
         let good = |p: &Point2| p.x.abs() < 1e6 && p.y.abs() < 1e6;
         let line = |what, index, points: &[Point2]| match points.iter().find(|p| !good(p)) {
-            Some(p) => Err(RenderError::Item { what, index, got: p.to_string(), expected: FINITE }),
+            Some(p) => Err(RenderError::value(format!("{what} {index}"), p, FINITE)),
             None => Ok(()),
         };
         line("route", 0, self.route)?;
@@ -56,37 +53,31 @@ impl Drawing<'_> {
         for (what, list) in [("trail", self.trails), ("sample", self.samples), ("plan", self.plans)] {
             list.iter().enumerate().try_for_each(|(i, l)| line(what, i, l.points))?;
         }
-        for (index, a) in self.arrows.iter().enumerate() {
-            line("arrow", index, &[a.from, a.to])?;
-            if !a.weight.is_finite() {
-                let got = a.weight.to_string();
-                return Err(RenderError::Item { what: "weight of arrow", index, got, expected: "finite" });
-            }
-        }
         for (index, b) in self.boxes.iter().enumerate() {
             line("position of agent", index, &[b.pose.position])?;
-            let item = |what, got, expected| Err(RenderError::Item { what, index, got, expected });
             if ![b.pose.heading_rad, b.pose.cos, b.pose.sin].iter().all(|v| v.is_finite()) {
-                return item("heading of agent", b.pose.heading_rad.to_string(), "a finite angle");
+                let what = format!("heading of agent {index}");
+                return Err(RenderError::value(what, b.pose.heading_rad, "a finite angle"));
             }
             if ![b.length_m, b.width_m].iter().all(|s| *s > 0.0 && *s < 1e4) {
                 let got = format!("{} x {} m", b.length_m, b.width_m);
-                return item("size of agent", got, "a positive length and width below 10 km");
+                let expected = "a positive length and width below 10 km";
+                return Err(RenderError::value(format!("size of agent {index}"), got, expected));
             }
         }
         Ok(())
     }
 }
 
-/// Paints a drawing.
+/// Paints a drawing: red, green and blue of each pixel, [H, W, 3], row 0 at the top.
 ///
-/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest), arrows,
+/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest),
 /// collision marks, text.
 ///
 /// # Errors
-/// [`RenderError::Config`] for a camera that cannot be used, [`RenderError::Item`] for
-/// the first thing with a number that is not finite or a size that is not positive.
-pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Image> {
+/// [`RenderError::Value`] for a camera that cannot be used, or the first thing with a number that is not finite or a size
+/// that is not positive.
+pub fn render(drawing: &Drawing<'_>, camera: &Camera) -> Result<Vec<u8>> {
     let view = camera.view()?;
     drawing.check()?;
     let (width, height) = (camera.width, camera.height);
@@ -123,9 +114,6 @@ fn paint(drawing: &Drawing<'_>, camera: &Camera, canvas: &mut Canvas) {
         lines::plan(canvas, plan);
     }
     agents::draw(canvas, drawing.boxes);
-    for arrow in drawing.arrows {
-        lines::arrow(canvas, arrow);
-    }
     for mark in drawing.collisions {
         lines::collision(canvas, *mark);
     }

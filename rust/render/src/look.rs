@@ -25,8 +25,6 @@ look! {
     PARKED_M: 0.5;
     /// How opaque parked vehicles are filled; their outline has their colour.
     PARKED_ALPHA: 0.2;
-    /// How opaque a run is drawn that has ended before the others.
-    ENDED_ALPHA: 0.45;
     /// How opaque the band of a path ahead is.
     PATH_ALPHA: 0.16;
     /// Length of a vehicle in an image, at least, pixels.

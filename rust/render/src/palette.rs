@@ -1,6 +1,6 @@
 //! Every colour of the images, in one place; they are the replay page's, on light and on dark ground.
 //!
-//! Agents are coloured by who drives them. The hues follow the colour-blind safe set of Okabe and Ito (2008),
+//! Agents are coloured by their drivers. The hues follow the colour-blind safe set of Okabe and Ito (2008),
 //! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
 //! shape (box with a windscreen, slim box, disc, plain box), so that no meaning hangs on hue alone.
 
@@ -8,11 +8,11 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rgb(pub u8, pub u8, pub u8);
 
-/// Who moves an agent.
+/// The driver of an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum DrawStyle {
-    /// The ego, whoever drives it.
+    /// The ego, whatever drives it.
     Ego = 0,
     /// An agent other than the ego that takes actions from outside.
     External = 1,
@@ -153,7 +153,7 @@ palette! {
     collision "collision": Rgb(0xD6, 0x1F, 0x2C), Rgb(0xFF, 0x5A, 0x5F);
     /// An ego that has reached its goal.
     goal "goal": Rgb(0x00, 0x78, 0x5A), Rgb(0x3E, 0xCF, 0xA8);
-    /// Arrows of the causal graph.
+    /// Arrows of the causal graph, on the replay page.
     arrow "causal arrow": Rgb(0x6A, 0x32, 0x9F), Rgb(0xC7, 0x9B, 0xF2);
     /// Ground that is no layer of the map.
     ground "ground": Rgb(0xEE, 0xF0, 0xEC), Rgb(0x11, 0x15, 0x1A);
@@ -177,10 +177,8 @@ palette! {
     road_divider "road divider": Rgb(0x96, 0x65, 0x0A), Rgb(0xB9, 0x8A, 0x26);
     /// Text.
     ink "ink": Rgb(0x1D, 0x24, 0x2C), Rgb(0xE8, 0xED, 0xF3);
-    /// Panels behind text, and what keeps arrows and names apart from what is below.
+    /// Panels behind text, and what keeps names apart from what is below.
     paper "paper": Rgb(0xFF, 0xFF, 0xFF), Rgb(0x0D, 0x11, 0x16);
-    /// The same moment of another run.
-    ghost "ghost": Rgb(0x30, 0x3A, 0x46), Rgb(0xDF, 0xE6, 0xEE);
     /// Outlines and windscreens of agents.
     outline "outline": Rgb(0x1D, 0x24, 0x2C), Rgb(0x0D, 0x11, 0x16);
 }

@@ -116,7 +116,7 @@ impl Playground {
         Ok(())
     }
 
-    /// The networks that a configuration of worlds has; nobody where it has none.
+    /// The networks that a configuration of worlds has.
     fn traffic(&self, options: &str, scene: &Arc<Scene>) -> Result<Drivers, String> {
         let options: serde_json::Value = serde_json::from_str(options).map_err(|e| e.to_string())?;
         let mut drivers = Drivers::new();

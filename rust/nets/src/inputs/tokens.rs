@@ -41,7 +41,7 @@ fn motion(window: &Window, agent: usize, dt_s: f32) -> [Option<[f32; 2]>; PAST.l
         let step = (steps - 1).checked_sub(back).filter(|s| *s > 0)?;
         let at = agent * steps + step;
         (window.valid[at] && window.valid[at - 1]).then(|| {
-            let turn = wrap_angle(window.heading_rad[at] - window.heading_rad[at - 1]);
+            let turn = wrap_angle(window.poses[at].heading_rad - window.poses[at - 1].heading_rad);
             [window.speed_mps[at], turn / dt_s]
         })
     })

@@ -35,8 +35,6 @@ const WIDEST_M: Real = 2.6;
 pub struct Mended {
     /// Gaps inside tracks that were filled.
     pub filled_gaps: usize,
-    /// Steps in those gaps.
-    pub filled_steps: usize,
     /// Gaps that are too long: the agent is away meanwhile.
     pub absences: usize,
     /// Agents whose heading was turned by half a turn.
@@ -106,10 +104,7 @@ impl Scene {
         while let Some(gap) = at.and_then(|at| next(self, at, false)) {
             at = next(self, gap, true);
             match at {
-                Some(after) if self.fill(gap - 1, after) => {
-                    mended.filled_gaps += 1;
-                    mended.filled_steps += after - gap;
-                }
+                Some(after) if self.fill(gap - 1, after) => mended.filled_gaps += 1,
                 Some(_) => mended.absences += 1,
                 None => {}
             }

@@ -3,15 +3,11 @@ use super::*;
 /// Cars of 4 m by 2 m at rest or in steady motion: (x, y, heading, speed).
 fn window(cars: &[[f32; 4]], config: &ModelConfig) -> Window {
     let steps = config.history_steps;
-    let each = |f: &dyn Fn(&[f32; 4]) -> f32| -> Vec<f32> {
-        cars.iter().flat_map(|c| std::iter::repeat_n(f(c), steps)).collect()
-    };
+    let each = || cars.iter().flat_map(move |c| std::iter::repeat_n(c, steps));
     Window {
         num_steps: steps,
-        x_m: each(&|c| c[0]),
-        y_m: each(&|c| c[1]),
-        heading_rad: each(&|c| c[2]),
-        speed_mps: each(&|c| c[3]),
+        poses: each().map(|c| Pose2::new(c[0], c[1], c[2])).collect(),
+        speed_mps: each().map(|c| c[3]).collect(),
         valid: vec![true; cars.len() * steps],
         length_m: vec![4.0; cars.len()],
         width_m: vec![2.0; cars.len()],
@@ -75,8 +71,8 @@ fn contacts_measured_for_a_ranking_are_those_that_features_measure() {
         for step in 0..config.history_steps {
             let back_m = (config.history_steps - 1 - step) as f32 * 0.1 * cars[agent][3];
             let at = agent * config.history_steps + step;
-            window.x_m[at] -= back_m * cars[agent][2].cos();
-            window.y_m[at] -= back_m * cars[agent][2].sin();
+            window.poses[at].position.x -= back_m * cars[agent][2].cos();
+            window.poses[at].position.y -= back_m * cars[agent][2].sin();
             window.valid[at] = agent != 2 || step > 4;
         }
     }

@@ -11,12 +11,8 @@ use ccdiff_sim::state::Footprint;
 pub struct Window {
     /// Number of steps H.
     pub num_steps: usize,
-    /// Centre x, metres, [A, H].
-    pub x_m: Vec<f32>,
-    /// Centre y, metres, [A, H].
-    pub y_m: Vec<f32>,
-    /// Heading, radians, [A, H].
-    pub heading_rad: Vec<f32>,
+    /// Centres and headings, [A, H].
+    pub poses: Vec<Pose2>,
     /// Speed along the heading, metres per second, negative when reversing, [A, H].
     pub speed_mps: Vec<f32>,
     /// Whether the agent was there, [A, H]. Other entries mean nothing where this is false.
@@ -60,9 +56,7 @@ impl Window {
             window.width_m.push(scene.agents[agent].width_m);
             for k in history.len() - num_steps..history.len() {
                 let past = history.at(agent, k);
-                window.x_m.push(past.position.x);
-                window.y_m.push(past.position.y);
-                window.heading_rad.push(past.heading_rad);
+                window.poses.push(Pose2::new(past.position.x, past.position.y, past.heading_rad));
                 window.speed_mps.push(past.speed_mps);
                 window.valid.push(past.valid);
             }
@@ -98,8 +92,7 @@ impl Window {
 
     /// Pose of an agent at a step.
     pub fn pose(&self, agent: usize, step: usize) -> Pose2 {
-        let at = agent * self.num_steps + step;
-        Pose2::new(self.x_m[at], self.y_m[at], self.heading_rad[at])
+        self.poses[agent * self.num_steps + step]
     }
 
     /// Speed of an agent now.
