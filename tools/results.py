@@ -199,8 +199,8 @@ TABLES: dict[str, Made] = {
         "train",
         ("method",),
         {
-            **{f"after {step:,}": Column(str(step)) for step in _STEPS},
-            "ADE, last": Column("ade_m"),
+            **{f"{step // 1000}k steps": Column(str(step)) for step in _STEPS},
+            "ADE at last": Column("ade_m"),
         },
     ),
     "interventional": Made(
