@@ -64,7 +64,7 @@ class CheckpointError(CcdiffError, ValueError):
 
 
 class PolicyError(CcdiffError, RuntimeError):
-    """A background policy failed."""
+    """A planner, or a driver of traffic, failed."""
 
 
 class ForkError(CcdiffError, RuntimeError):

@@ -195,6 +195,12 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         _GUIDED,
     ),
+    "ablation": Made(
+        "bench traffic --k 1,2,3,4,5 --methods "
+        "ccdiff,ccdiff_no_enc,ccdiff_distance,ccdiff_first,ccdiff_random",
+        ("method", "K", "replan_s"),
+        _GUIDED,
+    ),
     "training": Made(
         "train",
         ("method",),

@@ -42,7 +42,7 @@ def _num_processors() -> int:
     return os.cpu_count() or 1
 
 
-def network_policies(
+def network_drivers(
     config: WorldConfig, scenes: Sequence[Scene], num_threads: int
 ) -> dict[str, object]:
     """Return the policies of a configuration that need a network, by name, for the native worlds.
@@ -167,7 +167,7 @@ class Worlds:
             self.config.to_json(),
             self.num_worlds,
             self._num_threads,
-            network_policies(self.config, self.scenes, threads),
+            network_drivers(self.config, self.scenes, threads),
             _models(self.config, self.scenes),
         )
 
