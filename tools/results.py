@@ -351,7 +351,7 @@ def _grid(run: dict[str, Any], column: Column) -> str:
 
 
 def _scores(run: dict[str, Any]) -> str:
-    """CS, RS, GD and IGD over the paper's K of the grid's methods, and as the paper prints them.
+    """SCR at K = 5, CS, RS, GD and IGD over the paper's K of the grid, and those of the paper.
 
     Bounds are over all conditions, as the paper's are.
     """
@@ -360,23 +360,29 @@ def _scores(run: dict[str, Any]) -> str:
     rows = [row for row in run["rows"] if row["K"] != "0"]  # which is the log
     cs_rs = scores(**{n: [row[n][0] for row in rows] for n in ("scr", "orr", "fde", "cfd")})
     of = {
-        (label_of(row["method"]), row["K"]): pair
+        (label_of(row["method"]), row["K"]): (row["scr"][0], *pair)
         for row, *pair in zip(rows, *cs_rs, strict=True)
         if row["replan_s"] == rows[0]["replan_s"]
     }
     methods = [*dict.fromkeys(method for method, _ in of)]
     ours = np.array([[of[method, k] for k in numbers] for method in methods])
-    printed = np.stack([paper["cs"], paper["rs"]], axis=-1)[:, : len(numbers)]
+    printed = np.stack([paper[n] for n in ("scr", "cs", "rs")], axis=-1)[:, : len(numbers)]
     figures = [
-        np.column_stack([p.mean(axis=1), *generational_distance(cs=p[..., 0], rs=p[..., 1])])
+        np.column_stack(
+            [
+                p[:, numbers.index("5"), 0],
+                *p[..., 1:].mean(axis=1).T,
+                *generational_distance(cs=p[..., 1], rs=p[..., 2]),
+            ]
+        ).tolist()
         for p in (ours, printed)
     ]
-    theirs = dict(zip(paper["methods"], figures[1].tolist(), strict=True))
+    theirs = dict(zip(paper["methods"], figures[1], strict=True))
     table: TableRows = [
-        [method, *mine, *theirs.get(method.partition(",")[0], [None] * 4)]
-        for method, mine in zip(methods, figures[0].tolist(), strict=True)
+        [method, *mine, *theirs.get(method.partition(",")[0], [None] * 5)]
+        for method, mine in zip(methods, figures[0], strict=True)
     ]
-    heads = ("CS", "RS", "GD", "IGD")
+    heads = ("SCR", "CS", "RS", "GD", "IGD")
     columns = [Column(f"{of}{head}") for of in ("", "paper: ") for head in heads]
     return document(Table(["method", *columns], table), f"{run['scenes']}, {run['date']}.").rstrip()
 
