@@ -306,7 +306,7 @@ def test_drivable_pixels_are_those_whose_centres_are_on_the_road(name, scenes):
             x + ahead * np.cos(heading) - left * np.sin(heading),
             y + ahead * np.sin(heading) + left * np.cos(heading),
         )
-        inside_m = road_distance(env.scene, np.stack([x, y], -1))
+        inside_m = road_distance(env.scene, np.stack([x, y], -1).reshape(-1, 2)).reshape(x.shape)
         # the ground has pixels half as wide: no centre is farther off than half their diagonal
         sure = np.abs(inside_m) > 0.1 * np.sqrt(2.0) + 0.01
         assert sure.mean() > 0.9
