@@ -358,7 +358,8 @@ def _scores(run: dict[str, Any]) -> str:
     paper = json.loads((pages.ROOT / "ccdiff_env/data/paper_tables.json").read_text())
     numbers = ("2", "3", "4", "5", "10", "Full")
     rows = [row for row in run["rows"] if row["K"] != "0"]  # which is the log
-    cs_rs = scores(**{n: [row[n][0] for row in rows] for n in ("scr", "orr", "fde", "cfd")})
+    scr, orr, fde, cfd = ([row[n][0] for row in rows] for n in ("scr", "orr", "fde", "cfd"))
+    cs_rs = scores(scr=scr, orr=orr, fde=fde, cfd=cfd)
     of = {
         (label_of(row["method"]), row["K"]): (row["scr"][0], *pair)
         for row, *pair in zip(rows, *cs_rs, strict=True)
