@@ -130,7 +130,7 @@ def test_latents_descend_by_the_gradients_of_torch(name):
     }
     ours, theirs = (plans(model, name, **guided) for model in models)
     effect = farthest(ours, free)["states"]
-    assert effect > 1.0
+    assert effect > 0.5
     # the first step of Adam goes by the signs of gradients, some of which are nearly 0
     assert farthest(theirs, ours)["states"] < 0.1 * effect
 

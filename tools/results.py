@@ -229,7 +229,10 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     """Run the command of a table, and keep what the docs show."""
     table = TABLES[name]
     if name == "training":
-        head = {"command": "python -m tools.train_all", "scenes": "held-out scenes of train"}
+        head = {
+            "command": "python -m tools.train_all",
+            "held_out": "every 16th scene of train and train_val",
+        }
         keep(name, head | {"date": datetime.date.today().isoformat()}, _curves(folder.parent))
         return
     scenes = ["--scenes", source]
@@ -331,7 +334,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     protocol = re.search(r"--protocol (\S+)", run["command"])
     of = f"{protocol[1]}, " if protocol else ""
     made = f"`{run['command']}`, " if chosen is None else of
-    text = f"{made}{run['scenes']}, {run['date']}."
+    text = f"{made}{run.get('scenes') or run['held_out']}, {run['date']}."
     return document(Table([*table.keys, *columns], rows), text).rstrip()
 
 
