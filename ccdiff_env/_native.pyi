@@ -277,8 +277,7 @@ class TrajectoryModel:
     def plan_scenes(
         self, scenes: list[Scene], steps: list[int], seeds: list[int], *, solver_steps: int | None,
         num_samples: int, guidance_weight: float, guidance: str | None,
-        guided: list[list[int]] | None, collision_targets: list[list[int]] | None, attention: bool,
-        gradient_statistics: bool, follow_route: bool,
+        guided: list[list[int]] | None, attention: bool, follow_route: bool,
     ) -> list[dict[str, Any]]: ...
 
 def build_mark() -> int: ...

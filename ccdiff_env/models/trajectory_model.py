@@ -146,9 +146,7 @@ class TrajectoryModel:
             guidance_weight=guidance_weight,
             guidance=None if guidance is None else json.dumps(dict(guidance)),
             guided=None if guided is None else [list(g) for g in guided],
-            collision_targets=None,
             attention=attention,
-            gradient_statistics=False,
             follow_route=follow_route,
         )
         return [ScenePlan(**plan) for plan in plans]

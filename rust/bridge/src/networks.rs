@@ -94,10 +94,10 @@ impl PyTrajectoryModel {
         self.lock().num_parameters()
     }
 
-    /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` and
-    /// `collision_targets` list agents of each scene.
-    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, collision_targets,
-        attention, gradient_statistics, follow_route))]
+    /// Plans from logged histories: one dictionary per (scene, step). `guidance` is a `GuidanceConfig` as JSON; `guided` lists
+    /// agents of each scene.
+    #[pyo3(signature = (scenes, steps, seeds, *, solver_steps, num_samples, guidance_weight, guidance, guided, attention,
+        follow_route))]
     fn plan_scenes<'py>(
         &self,
         py: Python<'py>,
@@ -109,15 +109,13 @@ impl PyTrajectoryModel {
         guidance_weight: f64,
         guidance: Option<&str>,
         guided: Option<Vec<Vec<usize>>>,
-        collision_targets: Option<Vec<Vec<usize>>>,
         attention: bool,
-        gradient_statistics: bool,
         follow_route: bool,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let scenes: Vec<_> = scenes.into_iter().map(|s| s.0).collect();
-        let lists = [&guided, &collision_targets].map(|l| l.as_ref().map_or(scenes.len(), Vec::len));
-        if [steps.len(), seeds.len(), lists[0], lists[1]].iter().any(|got| *got != scenes.len()) {
-            let got = format!("{} steps, {} seeds, {lists:?} lists of agents", steps.len(), seeds.len());
+        let lists = guided.as_ref().map_or(scenes.len(), Vec::len);
+        if [steps.len(), seeds.len(), lists].iter().any(|got| *got != scenes.len()) {
+            let got = format!("{} steps, {} seeds, {lists} lists of agents", steps.len(), seeds.len());
             return Err(py::ShapeError::new_err(format!("{got} for {} scenes", scenes.len())));
         }
         let options = PlanOptions {
@@ -129,10 +127,9 @@ impl PyTrajectoryModel {
             },
             guidance: guidance.map(|text| read("guidance", text)).transpose().map_err(from_sim)?,
             attention,
-            gradient_statistics,
+            gradient_statistics: false,
         };
-        let logged =
-            Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, collision_targets, follow_route };
+        let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, follow_route };
         let plans = py.detach(|| logged.plans(&mut self.lock(), &options));
         let plans = plans.map_err(from_model)?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
@@ -163,8 +160,7 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     Ok(dict)
 }
 
-/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M], and with gradient statistics `alignment`, `gradient_cosine`,
-/// `conflict_share` [M], `objective_cosine` [J, J].
+/// `losses` [J, N, M], `realism_cost`, `shift_sigmas` [M].
 fn guidance_dict(
     py: Python<'_>,
     num_samples: usize,
@@ -177,12 +173,5 @@ fn guidance_dict(
     dict.set_item("losses", losses)?;
     dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
     dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
-    if let Some(found) = report.conflict {
-        let cosines = found.objective_cosine.into_pyarray(py).reshape([objectives, objectives])?;
-        dict.set_item("alignment", found.alignment.into_pyarray(py))?;
-        dict.set_item("gradient_cosine", found.cosine.into_pyarray(py))?;
-        dict.set_item("conflict_share", found.conflict_share.into_pyarray(py))?;
-        dict.set_item("objective_cosine", cosines)?;
-    }
     Ok(dict)
 }

@@ -7,7 +7,7 @@ use ccdiff_sim::drivers::{KINDS, PLAN_FIELDS};
 use ccdiff_sim::observe::{BEV_CHANNELS, Layout, ObservationConfig, all_columns};
 use ccdiff_sim::options::{Table, check_table};
 use ccdiff_sim::planner::EgosConfig;
-use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES, WorldConfig};
+use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES};
 use pyo3::prelude::*;
 
 /// A value as JSON.
@@ -19,7 +19,6 @@ pub(crate) fn to_json<T: serde::Serialize>(value: &T) -> PyResult<String> {
 #[pyfunction]
 pub(crate) fn schema(name: &str) -> PyResult<String> {
     match name {
-        "default_config" => to_json(&WorldConfig::default()),
         "config_tables" => to_json(&tables().collect::<Vec<_>>()),
         // info columns of a step, metrics of an episode, fields of a plan's record
         "columns" => to_json(&COLUMNS),

@@ -9,7 +9,7 @@ use ccdiff_sim::scene::{LaneIndex, Scene};
 use ccdiff_sim::stage::Route;
 use std::sync::Arc;
 
-/// What is planned for: scenes at steps, guided agents, and agents with which contacts count.
+/// What is planned for: scenes at steps, and guided agents, for which contacts with all count.
 #[derive(Debug)]
 pub struct Logged<'a> {
     /// Scenes.
@@ -20,8 +20,6 @@ pub struct Logged<'a> {
     pub seeds: &'a [u64],
     /// Agents of each that guidance moves; `None`: no guidance.
     pub guided: Option<Vec<Vec<usize>>>,
-    /// Agents of each with which contacts count; `None`: all.
-    pub collision_targets: Option<Vec<Vec<usize>>>,
     /// Whether the network is told the routes of all vehicles.
     pub follow_route: bool,
 }
@@ -61,7 +59,6 @@ impl Logged<'_> {
             })
             .collect();
         let guided = self.listed(self.guided.as_ref());
-        let collision_targets = self.listed(self.collision_targets.as_ref());
         let guides = guided.is_some();
         let roads: Vec<Option<Region>> =
             self.scenes.iter().map(|s| guides.then(|| Region::new(&s.map.drivable_area)).flatten()).collect();
@@ -85,7 +82,6 @@ impl Logged<'_> {
                 guide: guided.as_ref().map(|flags| WorldGuidance {
                     road: roads[k].as_ref(),
                     roads: (!of_levels[k].is_empty()).then_some(of_levels[k].as_slice()),
-                    collision_targets: collision_targets.as_ref().map(|p| p[k].as_slice()),
                     ..WorldGuidance::new(&flags[k])
                 }),
             })
