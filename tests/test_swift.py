@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from array_scenes import TIMES_S, agent, array_scene, wide_road
 from traffic_play import Play
 
 import ccdiff_env
@@ -139,6 +140,60 @@ def test_labels_are_what_the_teacher_does(scenes):
     assert bins.max() < distil.BINS
     assert 0 < (told > 0).mean() < 1
     assert np.median(bins[:, 1]) == distil.BINS // 2
+
+
+def test_labels_of_the_log_are_its_motion():
+    """A car that brakes and turns: what it does in half a second, as its polynomials say."""
+    speed, yaw = 12.0 - 0.5 * TIMES_S, 0.003 * TIMES_S**2
+    way = np.cumsum(np.stack([np.cos(yaw), np.sin(yaw)]) * speed * 0.1, axis=1)
+    car = agent("car", *way, heading=yaw)
+    stands = agent("stands", -40.0)
+    scene = array_scene(agent("ego", 10.0 * TIMES_S, -50.0), car, stands)
+    labels = distil.logged(ccdiff_env.SceneSet([scene]), starts=20)
+    assert len(labels) == 20
+    assert (labels[:, distil.ROW] == 0).all()
+    told = _native.swift_bins([(-0.25, 0.0)])[0][0]
+    assert (labels[:, -2] == told).mean() > 0.8
+    # the car is on its route and goes with it
+    seconds = (12.0 - 10.0 * labels[:, 0]) / 0.5
+    expected = np.array(_native.swift_bins([(0.0, y) for y in 0.006 * (seconds + 0.25)]))[:, 1]
+    assert np.abs(labels[:, -1] - expected).max() <= 1
+
+
+def test_unguided_vehicles_are_taught_the_way_back_to_their_routes():
+    """Beside a straight route and turned from it, they come back in some seconds, hardly beyond."""
+    edges = np.linspace(-0.7, 0.7, 1401)
+    bins = np.array(_native.swift_bins([(0.0, y) for y in edges]))[:, 1]
+    centres = np.array([edges[bins == b].mean() for b in range(distil.BINS)])
+    speed, beside_m, heading, way = 8.0, 1.5, 0.1, []
+    for _ in range(24):
+        row = np.zeros((1, distil.ROW), np.float32)
+        row[0, [0, 11]] = speed / 10.0, beside_m / 3.0
+        places = row[0, distil.FIRST_PLACE : distil.OWN].reshape(-1, 4)
+        places[:, 2], places[:, 3] = 1.0, -np.sin(heading)
+        told = [distil._rows(row, np.array([c]), np.zeros(1), np.full(1, 0.2)) for c in (0.0, 1.0)]
+        assert told[1][0, -1] == _native.swift_bins([(0.0, 0.4)])[0][1]
+        yaw_rate = centres[int(told[0][0, -1])]
+        beside_m += 0.5 * speed * np.sin(heading + 0.25 * yaw_rate)
+        heading += 0.5 * yaw_rate
+        way.append(beside_m)
+    assert np.abs(way[-8:]).max() < 0.3
+    assert min(way) > -0.3
+
+
+def test_draws_that_leave_the_road_are_passed_over(tmp_path):
+    """Vehicles that turn at random stay on a narrow road; on a wide one they go beyond it."""
+    cars = [agent(f"car-{k}", 40.0 * k + 8.0 * TIMES_S) for k in range(8)]
+    tensors = read_tensors(shipped_weights(SWIFT))[0]
+    any_turn = {name: 0.0 * tensors[name] for name in ("yaw_rate.weight", "yaw_rate.bias")}
+    ccdiff, off = written(tmp_path / "own.safetensors", **any_turn), []
+    for half_m in (5.0, 100.0):
+        scene = array_scene(agent("ego", -200.0), *cars, layers=wide_road(half_m))
+        play = driven([scene], driver="replay", ccdiff=ccdiff)
+        y = np.array([p[0][1:, 1] for p in play.positions(60)])
+        off.append((np.abs(y) > 4.0).mean())
+    assert off[1] > 0.2
+    assert off[0] < 0.3 * off[1]
 
 
 def test_bins_are_mirrored_with_the_world():

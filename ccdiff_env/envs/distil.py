@@ -3,7 +3,8 @@
 CCDiff drives scenes at many strengths of guidance. What each vehicle saw and did in the next half
 second is a label for a small network, a row [ROW + 3]: what ``swift_rows`` tells, the strength of
 guidance, the bins of change of speed and yaw rate. Later rounds label states that the network
-leads to. Then its strength is fitted: IDM shall collide as often as in five-step CCDiff.
+leads to; the log is labelled as well. Unguided vehicles turn so that they return to their routes.
+Then the strength is fitted: IDM shall collide as often as in five-step CCDiff.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import json
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,7 +28,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.models.training import LICENCE
 from ccdiff_env.record.episode import begin, play
-from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
@@ -44,9 +46,12 @@ BINS, HELD_STEPS, DT_S = 21, 5, 0.1
 #: A row: numbers of a vehicle and its route, of the ego, of K other agents, and how many are there.
 OWN, EGO, NEAR, OTHER = 65, 14, 8, 15
 ROW = OWN + EGO + NEAR * OTHER + 1
+#: The first of the four numbers of each place on the route, and how far ahead these are, metres.
+FIRST_PLACE = 13
+PLACES_M = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 26.0, 32.0, 40.0, 50.0, 60.0, 80.0)
 #: Columns that change their sign where the world is mirrored: of a vehicle itself (turns, its place
 #: beside the route, places on the route), and of another agent, as which the ego begins.
-OWN_MIRRORED = (4, 5, 10, 11, *(13 + 4 * k + i for k in range(13) for i in (1, 3)))
+OWN_MIRRORED = (4, 5, 10, 11, *range(FIRST_PLACE + 1, OWN, 2))
 OTHER_MIRRORED = (1, 3, 5)
 MIRRORED = [*OWN_MIRRORED, *(OWN + i for i in OTHER_MIRRORED)]
 MIRRORED += [OWN + EGO + OTHER * k + i for k in range(NEAR) for i in OTHER_MIRRORED]
@@ -63,8 +68,13 @@ TEACHER: Mapping[str, Any] = {
 UNGUIDED = 0.3
 #: Share of the vehicles that the network drives from the second round on, drawn at every plan.
 STUDENT = 0.5
-#: What logits are divided by: at 1 traffic is less likely and touches more often.
-TEMPERATURE = 0.8
+#: Times in each scene of which the log is labelled, steps that they are spread by, and how far
+#: vehicles of the log that count as moving get, metres.
+LOGGED_STARTS, LOGGED_SPREAD, MOVING_M = 30, 170, 2.0
+#: Rate at which unguided vehicles return to their routes, critically damped, 1/s.
+RETURN_1PS = 0.5
+#: What the logits of an axis are divided by: logged speeds then lie evenly among samples.
+TEMPERATURES = {"speed": 1.1, "yaw_rate": 0.3}
 #: Strengths of the network that are tried for its dial, and criticalities that are fitted.
 TRIED = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 FITTED = (0.5, 1.0, 2.0)
@@ -108,15 +118,18 @@ def run(args: argparse.Namespace) -> int:
         with (args.out / "log.txt").open("a", encoding="utf-8") as log:
             print(line, file=log)
 
-    def labels(name: str, of: SceneSet, episodes: int, seed: int, student: Path | None) -> F32:
+    def labels(name: str, made: Callable[[], F32]) -> F32:
         file: Path = args.out / f"labels-{name}.npy"
         if not file.exists():
             part = file.with_suffix(".part.npy")
-            np.save(part, collect(of, teacher, episodes, seed=seed, student=student))
+            np.save(part, made())
             part.replace(file)
-            say(f"{file.name}: {episodes} episodes")
+            say(f"{file.name}: {len(np.load(file, mmap_mode='r'))} labels")
         rows: F32 = np.load(file)
         return rows
+
+    def taught(of: SceneSet, episodes: int, seed: int, student: Path | None = None) -> F32:
+        return collect(of, teacher, episodes, seed=seed, student=student)
 
     def trained(name: str, updates: int, seed: int) -> tuple[float, Path]:
         file: Path = args.out / f"{name}.safetensors"
@@ -126,11 +139,12 @@ def run(args: argparse.Namespace) -> int:
             say(f"{file.name}: {nats:.3f} nats on {len(judge)} labels of scenes to fit on")
         return json.loads(read_tensors(file)[1]["ccdiff_env"])["notes"]["nats"], file
 
-    judge = labels("fit", fit, len(fit), args.rounds, None)
-    rounds = [labels("0", scenes, args.episodes, 0, None)]
+    judge = labels("fit", lambda: taught(fit, len(fit), args.rounds))
+    rounds = [labels("log", lambda: logged(scenes))]
+    rounds.append(labels("0", lambda: taught(scenes, args.episodes, 0)))
     for i in range(1, args.rounds):
         student = trained(f"pilot-{i}", args.updates // 4, i)[1]
-        rounds.append(labels(str(i), scenes, args.episodes, i, student))
+        rounds.append(labels(str(i), partial(taught, scenes, args.episodes, i, student)))
     networks = [trained(f"network-{seed}", args.updates, seed) for seed in range(args.seeds)]
     best = min(networks)[1]
     dial, rates = fitted_dial(fit, best)
@@ -242,16 +256,76 @@ def _labels(
     a = plan["agents"][planned]
     poses = plan["samples"][plan["selected_sample"][planned], planned, :HELD_STEPS]
     heading, after = states["heading"][a], poses[:, -1, 2]
-
-    def along(way: npt.NDArray[Any], heading: npt.NDArray[Any]) -> Any:
-        return way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
-
-    change = along(poses[:, -1] - poses[:, -2], after) / DT_S
-    change -= along(states["velocity"][a], heading)
-    turned = (after - heading + math.pi) % (2 * math.pi) - math.pi
-    bins = _native.swift_bins(list(zip(change, turned / (HELD_STEPS * DT_S), strict=True)))
+    change = _along((poses[:, -1] - poses[:, -2]) / DT_S, after)
+    change -= _along(states["velocity"][a], heading)
     told, mine = strength * plan["guided"][planned], np.searchsorted(agents, a)
-    labels: F32 = np.column_stack([rows[mine], told, bins]).astype(np.float32)
+    return _rows(rows[mine], told, change, after - heading)
+
+
+def logged(scenes: SceneSet, *, seed: int = 0, starts: int = LOGGED_STARTS) -> F32:
+    """Return labels [n, ROW + 3] of vehicles that move in the log, at times drawn in each scene."""
+    rng, listed, found = np.random.default_rng(seed), list(scenes), list[F32]()
+    config = WorldConfig().with_options(
+        start_spread_steps=LOGGED_SPREAD,
+        horizon_steps=HELD_STEPS + 1,
+        driver="replay",
+        # no vehicle is CCDiff's, which has worlds keep the past that rows tell
+        traffic={"replay": 1.0 - 1e-6, "ccdiff": 1e-6},
+    )
+    moving = {scene.name: _moving(scene) for scene in listed}
+    for first in [i for _ in range(starts) for i in range(0, len(listed), 48)]:
+        part = SceneSet(listed[first : first + 48])
+        worlds = begin(part, config, int(rng.integers(1 << 30)))
+        native, before = worlds.native, []
+        for i, scene in enumerate(part):
+            states = native.states(i)
+            a = np.flatnonzero(states["active"] & moving[scene.name])
+            before.append((states, a, native.swift_rows(i, a.tolist())))
+        for _ in play(worlds, most=HELD_STEPS):
+            pass
+        for i, (old, agents, rows) in enumerate(before):
+            new = native.states(i)
+            there = new["active"][agents]
+            a = agents[there]
+            was, heading = old["heading"][a], new["heading"][a]
+            change = _along(new["velocity"][a], heading) - _along(old["velocity"][a], was)
+            found.append(_rows(rows[there], np.zeros(len(a)), change, heading - was))
+    return np.concatenate(found)
+
+
+def _moving(scene: Scene) -> npt.NDArray[np.bool_]:
+    """Vehicles but the ego that get away from where they begin."""
+    tracks, types = scene.tracks(), np.array(scene.agent_types)
+    place = np.where(tracks["valid"][..., None], tracks["position"], np.nan)
+    reach = np.nanmax(place, axis=1) - np.nanmin(place, axis=1)
+    moving: npt.NDArray[np.bool_] = (types == "vehicle") & (reach.max(axis=1) > MOVING_M)
+    moving[0] = False
+    return moving
+
+
+def _along(way: npt.NDArray[Any], heading: npt.NDArray[Any]) -> Any:
+    return way[:, 0] * np.cos(heading) + way[:, 1] * np.sin(heading)
+
+
+def _rows(rows: F32, told: npt.NDArray[Any], change: Any, turned: Any) -> F32:
+    """Labels of rows, of strengths, changes of speed (m/s) and turns (rad) in half a second."""
+    held_s = HELD_STEPS * DT_S
+    yaw_rate = ((turned + math.pi) % (2 * math.pi) - math.pi) / held_s
+    speed = np.maximum(10.0 * rows[:, 0] + 0.5 * change, 0.0)
+    # where the route is: the vehicle beside it, metres, and its heading less the vehicle's, now and
+    # after the way of half a second
+    places = rows[:, FIRST_PLACE:OWN].reshape(-1, len(PLACES_M), 4)
+    beside_m, turns = 3.0 * rows[:, 11], np.arcsin(np.clip(places[..., 3], -1.0, 1.0))
+    last = np.maximum(places[..., 2].sum(axis=1).astype(int) - 1, 0)
+    way_m = np.minimum(np.maximum(held_s * speed, PLACES_M[1]), np.take(PLACES_M, last))
+    ahead = np.array([np.interp(w, PLACES_M, t) for w, t in zip(way_m, turns, strict=True)])
+    back = speed * (ahead - turns[:, 0]) / np.maximum(way_m, 0.5) + 2.0 * RETURN_1PS * turns[:, 0]
+    back -= RETURN_1PS**2 * beside_m / np.maximum(speed, 2.0)
+    back = np.clip(back, -0.35 * speed, 0.35 * speed)
+    near = (last >= 1) & (speed > 0.3) & (np.abs(beside_m) < 6.0) & (np.abs(turns[:, 0]) < 0.78)
+    yaw_rate = np.where((told == 0.0) & near, back, yaw_rate)
+    bins = np.reshape(_native.swift_bins(list(zip(change, yaw_rate, strict=True))), (-1, 2))
+    labels: F32 = np.column_stack([rows, told, bins]).astype(np.float32)
     return labels
 
 
@@ -317,8 +391,9 @@ def train(
         first = layers["trunk.0"]
         first.bias.sub_(first.weight[:, :OWN] @ (mean / std))
         first.weight[:, :OWN].div_(std)
-        for weight in (*layers["speed"].parameters(), *layers["yaw_rate"].parameters()):
-            weight.div_(TEMPERATURE)
+        for name, temperature in TEMPERATURES.items():
+            for weight in layers[name].parameters():
+                weight.div_(temperature)
     named = {
         f"{name}.{k}": w for name, layer in layers.items() for k, w in layer.named_parameters()
     }

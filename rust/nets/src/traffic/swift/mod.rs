@@ -177,8 +177,9 @@ impl Swift {
         Ok(plans.collect())
     }
 
-    /// Acceleration and yaw rate of the vehicles of a world: the first of some draws without a contact in the next 1.5 s, while
-    /// all others do as they have drawn; without such a draw it brakes. Guided vehicles ignore contacts with the ego.
+    /// Acceleration and yaw rate of the vehicles of a world: the first of some draws that neither touches anybody in the next 1.5 s,
+    /// while all others do as they have drawn, nor leaves the road; else the first that touches nobody; else it brakes. Guided
+    /// vehicles ignore contacts with the ego.
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
@@ -194,12 +195,21 @@ impl Swift {
         watch.enter(world, &d.agents, &motions);
         for (i, a) in d.agents.iter().enumerate() {
             let minds = |j: usize| !(d.guided.contains(a) && d.egos.contains(&j));
+            let mut off_road = None;
             for draw in 1..=CAREFUL_DRAWS {
                 if !watch.touches(world, *a, minds) {
-                    break;
+                    if !watch.leaves_road(world, *a) {
+                        off_road = None;
+                        break;
+                    }
+                    off_road.get_or_insert(motions[i]);
                 }
                 motions[i] = drawn(i, draw);
                 watch.put(world, *a, motions[i]);
+            }
+            if let Some(motion) = off_road {
+                motions[i] = motion;
+                watch.put(world, *a, motion);
             }
         }
         motions

@@ -80,6 +80,14 @@ impl Watch {
         self.ways[a] = Way::of(world, a, motion, HELD);
     }
 
+    /// Whether an agent that is on the road leaves it.
+    pub(super) fn leaves_road(&self, world: &WorldView<'_>, a: usize) -> bool {
+        let own = &self.ways[a];
+        let Some(road) = &world.scene.at(world.states.elevation_m(a)).road else { return false };
+        let is_off = |b: &OrientedBox| b.corners().iter().any(|c| !road.contains(*c));
+        !road.holds_square(own.middle, own.radius_m) && !is_off(&own.boxes[0]) && own.boxes[1..].iter().any(is_off)
+    }
+
     /// Whether an agent comes close to one that it minds. Those that touch it already or come from behind do not count.
     pub(super) fn touches(&self, world: &WorldView<'_>, a: usize, minds: impl Fn(usize) -> bool) -> bool {
         let own = &self.ways[a];
