@@ -111,6 +111,7 @@ _REALISM = Made(
     },
 )
 
+_ONE = "_one_sample"
 _STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the docs show them.
 
 TABLES: dict[str, Made] = {
@@ -209,6 +210,17 @@ TABLES: dict[str, Made] = {
             "ADE at last": Column("ade_m"),
         },
     ),
+    "seeds": Made(
+        "bench traffic --k 5 and bench realism --samples 16, with --weights of tools.train_all",
+        ("method",),
+        {
+            **{f"SCR, seed {k}": Column(f"scr_{k}", interval=False) for k in range(3)},
+            **{
+                f"realism, seed {k}": Column(f"realism_{k}", digits=3, interval=False)
+                for k in range(3)
+            },
+        },
+    ),
     "interventional": Made(
         "bench traffic --k 5 --methods ccdiff_unguided,ccdiff_cfg-1.3_unguided,"
         "ccdiff_cfg-1.6_unguided,ccdiff_cfg-1.9_unguided,"
@@ -235,16 +247,15 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         }
         keep(name, head | {"date": datetime.date.today().isoformat()}, _curves(folder.parent))
         return
-    scenes = ["--scenes", source]
-    if "--protocol" in table.command:
-        own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
-        scenes = [] if own else ["--scenes", f"nuscenes:{parse(source).path}"]
-    command = [*shlex.split(table.command), *scenes, "--workers", str(workers)]
-    run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--out", str(folder), "--quiet"]
-    subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
-    about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    with (folder / table.file).open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    if name == "seeds":
+        about, figures = _seeds(folder, source, workers)
+    else:
+        scenes = ["--scenes", source]
+        if "--protocol" in table.command:
+            own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
+            scenes = [] if own else ["--scenes", f"nuscenes:{parse(source).path}"]
+        about, rows = _run([*shlex.split(table.command), *scenes], folder, workers, table.file)
+        figures = _kept(table, rows)
     made = about["made_with"]
     head = {
         "command": f"ccdiff-env {table.command}",
@@ -253,7 +264,42 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),
     }
-    keep(name, head, _kept(table, rows))
+    keep(name, head, figures)
+
+
+def _run(
+    command: list[str], folder: Path, workers: int, file: str = "figures.csv"
+) -> tuple[dict[str, Any], list[dict[str, str]]]:
+    """Run a command of ``ccdiff-env``; return what its folder says of it, and rows of a file."""
+    run = [sys.executable, "-m", "ccdiff_env.cli", *command, "--workers", str(workers)]
+    subprocess.run([*run, "--out", str(folder), "--quiet"], check=True, stdout=subprocess.DEVNULL)
+    with (folder / file).open(encoding="utf-8") as rows:
+        about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+        return about, list(csv.DictReader(rows))
+
+
+def _seeds(folder: Path, source: str, workers: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """SCR and realism of the networks that were trained with three seeds, the first one shipped.
+
+    Weights of the others are in folders beside the run's, named as in tools/trainings.json.
+    """
+    about, found = {}, list[dict[str, Any]]()
+    for method in ("bits", "ctgpp", "ccdiff_equal"):
+        network = method.removesuffix("_equal")
+        row: dict[str, Any] = {"method": method}
+        for figure, table, end in (("scr", "rivals", ""), ("realism", "realism_rivals", _ONE)):
+            command = TABLES[table].command.partition("--methods")[0]
+            shipped = [r for r in kept(table)["rows"] if r["method"] == method + end]
+            row[f"{figure}_0"] = shipped[0][figure]
+            for seed in (1, 2):
+                weights = folder.parent / f"{method}_{seed}" / "weights.safetensors"
+                given = ["--methods", network + end, "--weights", f"{network}={weights}"]
+                own = [*shlex.split(command), *given, "--scenes", source]
+                about, rows = _run(own, folder / f"{method}_{seed}{end}", workers)
+                rows = [r for r in rows if r["method"] == network + end]
+                row[f"{figure}_{seed}"] = _figure(rows, figure)
+        found.append(row)
+    return about, found
 
 
 def _curves(folder: Path) -> list[dict[str, Any]]:
