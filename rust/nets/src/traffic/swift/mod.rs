@@ -1,7 +1,8 @@
 //! Swift traffic: each vehicle drives by a small network that was taught what guided CCDiff does (`ccdiff-env distil`).
 //!
 //! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the vehicles nearest to
-//! the ego are told which agent it is, and how strongly to hinder it. Of the map only the routes are used.
+//! the ego are told which agent it is, and how strongly to hinder it. Of the map the network sees its route alone; draws that leave
+//! the road are passed over.
 
 mod network;
 mod seen;
