@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rounds", type=int, default=4, help="rounds of data; the first is the teacher's"
     )
     parser.add_argument("--episodes", type=int, default=960, help="episodes per round")
-    parser.add_argument("--updates", type=int, default=8000, help="gradient steps per network")
+    parser.add_argument("--updates", type=int, default=16000, help="gradient steps per network")
     parser.add_argument("--seeds", type=int, default=3, help="networks trained; the best is kept")
 
 
@@ -143,7 +143,7 @@ def run(args: argparse.Namespace) -> int:
     rounds = [labels("log", lambda: logged(scenes))]
     rounds.append(labels("0", lambda: taught(scenes, args.episodes, 0)))
     for i in range(1, args.rounds):
-        student = trained(f"pilot-{i}", args.updates // 4, i)[1]
+        student = trained(f"pilot-{i}", args.updates // 8, i)[1]
         rounds.append(labels(str(i), partial(taught, scenes, args.episodes, i, student)))
     networks = [trained(f"network-{seed}", args.updates, seed) for seed in range(args.seeds)]
     best = min(networks)[1]
@@ -309,11 +309,19 @@ def _along(way: npt.NDArray[Any], heading: npt.NDArray[Any]) -> Any:
 
 def _rows(rows: F32, told: npt.NDArray[Any], change: Any, turned: Any) -> F32:
     """Labels of rows, of strengths, changes of speed (m/s) and turns (rad) in half a second."""
+    yaw_rate = ((turned + math.pi) % (2 * math.pi) - math.pi) / (HELD_STEPS * DT_S)
+    back = _back_to_route(rows, change)
+    yaw_rate = np.where((told == 0.0) & np.isfinite(back), back, yaw_rate)
+    bins = np.reshape(_native.swift_bins(list(zip(change, yaw_rate, strict=True))), (-1, 2))
+    labels: F32 = np.column_stack([rows, told, bins]).astype(np.float32)
+    return labels
+
+
+def _back_to_route(rows: F32, change: Any) -> npt.NDArray[Any]:
+    """Yaw rates [n], rad/s, that lead onto the route; NaN for who stands or is far from it."""
     held_s = HELD_STEPS * DT_S
-    yaw_rate = ((turned + math.pi) % (2 * math.pi) - math.pi) / held_s
     speed = np.maximum(10.0 * rows[:, 0] + 0.5 * change, 0.0)
-    # where the route is: the vehicle beside it, metres, and its heading less the vehicle's, now and
-    # after the way of half a second
+    # how far the vehicle is beside the route, and the route's heading less the vehicle's by place
     places = rows[:, FIRST_PLACE:OWN].reshape(-1, len(PLACES_M), 4)
     beside_m, turns = 3.0 * rows[:, 11], np.arcsin(np.clip(places[..., 3], -1.0, 1.0))
     last = np.maximum(places[..., 2].sum(axis=1).astype(int) - 1, 0)
@@ -321,12 +329,8 @@ def _rows(rows: F32, told: npt.NDArray[Any], change: Any, turned: Any) -> F32:
     ahead = np.array([np.interp(w, PLACES_M, t) for w, t in zip(way_m, turns, strict=True)])
     back = speed * (ahead - turns[:, 0]) / np.maximum(way_m, 0.5) + 2.0 * RETURN_1PS * turns[:, 0]
     back -= RETURN_1PS**2 * beside_m / np.maximum(speed, 2.0)
-    back = np.clip(back, -0.35 * speed, 0.35 * speed)
     near = (last >= 1) & (speed > 0.3) & (np.abs(beside_m) < 6.0) & (np.abs(turns[:, 0]) < 0.78)
-    yaw_rate = np.where((told == 0.0) & near, back, yaw_rate)
-    bins = np.reshape(_native.swift_bins(list(zip(change, yaw_rate, strict=True))), (-1, 2))
-    labels: F32 = np.column_stack([rows, told, bins]).astype(np.float32)
-    return labels
+    return np.where(near, np.clip(back, -0.35 * speed, 0.35 * speed), np.nan)
 
 
 # the network
