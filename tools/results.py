@@ -283,7 +283,7 @@ def _seeds(folder: Path, source: str, workers: int) -> tuple[dict[str, Any], lis
 
     Weights of the others are in folders beside the run's, named as in tools/trainings.json.
     """
-    about, found = {}, list[dict[str, Any]]()
+    about, found = dict[str, Any](), list[dict[str, Any]]()
     for method in ("bits", "ctgpp", "ccdiff_equal"):
         network = method.removesuffix("_equal")
         row: dict[str, Any] = {"method": method}
