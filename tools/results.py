@@ -214,11 +214,8 @@ TABLES: dict[str, Made] = {
         "bench traffic --k 5 and bench realism --samples 16, with --weights of tools.train_all",
         ("method",),
         {
-            **{f"SCR, seed {k}": Column(f"scr_{k}", interval=False) for k in range(3)},
-            **{
-                f"realism, seed {k}": Column(f"realism_{k}", digits=3, interval=False)
-                for k in range(3)
-            },
+            **{f"SCR {k}": Column(f"scr_{k}", interval=False) for k in range(3)},
+            **{f"realism {k}": Column(f"realism_{k}", digits=3, interval=False) for k in range(3)},
         },
     ),
     "interventional": Made(
