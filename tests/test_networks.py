@@ -49,9 +49,7 @@ def plans(model, name, *, found=None, samples=1, weight=1.0, steps=5, guidance=N
         guidance_weight=weight,
         guidance=guidance,
         guided=guided,
-        collision_targets=None,
         attention=True,
-        gradient_statistics=False,
         follow_route="routes" in name,
     )
 
