@@ -20,6 +20,6 @@ pub fn off_road(states: &AgentStates, agent: usize, footprint: &Footprint, regio
     if region.holds_square(centre, reach_m) {
         return OffRoad::default();
     }
-    let corners = states.oriented_box(agent, footprint).corners();
-    OffRoad { corner: corners.iter().any(|c| !region.contains(*c)), centroid: !region.contains(centre) }
+    let body = states.oriented_box(agent, footprint);
+    OffRoad { corner: !region.holds_box(&body), centroid: !region.contains(centre) }
 }

@@ -6,7 +6,7 @@
 //! reference point's parity flipped once per edge that the segment crosses.
 
 use super::polygon::{near_origin, ring_edges};
-use super::{Point2, Polygon, Real, bounds};
+use super::{OrientedBox, Point2, Polygon, Real, bounds};
 
 /// Wanted side of a cell, metres.
 const CELL_M: f64 = 2.0;
@@ -182,6 +182,12 @@ impl Region {
             }
         }
         false
+    }
+
+    /// Whether all corners of a box are inside.
+    #[inline]
+    pub fn holds_box(&self, body: &OrientedBox) -> bool {
+        body.corners().iter().all(|corner| self.contains(*corner))
     }
 
     /// Whether the axis-aligned square round a point is certainly inside; false also when that is not known.

@@ -215,7 +215,7 @@ pub(super) fn contacts(scene: &Scene<'_>, forecast: &Forecast, rollout: &Rollout
 fn is_between_lanes(scene: &Scene<'_>, body: &OrientedBox, or_in_intersection: bool) -> bool {
     let (centre, corners) = (body.centre, body.corners());
     let ground = scene.ground(centre);
-    if ground.road.as_ref().is_some_and(|road| !corners.iter().all(|c| road.contains(*c))) {
+    if ground.road.as_ref().is_some_and(|road| !road.holds_box(body)) {
         return true;
     }
     let Some(lanes) = &ground.lanes else { return false };
@@ -247,7 +247,7 @@ fn road(scene: &Scene<'_>, rollout: &Rollout) -> (Real, Real) {
             let mut wide = own.at(pose);
             wide.half_length_m += margin_m;
             wide.half_width_m += margin_m;
-            wide.corners().iter().all(|corner| region.contains(*corner))
+            region.holds_box(&wide)
         };
         let is_on = inside(EDGE_M);
         let is_inside = is_on && inside(MARGIN_M);

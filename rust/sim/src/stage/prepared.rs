@@ -137,7 +137,7 @@ impl PreparedScene {
                 let height = self.log.height(a, *t).map(|height| height.elevation_m);
                 let Some(road) = &self.at(height).road else { return false };
                 let on = road.holds_square(pose.position, self.footprints[a].radius_m)
-                    || self.footprints[a].at(&pose).corners().iter().all(|c| road.contains(*c));
+                    || road.holds_box(&self.footprints[a].at(&pose));
                 std::mem::replace(&mut was_on, on) && !on
             };
             (0..self.scene.num_steps).filter(leaves).collect()

@@ -84,10 +84,10 @@ impl Watch {
     pub(super) fn leaves_road(&self, world: &WorldView<'_>, a: usize) -> bool {
         let own = &self.ways[a];
         let Some(road) = &world.scene.at(world.states.elevation_m(a)).road else { return false };
-        let is_off = |b: &OrientedBox| b.corners().iter().any(|c| !road.contains(*c));
+        let holds = |body: &OrientedBox| road.holds_box(body);
         !road.holds_square(own.middle, own.radius_m)
-            && !is_off(&own.boxes[0])
-            && own.boxes[1..].iter().any(is_off)
+            && holds(&own.boxes[0])
+            && !own.boxes[1..].iter().all(holds)
     }
 
     /// Whether an agent comes close to one that it minds. Those that touch it already or come from behind do not count.
