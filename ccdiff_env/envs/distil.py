@@ -269,8 +269,8 @@ def logged(scenes: SceneSet, *, seed: int = 0, starts: int = LOGGED_STARTS) -> F
         start_spread_steps=LOGGED_SPREAD,
         horizon_steps=HELD_STEPS + 1,
         driver="replay",
-        # no vehicle is CCDiff's, which has worlds keep the past that rows tell
-        traffic={"replay": 1.0 - 1e-6, "ccdiff": 1e-6},
+        # CCDiff, which drives nobody, has worlds keep the past that rows tell
+        traffic={"replay": 1.0, "ccdiff": 0.0},
     )
     moving = {scene.name: _moving(scene) for scene in listed}
     for first in [i for _ in range(starts) for i in range(0, len(listed), 48)]:
