@@ -51,14 +51,12 @@ test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install 
 	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
-lint: $(SO)  ## rustfmt, clippy, ruff, mypy, length of sentences, lines of rooms, the extension against its stub
+lint: $(SO)  ## rustfmt, clippy, ruff, mypy, the extension against its stub
 	cargo fmt --check
 	cargo clippy --locked --release --workspace --all-targets -- -D warnings
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m tools.words
-	$(BIN)/python -m tools.budget
 	$(BIN)/python -c "import torch; from mypy.stubtest import main; raise SystemExit(main())" \
 		ccdiff_env._native ccdiff_env._models --ignore-missing-stub
 
