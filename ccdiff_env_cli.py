@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Iterable, Sequence
 from importlib import import_module
@@ -103,6 +105,11 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     return parser_for(words).parse_args(words)
 
 
+def _interrupt(number: int, _: object) -> NoReturn:
+    """End as Ctrl-C does: SIGTERM is what schedulers and containers send, before they kill."""
+    raise KeyboardInterrupt(number)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
     if hasattr(sys.stdout, "reconfigure"):
@@ -111,6 +118,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     from ccdiff_env.errors import CcdiffError
 
     usual = warnings.formatwarning
+    if in_main := threading.current_thread() is threading.main_thread():
+        ended = signal.signal(signal.SIGTERM, _interrupt)
     warnings.formatwarning = lambda text, *_, **__: f"ccdiff-env {args.verb}: {text}\n"
     try:
         status: int = args.run(args)
@@ -121,9 +130,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (CcdiffError, OSError) as error:
         print(f"ccdiff-env {args.verb}: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         print("interrupted", file=sys.stderr)
-        return 130
+        return 128 + int(*interrupt.args or (signal.SIGINT,))
     finally:
         warnings.formatwarning = usual
+        if in_main:
+            signal.signal(signal.SIGTERM, ended)
     return status

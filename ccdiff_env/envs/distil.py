@@ -26,6 +26,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.models import weights_path
 from ccdiff_env.models.training import LICENCE
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.scenes import Scene, SceneSet
@@ -36,6 +37,8 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.scenes.sources import coverage, title
+from ccdiff_env.system.files import read_bytes
+from ccdiff_env.system.settings import keep_settings, sha256
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import SWIFT, CcdiffConfig, NamedDriver
 
@@ -100,7 +103,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Collect, train, fit; print where the weights are. What a run in ``--out`` has is kept."""
+    """Collect, train, fit; print where the weights are.
+
+    Labels and networks that a run in ``--out`` has finished are kept; a :class:`ConfigError`
+    refuses a run of another teacher, other scenes or other numbers.
+    """
     if find_spec("torch") is None:
         raise MissingFeatureError("distillation needs torch: pip install 'ccdiff-env[models]'")
     if not isinstance(args.teacher, Mapping):
@@ -109,7 +116,20 @@ def run(args: argparse.Namespace) -> int:
     fit = scenes_from(args, other=True)
     if len(fit) < 10:
         raise ConfigError(f"--fit-scenes: {len(fit)} scenes, expected at least 10")
-    args.out.mkdir(parents=True, exist_ok=True)
+    weights = weights_path(
+        teacher.get("weights", "fast"),
+        "ccdiff",
+        teacher["denoising_steps"],
+        teacher["follow_route"],
+    )
+    settings = {
+        "teacher": {**teacher, "weights": sha256(read_bytes(weights))},
+        **{
+            n: sha256(*(scene.hash for scene in of)) for n, of in (("scenes", scenes), ("fit", fit))
+        },
+        **{name: getattr(args, name) for name in ("rounds", "episodes", "updates", "seeds")},
+    }
+    keep_settings(args.out / "run.json", settings)
     began = time.process_time()
 
     def say(text: str) -> None:
@@ -151,7 +171,7 @@ def run(args: argparse.Namespace) -> int:
     say(f"IDM collides at {FITTED} with the teacher, at {TRIED} with {best.name}: {rates}")
     place = place_from(args)
     notes = {
-        "teacher": {k: v for k, v in teacher.items() if k != "weights"},
+        "teacher": settings["teacher"],
         "data": title(place, coverage(place, len(scenes))),
         "labels": [len(rows) for rows in rounds],
         "nats": [nats for nats, _ in networks],

@@ -10,6 +10,7 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.errors import DatasetNotFoundError
+from ccdiff_env.errors import CheckpointError, DatasetNotFoundError
 from ccdiff_env.planners import load
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
@@ -218,7 +219,10 @@ def update(
 
 
 def train(args: argparse.Namespace) -> None:
-    """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy."""
+    """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy.
+
+    Both are also written where the run is interrupted; one that diverges keeps its last ones.
+    """
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
@@ -263,6 +267,11 @@ def train(args: argparse.Namespace) -> None:
     anchor = still if args.anchor == "zero" else None if near is None else near.act
 
     def keep() -> None:
+        if not all(bool(weights.isfinite().all()) for weights in agent.parameters()):
+            raise CheckpointError(
+                f"training diverged within {done['decisions']} decisions: weights are not finite; "
+                f"{args.out} keeps what was saved before"
+            )
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
@@ -270,30 +279,37 @@ def train(args: argparse.Namespace) -> None:
         save_ego(file, agent.state_dict(), fitting, about)
 
     begin = shown = kept = time.perf_counter() - done["seconds"]
-    while done["decisions"] < args.decisions:
-        left = 1.0 - done["decisions"] / args.decisions
-        optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
-        with torch.no_grad():
-            agent.see(torch.from_numpy(worlds.obs))
-            data = rollout(agent, worlds, anchor)
-        moved = update(agent, optimiser, data, args.kl)
-        agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
-        done["decisions"] += len(data["x"])
-        done["updates"] += 1
-        done["seconds"] = now = time.perf_counter() - begin
-        if args.smoke or now - (shown - begin) > 30.0:
-            means = np.concatenate([*worlds.episodes, np.zeros((1, len(SHOWN)))])[:-1].mean(axis=0)
-            figures = " ".join(f"{n} {m:.3f}" for n, m in zip(SHOWN, means, strict=True))
-            noise = " ".join(f"{s:.2f}" for s in agent.log_std.exp().tolist())
-            print(
-                f"{now / 60:5.1f} min {done['decisions']:9d} decisions {figures} noise {noise} "
-                f"kl {moved:.3f}",
-                flush=True,
-            )
-            worlds.episodes.clear()
-            shown = time.perf_counter()
-        if time.perf_counter() - kept > 120.0:
+    try:
+        while done["decisions"] < args.decisions:
+            left = 1.0 - done["decisions"] / args.decisions
+            optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
+            with torch.no_grad():
+                agent.see(torch.from_numpy(worlds.obs))
+                data = rollout(agent, worlds, anchor)
+            moved = update(agent, optimiser, data, args.kl)
+            agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
+            done["decisions"] += len(data["x"])
+            done["updates"] += 1
+            done["seconds"] = now = time.perf_counter() - begin
+            if args.smoke or now - (shown - begin) > 30.0:
+                means = np.concatenate([*worlds.episodes, np.zeros((1, len(SHOWN)))])[:-1].mean(
+                    axis=0
+                )
+                figures = " ".join(f"{n} {m:.3f}" for n, m in zip(SHOWN, means, strict=True))
+                noise = " ".join(f"{s:.2f}" for s in agent.log_std.exp().tolist())
+                print(
+                    f"{now / 60:5.1f} min {done['decisions']:9d} decisions {figures} noise {noise} "
+                    f"kl {moved:.3f}",
+                    flush=True,
+                )
+                worlds.episodes.clear()
+                shown = time.perf_counter()
+            if time.perf_counter() - kept > 120.0:
+                keep()
+                kept = time.perf_counter()
+    except BaseException:
+        with suppress(CheckpointError):
             keep()
-            kept = time.perf_counter()
+        raise
     keep()
     print(f"policy in {args.out / 'ego.safetensors'}")

@@ -8,6 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,8 @@ from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator
 from ccdiff_env.models.weights import require_networks
 from ccdiff_env.scenes import Scene
-from ccdiff_env.system.files import read_text, reading, write_aside
+from ccdiff_env.system.files import read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.settings import keep_settings, kept_settings, refuse_others, sha256
 
 if TYPE_CHECKING:
     from ccdiff_env import _models
@@ -45,14 +47,16 @@ def train(
 ) -> Path:
     """Train a planning network and write its weights.
 
-    A run in ``out`` is resumed, exactly, with the settings it was started with. The learning rate
-    is constant and falls to zero over the last fifth of the steps or minutes. A run that has ended
-    goes on if ``steps`` is more: the rate falls from its peak to zero over the added steps.
+    A run in ``out`` is resumed, exactly, with the settings it was started with; others are refused.
+    The learning rate is constant and falls to zero over the last fifth of the steps or minutes. A
+    run that has ended goes on if ``steps`` is more: the rate falls from its peak to zero over the
+    added steps. A run that is interrupted, or diverges, keeps its last finite state.
 
     Args:
         scenes: Scenes to train on. Keep every validation scene out.
         out: Folder of the run: ``weights.safetensors`` (moving average, for use),
-            ``state.safetensors`` (for resuming), ``loss.csv``, ``validation.csv``.
+            ``state.safetensors`` (for resuming), ``run.json`` (settings and hashes), ``loss.csv``,
+            ``validation.csv``.
         held_out: Scenes for the validation curve.
         model: Which network, one of :data:`ccdiff_env.traffic.NETWORKS` (docs/rivals.md).
         preset: ``"fast"``, or ``"paper"`` (``ccdiff`` and ``ctgpp`` alone).
@@ -76,7 +80,8 @@ def train(
         Path: The weight file.
 
     Raises:
-        ConfigError: A setting is out of range, or no scene gives a sample.
+        ConfigError: A setting is out of range, no scene gives a sample, or the run in ``out`` is of
+            other scenes, settings or weights.
         CheckpointError: The run in ``out`` is damaged.
     """
     if (steps is None) == (minutes is None):
@@ -94,16 +99,27 @@ def train(
             if resumed
             else _models.model_preset(preset, model)
         )
-    if resumed and json.loads(config)["kind"] != model:
-        raise ConfigError(f"model is {model!r}, but {folder} holds a run of another one")
-    if not resumed:
-        if teacher is not None:
-            config = json.dumps(TrajectoryModel(teacher).header["model"])
-            settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
-        elif start is not None:
-            config = json.dumps({**json.loads(config), **TrajectoryModel(start).header["model"]})
-        training = json.dumps(_merged("training setting", json.loads(training), settings or {}))
-        config = json.dumps(_merged("part of the network", json.loads(config), network or {}))
+    given = {
+        "model": model,
+        "scenes": sha256(*(scene.hash for scene in scenes)),
+        "held_out": sha256(*(scene.hash for scene in held_out)),
+        "teacher": None if teacher is None else _digest(teacher),
+        **({} if start is None else {"start": _digest(start)}),
+    }
+    if not resumed and teacher is not None:
+        config = json.dumps(TrajectoryModel(teacher).header["model"])
+        settings = {"teacher_steps": 5, "learning_rate": 3e-4, **(settings or {})}
+    elif not resumed and start is not None:
+        config = json.dumps({**json.loads(config), **TrajectoryModel(start).header["model"]})
+    was = {"training": json.loads(training), "network": json.loads(config)}
+    changed = {
+        "training": _merged("training setting", was["training"], settings or {}),
+        "network": _merged("part of the network", was["network"], network or {}),
+    }
+    if resumed:
+        kept_settings(folder / "run.json", given)
+        refuse_others(folder, {"model": was["network"]["kind"], **was}, {"model": model, **changed})
+    training, config = (json.dumps(changed[part]) for part in ("training", "network"))
     with own_generator(int(json.loads(training)["seed"])):
         run = _models.Trainer(
             list(scenes),
@@ -121,6 +137,7 @@ def train(
             run.resume(os.fspath(state))
             if run.step >= 2**63:
                 raise CheckpointError(f"step is {run.step}")
+    keep_settings(folder / "run.json", given)
     notes = {"licence": LICENCE, "num_scenes": len(scenes), **(notes or {})}
     curves = Curves(folder, run.step)
     solver_steps, said = 5 if teacher is None else 1, ""
@@ -164,11 +181,15 @@ def train(
             if now - last > checkpoint_minutes * 60.0:
                 checkpoint()
                 last = time.monotonic()
+    except BaseException:
+        # also on Ctrl-C, so that nothing is lost; a run that diverged keeps its last finite state
+        with suppress(CheckpointError):
+            checkpoint()
+        raise
     finally:
-        # also on Ctrl-C, so that nothing is lost
-        checkpoint()
         if told:
             print(file=sys.stderr)
+    checkpoint()
     return weights
 
 
@@ -181,6 +202,11 @@ def _maybe_cool_down(
     elif elapsed_s >= total_s * (1.0 - _COOLDOWN_SHARE):
         pace = elapsed_s / (run.step - first) if run.step > first else 1.0
         run.cool_down(max(int((total_s - elapsed_s) / pace), 1))
+
+
+def _digest(weights: str | os.PathLike[str]) -> str:
+    with reading("weights", weights, CheckpointError):
+        return sha256(read_bytes(weights))
 
 
 def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

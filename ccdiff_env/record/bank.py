@@ -7,7 +7,6 @@ recorded again against the current ego.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import struct
@@ -22,8 +21,9 @@ from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.record.episode import begin, play, recorders_of, world_of_seat
 from ccdiff_env.record.rollout import as_scene
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.system.files import parsed_object, read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.files import read_bytes, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
+from ccdiff_env.system.settings import keep_settings, sha256
 from ccdiff_env.worlds import Scenes, scene_set
 
 FORMAT = "ccdiff-env bank 1"
@@ -78,24 +78,14 @@ def record_bank(
     chosen, root = scene_set(scenes), Path(folder)
     settings = {
         "format": FORMAT,
-        "ego": f"{Path(ego).name} {_digest(read_bytes(ego))}" if Path(ego).is_file() else ego,
+        "ego": f"{Path(ego).name} {sha256(read_bytes(ego))}" if Path(ego).is_file() else ego,
         "criticality": criticality,
         "seed": seed,
-        "scenes": _digest("".join(s.hash for s in chosen).encode()),
-        "weights": _digest(read_bytes(weights_path("fast"))),
+        "scenes": sha256(*(scene.hash for scene in chosen)),
+        "weights": sha256(read_bytes(weights_path("fast"))),
     }
-    root.mkdir(parents=True, exist_ok=True)
-    path = root / SETTINGS
-    with reading("bank", path):
-        known = parsed_object(read_text(path)) if path.exists() else settings
-    for name, value in settings.items():
-        if known.get(name) != value:
-            raise ConfigError(
-                f"{path}: a bank with {name} {known.get(name)!r}, now {value!r}; "
-                "choose another folder"
-            )
-    write_aside(path, json.dumps(settings, indent=1))
-    tag = _digest(json.dumps(settings).encode())[:6]
+    keep_settings(root / SETTINGS, settings)
+    tag = sha256(json.dumps(settings))[:6]
     jobs = []
     for draw in range(draws):
         for first in range(0, len(chosen), PIECE):
@@ -107,10 +97,6 @@ def record_bank(
     for _ in map(_record, jobs) if workers == 1 else results_of_processes(_record, jobs, workers):
         pass
     return load_bank(root)
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 def _record(job: tuple[Path, list[bytes], str, float, int, str]) -> None:

@@ -25,6 +25,9 @@ pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String,
         let count = flat.numel();
         let mut values = vec![0f32; count];
         flat.view([-1]).copy_data(&mut values, count);
+        if let Some(value) = values.iter().find(|v| !v.is_finite()) {
+            return Err(broken(path, name, value.to_string(), "finite numbers"));
+        }
         let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         let shape: Vec<usize> = tensor.size().iter().map(|s| *s as usize).collect();
         data.insert(name.as_str(), (shape, bytes));

@@ -1,0 +1,74 @@
+"""Settings of a run, kept in its folder: a folder belongs to one choice of what decides results."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+
+
+def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Write settings into the file of a run, which keeps what else it holds; return all of it.
+
+    Raises:
+        ConfigError: If the file holds others, see :func:`refuse_others`.
+        DatasetError: If the file is damaged.
+    """
+    known = {**kept_settings(path, settings), **settings}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_aside(path, json.dumps(known, indent=1, default=dict))
+    return known
+
+
+def kept_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the file of a run holds, nothing without one; raises as :func:`keep_settings`."""
+    with reading("settings of a run", path):
+        known = parsed_object(read_text(path)) if path.exists() else {}
+    if known:
+        refuse_others(path.parent, known, settings)
+    return known
+
+
+def refuse_others(folder: Path, known: Mapping[str, Any], settings: Mapping[str, Any]) -> None:
+    """Refuse settings that a run in a folder was not begun with: a :class:`ConfigError` names the
+    first, and both its values. What else the run is known by is not compared.
+    """
+    changed = first_change({name: known.get(name) for name in settings}, settings)
+    if changed is not None:
+        name, old, new = changed
+        raise ConfigError(
+            f"{folder} holds a run with other settings: {name} {old!r:.80}, now {new!r:.80}; "
+            "choose another folder"
+        )
+
+
+def first_change(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+    """Return in what two mappings differ first, as JSON has them: name, old and new value.
+
+    Names of mappings within follow those of their mapping: ``"scenes town"``.
+    """
+    old, new = (_flat(json.loads(json.dumps(both, default=dict))) for both in (then, now))
+    for name in (*new, *old):
+        if old.get(name) != new.get(name):
+            return name, old.get(name), new.get(name)
+    return None
+
+
+def _flat(settings: Mapping[str, Any], head: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in settings.items():
+        found |= _flat(value, f"{head}{name} ") if isinstance(value, dict) else {head + name: value}
+    return found
+
+
+def sha256(*parts: bytes | str) -> str:
+    """Return the SHA-256 of bytes and texts, one after another."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part.encode() if isinstance(part, str) else part)
+    return found.hexdigest()

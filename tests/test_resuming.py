@@ -1,0 +1,127 @@
+"""Runs that go on in their folder: others are refused, and what ends a run early loses nothing."""
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from test_models import QUICK, road
+
+from ccdiff_env import cli
+from ccdiff_env.envs import distil
+from ccdiff_env.errors import CcdiffError, ConfigError
+from ccdiff_env.models import TrajectoryModel, shipped_weights, train, training
+from ccdiff_env.system.settings import keep_settings
+
+torch = pytest.importorskip("torch")
+
+
+def test_a_folder_keeps_one_choice_of_settings(tmp_path):
+    path = tmp_path / "run" / "run.json"
+    first = {"seed": 3, "scenes": {"town": "ab"}, "modes": (1, 2)}
+    assert keep_settings(path, first)["modes"] == (1, 2)
+    keep_settings(path, {"more": None})
+    assert json.loads(path.read_text()) == {**first, "modes": [1, 2], "more": None}
+    for changed, said in (
+        ({"seed": 4}, "seed 3, now 4"),
+        ({"scenes": {"town": "cd"}}, "scenes town 'ab', now 'cd'"),
+        ({"scenes": {}}, "scenes town 'ab', now None"),
+        ({"modes": [2]}, r"modes \[1, 2\], now \[2\]"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            keep_settings(path, {**first, **changed})
+
+
+def test_a_training_goes_on_with_what_it_was_begun_with(tmp_path):
+    begun = {"settings": QUICK, "held_out": [road()], "progress": False, "out": tmp_path}
+    train([road()], steps=1, **begun)
+    for changed, said in (
+        ({"settings": {**QUICK, "seed": 9}}, "training seed 0, now 9"),
+        ({"network": {"width": 32}}, "network width 64, now 32"),
+        ({"held_out": []}, "held_out '.*', now '.*'"),
+        ({"teacher": shipped_weights()}, "teacher None, now '.*'"),
+        ({"start": shipped_weights()}, "start None, now '.*'"),
+        ({"model": "ctg"}, "model 'ccdiff', now 'ctg'"),
+    ):
+        with pytest.raises(ConfigError, match=f"other settings: {said}"):
+            train([road()], steps=2, **{**begun, **changed})
+    with pytest.raises(ConfigError, match="other settings: scenes"):
+        train([road(), road()], steps=2, **begun)
+    train([road()], steps=2, **begun)
+
+
+def test_a_training_that_diverges_keeps_its_last_finite_state(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "_CHUNK", 1)
+    options = {"out": tmp_path, "checkpoint_minutes": 0.0, "progress": False}
+    with pytest.raises(CcdiffError):
+        train([road()], steps=200, settings={**QUICK, "learning_rate": 1e12}, **options)
+    step = TrajectoryModel(tmp_path / "weights.safetensors").header["step"]
+    assert 0 < step < 200
+    # the state is the same step's, and can be read to the last number
+    train([road()], steps=step, **options)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monkeypatch, capsys):
+    from ccdiff_env.envs import ppo
+
+    def interrupted(command, place, name, when):
+        """Run a command that the signal meets in a call; expect its end by the signal."""
+        real, calls = getattr(place, name), []
+
+        def meets(*given, **more):
+            calls.append(name)
+            if len(calls) == when:
+                signal.raise_signal(number)
+            return real(*given, **more)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(place, name, meets)
+            assert cli.main(command) == 128 + number
+        assert capsys.readouterr().err.endswith("interrupted\n")
+
+    ego = ["train-ego", "--worlds", "16", "--decisions", "768", "--threads", "1"]
+    ego += ["--scenes", "embedded/train?limit=4", "--out", str(tmp_path / "ego")]
+    interrupted(ego, ppo, "rollout", 3)
+    done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
+    assert (done["updates"], done["decisions"]) == (2, 512)
+    assert (tmp_path / "ego" / "ego.safetensors").is_file()
+    assert cli.main([*ego, "--resume"]) == 0
+    done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
+    assert (done["updates"], done["decisions"]) == (3, 768)
+
+    one = ["train", "--scenes", "embedded/train?limit=4", "--hold-out-every", "4", "--quiet"]
+    one += ["--batch-scenes", "1", "--steps", "3", "--out", str(tmp_path / "train")]
+    monkeypatch.setattr(training, "_CHUNK", 1)
+    interrupted(one, training.Curves, "write", 2)
+    state = tmp_path / "train" / "weights.safetensors"
+    assert TrajectoryModel(state).header["step"] == 2
+    assert cli.main(one) == 0
+    assert TrajectoryModel(state).header["step"] == 3
+
+
+def test_a_distillation_belongs_to_one_teacher_and_keeps_what_is_finished(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(distil, "LOGGED_STARTS", 1)
+    monkeypatch.setattr(distil, "fitted_dial", lambda *_: ([[0.0, 0.0], [1.0, 1.0]], {}))
+    words = ["distil", "--scenes", "embedded/val", "--fit-scenes", "embedded/val", "--rounds", "1"]
+    words += ["--episodes", "4", "--updates", "4", "--seeds", "1", "--out", str(tmp_path)]
+    teacher = ["--teacher", '{"denoising_steps": 1}']
+    with monkeypatch.context() as patch:
+        patch.setattr(distil, "train", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
+        assert cli.main([*words, *teacher]) == 143
+    labels = {file: file.stat().st_mtime_ns for file in tmp_path.glob("labels-*.npy")}
+    assert {file.name for file in labels} == {"labels-fit.npy", "labels-log.npy", "labels-0.npy"}
+    capsys.readouterr()
+    for changed, said in (
+        (["--teacher", '{"denoising_steps": 1, "criticality": 2}'], "teacher criticality 6.0, now"),
+        (["--teacher", "{}"], "teacher denoising_steps 1, now 5"),
+        ([*teacher, "--updates", "5"], "updates 4, now 5"),
+        ([*teacher, "--scenes", "embedded/train"], "scenes '"),
+    ):
+        assert cli.main([*words, *changed]) == 2
+        assert f"other settings: {said}" in capsys.readouterr().err
+    assert cli.main([*words, *teacher]) == 0
+    assert {file: file.stat().st_mtime_ns for file in labels} == labels
+    assert np.load(next(iter(labels))).size > 0
