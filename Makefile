@@ -35,7 +35,7 @@ lock:  ## newest releases into requirements.lock, which setup installs
 
 demo: $(SO)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
 	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(SCENES),--scenes $(SCENES)) $(DEMO)
-	-$(BIN)/ccdiff-env view tee-crossing-04 --traffic ccdiff --criticality 1 --driver runs/demo/ego.zip --compare log --out runs/demo/episode.html --open
+	$(BIN)/ccdiff-env view tee-crossing-04 --traffic ccdiff --criticality 1 --driver runs/demo/ego.zip --compare log --out runs/demo/episode.html --open
 
 test: test-rust test-py  ## every test
 

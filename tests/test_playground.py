@@ -11,7 +11,7 @@ from ccdiff_env import cli
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import play
-from ccdiff_env.view.captions import driver_of, guided_agents
+from ccdiff_env.view.captions import driver_of, guided_agents, still
 from ccdiff_env.view.link import play_drive, read_drive, top_speed_mps, world_config
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.play import SCENES, playground_html
@@ -19,7 +19,7 @@ from ccdiff_env.view.sources import play_scene
 from tools.playground import compiled, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
-NAMES = ("cut-in-04", "pedestrians-00")
+NAMES = ("cut-in-04", "pedestrians-00", "left-turn-03", "pedestrians-02")
 
 
 @pytest.fixture(scope="module")
@@ -199,15 +199,50 @@ def test_an_end_card_names_the_trained_ego(playground):
     assert "still driving" not in text
 
 
-@pytest.mark.parametrize("drive", ["b150", "c150", "e40a110"])
-@pytest.mark.parametrize("traffic", ["ccdiff&criticality=2", "replay"])
-def test_a_verdict_has_the_words_of_replays(playground, traffic, drive):
-    page = playground(hash=f"#scene=cut-in-04&traffic={traffic}&drive={drive}")
+@pytest.mark.parametrize(
+    "hash",
+    [
+        *(
+            f"scene=cut-in-04&traffic={traffic}&drive={drive}"
+            for traffic in ("ccdiff&criticality=2", "replay")
+            for drive in ("b150", "c150", "e40a110", "b20a130")
+        ),
+        "scene=left-turn-03&traffic=ccdiff&criticality=1&drive=b17",
+        "scene=pedestrians-02&traffic=ccdiff&criticality=1&drive=b60",
+        "scene=left-turn-03&traffic=idm&drive=b8c142",
+    ],
+)
+def test_a_verdict_has_the_words_of_replays(playground, hash):
+    page = playground(hash=f"#{hash}")
     page.until("drive.outcome", 60)
+    found = outcome(play_drive(page.evaluate("drive.link")))
+    said = {name: getattr(found, name) for name in ("tone", "text", "fault")}
+    assert page.evaluate("drive.outcome") == said
+    for place in ("#verdict", "#outcome"):
+        assert page.inner_text(f"{place} .verdict") == found.text
+        assert page.locator(f"{place} .fault").all_inner_texts() == [found.fault] * bool(
+            found.fault
+        )
+
+
+def test_a_vehicle_that_waits_in_the_log_is_solid_once_it_moves(playground):
+    keys = "b4a7e4c2k2c5f2b4c4b6f1g3j5b2c4f4b10g2f2k6a8"
+    page = playground(hash=f"#scene=left-turn-03&traffic=ccdiff&criticality=1&drive={keys}")
+    page.until("drive.outcome", 60)
+    solid = page.evaluate("drive.runs[0].agents.map((agent) => !agent.still)")
     rollout = play_drive(page.evaluate("drive.link"))
-    assert page.inner_text("#verdict") == outcome(rollout).text
-    text = page.evaluate("drive.outcome.text")
-    assert page.inner_text("#outcome") == text
+    assert not (~np.array(solid) & ~still(rollout)).any()
+    assert page.evaluate("drive.log.agents[2].still && !drive.runs[0].agents[2].still")
+
+
+def test_a_hostile_link_opens_the_page_and_drives_no_longer_than_any(playground):
+    for name in ("toString", "constructor", "__proto__"):
+        page = playground(hash=f"#scene=cut-in-04&scene=pedestrians-00&traffic={name}")
+        assert page.evaluate("drive.key.split('&').slice(0, 2)") == [
+            "scene=cut-in-04", "traffic=ccdiff",
+        ]  # fmt: skip
+    page = playground(hash=f"#scene=cut-in-04&traffic=replay&drive={'c999' * 50_000}")
+    assert page.evaluate("drive.script.length") == 150
 
 
 @pytest.mark.parametrize(
@@ -223,6 +258,13 @@ def test_a_verdict_has_the_words_of_replays(playground, traffic, drive):
 def test_a_broken_link_is_refused_by_what_is_wrong(link, said):
     with pytest.raises(ConfigError, match=said):
         read_drive(link)
+
+
+def test_of_a_key_that_a_link_has_twice_the_first_counts():
+    drive = read_drive("#scene=cut-in-04&scene=b&traffic=idm&traffic=me&drive=b1&drive=z")
+    assert (drive.scene, drive.traffic, drive.keys) == ("cut-in-04", "idm", (1,))
+    with pytest.raises(ConfigError, match="traffic is ''"):
+        read_drive("#scene=cut-in-04&traffic=&traffic=idm&drive=b1")
 
 
 def test_the_verb_writes_a_page_of_scenes_of_ones_own(tmp_path, monkeypatch, capsys):

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import webbrowser
 import zlib
 from dataclasses import replace
 
@@ -106,7 +107,7 @@ def test_collisions_are_told_once_in_the_lane_of_who_is_driven(events, expected)
     ids = run.agent_ids
     events = tuple(RolloutEvent(s, ids[a], ids[b], f"collision_{of}") for s, a, b, of in events)
     shown = shown_events(replace(run, events=events))
-    told = [tuple(e[key] for key in ("kind", "lane", "agent", "partner")) for e in shown]
+    told = [(e["kind"], e["lane"], *sorted((e["agent"], e["partner"]))) for e in shown]
     assert told == expected
 
 
@@ -294,6 +295,14 @@ def test_the_verb_says_what_is_wrong(words, out, message, tmp_path, capsys):
     assert cli.main(["view", *options, "-o", str(tmp_path / out)]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / out).exists()
+
+
+def test_where_no_browser_is_found_the_page_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(webbrowser, "open", lambda _: False)
+    out = tmp_path / "page.html"
+    assert cli.main(["view", "left-turn-00", "--open", "-o", str(out)]) == 0
+    said = capsys.readouterr()
+    assert (said.out, said.err) == (f"{out}\n", f"no browser was found: open {out.as_uri()}\n")
 
 
 def test_the_scenes_are_listed(capsys):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from array_scenes import rebuilt
 from browser_page import Page
+from test_view_outcome import behind_a_car
 from view_rollouts import planned_rollout
 
 from ccdiff_env.record.rollout import RolloutEvent
@@ -36,14 +37,16 @@ def test_one_run_alone_is_spoken_of_alone(visit):
     page.frames()
     assert page.evaluate("replay.told.map((run) => run.title)") == ["log"]
     assert "drove" not in page.inner_text("#events")
-    meets = page.evaluate("Boolean(replay.runs[1].meeting(0, 20))")
-    assert ("contact in" in page.inner_text("#captions")) == meets
+    meets = page.evaluate("replay.runs[1].meeting(0, 20)?.[2] <= 4")
+    assert ("on course" in page.inner_text("#captions")) == meets
 
 
 def test_the_verdict_and_the_events_are_listed_and_a_click_goes_there(visit):
     page = visit("one.html")
     assert "ego drove into 1" in page.inner_text("#outcome .verdict")
-    assert "at 3.0 s, at fault" in page.inner_text("#outcome .verdict")
+    assert page.inner_text("#outcome .verdict").endswith(" m/s")
+    assert page.inner_text("#outcome .fault") == page.inner_text(".event .fault") == "at fault"
+    assert page.inner_text(".events-head") == "Ego: 1 event"
     events = page.locator(".event")
     assert events.count() == 1
     page.evaluate("replay.seek(7)")
@@ -202,7 +205,7 @@ def test_a_map_without_lanes_says_so(browser, visit, tmp_path):
 def test_a_slider_chooses_the_run_that_is_seen_and_told(browser, tmp_path):
     run = planned_rollout()
     late = (RolloutEvent(60, "ego", None, "goal"),)
-    runs = [replace(run, events=late), run]
+    runs = [replace(run, events=late), behind_a_car()]
     write_page(run, tmp_path / "s.html", compare=runs, titles=tuple("012"), slider=True)
     page = Page(browser, tmp_path / "s.html", "#t=3.5")
     assert page.locator(".map:visible").count() == 1
@@ -223,10 +226,23 @@ def test_a_slider_chooses_the_run_that_is_seen_and_told(browser, tmp_path):
     assert page.input_value("#choice input") == "2"
     # what became of each stop is below the track
     assert page.evaluate("[...document.querySelectorAll('.dots i')].map((i) => i.className)") == [
-        "bad", "good", "bad",
+        "bad", "good", "blocked",
     ]  # fmt: skip
     assert page.inner_text("#captions").count("driven by") == 1
     assert page.faults == []
+
+
+def test_a_run_that_has_ended_says_so(browser, tmp_path):
+    run = planned_rollout()
+    tracks = {name: values[:, :41] for name, values in run.tracks().items()}
+    ended = replace(run, **tracks, info={}, plans=(), events=())
+    write_page(run, tmp_path / "two.html", compare=[ended])
+    page = Page(browser, tmp_path / "two.html", "#t=3.9")
+    assert "ended" not in page.inner_text("#captions")
+    page.evaluate("replay.seek(replay.start + 6)")
+    page.frames()
+    assert page.inner_text("#captions").count("ended at 4.0 s") == 1
+    page.context.close()
 
 
 def test_a_tall_map_has_the_ego_heading_up_and_an_address_says_otherwise(visit):

@@ -148,7 +148,7 @@ REALISM = {
 }
 #: Planners of the dial likewise.
 DIAL = {
-    "lane_idm": ("IDM", ("orange", "^")),
+    "lane_idm": ("IDM on lanes", ("orange", "^")),
     "pdm": ("PDM-Closed", ("purple", "D")),
     "ego": ("trained ego", ("blue", "o")),
 }

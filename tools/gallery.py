@@ -35,7 +35,7 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
         ]
         critical, calm = map(outcome, pair)
         if critical.tone == "bad" and (calm.tone, calm.others) == ("good", 0):
-            shown.append((critical.mishap != "is hit", (scene.name, TITLES, pair)))
+            shown.append((critical.fault != "not at fault", (scene.name, TITLES, pair)))
     shown.sort(key=lambda entry: entry[0])
     title = f"Gallery, {len(shown)} of {len(scenes)} scenes: criticality makes the ego collide"
     return write_index((page for _, page in shown), folder, title, home=HOME)

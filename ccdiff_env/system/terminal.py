@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from itertools import groupby, zip_longest
 from pathlib import Path
 
-from ccdiff_env.errors import ConfigError
-
 ENDLESS = 1_000_000  #: Width where nothing says how wide the terminal is: a pipe.
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _BEST = re.compile(r"\*\*(.+)\*\*")
@@ -59,13 +57,13 @@ def _aligned(lines: Sequence[str], width: int) -> list[str]:
 
 
 def say_page(path: Path, *, open_it: bool = False) -> None:
-    """Print the path of a page, how to open it where this is a terminal, and open it if wanted:
-    without a browser a :class:`ConfigError`.
+    """Print the path of a page and open it if wanted; where no browser does, or this is a terminal,
+    print how to open it.
     """
     print(path)
     address = path.resolve().as_uri()
     if open_it:
         if not webbrowser.open(address):
-            raise ConfigError(f"--open: no browser was found; open {address}")
+            print(f"no browser was found: open {address}", file=sys.stderr)
     elif sys.stdout.isatty():
         print(f"open {address}", file=sys.stderr)

@@ -93,8 +93,7 @@ def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequenc
     """A replay in the index: a link with an image of the moment that matters."""
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
     video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
-    # with fewer colours those of small things, as the ego's, are lost
-    image = data_address(video.frame(video.moment), 256)
+    image = data_address(video.frame(video.moment))
     name = html.escape(title, quote=True)
     href = html.escape(address(page, time_s=moment, play=True), quote=True)
     return (

@@ -71,7 +71,8 @@ def read_drive(link: str) -> Drive:
     """Read a link that *Share this drive* has made; a :class:`ConfigError` names a part of it that
     is missing, unknown or out of range.
     """
-    found = {name: values[-1] for name, values in parse_qs(urlsplit(link).fragment).items()}
+    parts = parse_qs(urlsplit(link).fragment, keep_blank_values=True)
+    found = {name: values[0] for name, values in parts.items()}  # as the page reads it
     if missing := {"scene", "traffic", "drive"} - set(found):
         raise ConfigError(f"link: no {min(missing)}, expected scene, traffic and drive")
     if found["traffic"] not in TRAFFIC:

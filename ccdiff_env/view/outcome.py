@@ -2,39 +2,66 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import agent_titles, guided_agents, is_collision, is_log, reach_m
+from ccdiff_env.view.contact import WAITS_MPS, blocker, impact
 
 Lane = Literal["ego", "guided", "others"]
-Tone = Literal["bad", "good", "plain"]
+Tone = Literal["bad", "good", "blocked", "plain"]
+#: Of a collision, by the speeds along its normal: who brings more hits; who brings less is hit.
+Role = Literal["", "hits", "hit", "met"]
 
-STATIONARY_MPS = 0.1  #: Who is slower when boxes meet did not drive into anybody.
+STATIONARY_MPS = 0.1  #: Who is slower when the log reaches it stood there.
 LEAD_S = 2.0  #: Replays open so long before what they open for.
-ENDS = ("goal", "time_limit")
+ENDS = ("goal", "time_limit", "blocked")
 WAITED_M = 2.0  #: An ego that moves less than this, as its log does, waited.
-#: What is said of collisions.
-COLLISIONS = {
-    "collision_front": "{one} {went} into {other}",
-    "standing": "{one} hit in front by {other}",
-    "collision_rear": "{one} hit from behind by {other}",
-    "collision_side": "{one} hit in the side by {other}",
-    "static": "{one} hit {other}",
+#: What befell the ego, in the index of replays.
+MISHAPS = {
+    "hits": "drives into somebody",
+    "hit": "is hit",
+    "met": "meets somebody",
+    "off_road": "leaves the road",
 }
-#: What is said of those of the ego that are its fault, and of one in front that is not.
-AT_FAULT = {
-    "collision_front": "{one} drove into {other}",
-    "collision_rear": "{one} backed into {other}",
-    "collision_side": "{one} brushed against {other}",
-    "static": "{one} hit {other}",
+PASSES_MPS = 3.0  #: Nobody walks into a vehicle that is faster: it runs into who walks.
+#: What is said on pages, in films and in the playground. In a contact the agent that is spoken of
+#: ``hits`` the other one, by how it moves, or is ``hit``, on the side that the other one came to.
+WORDS: dict[str, Any] = {
+    "hits": {
+        "into": "{went} into {other}",
+        "back": "backed into {other}",
+        "aside": "brushed against {other}",
+        "static": "hit {other}",
+    },
+    "hit": {
+        "front": "hit in front by {other}",
+        "rear": "hit from behind by {other}",
+        "side": "hit in the side by {other}",
+    },
+    "met": "met {other}",
+    "goes": {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode", "else": "drove"},
+    "fault": ["not at fault", "at fault"],
+    "off_road": "left the road",
+    "goal": "reached its goal",
+    "waited": "waited, as in its log",
+    "blocked": "blocked by {other} for {seconds} s",
+    "on_its_way": "on its way, {share} % in {seconds} s",
+    "late": "late, {share} % in {seconds} s",
+    # of the trained ego in the playground, by the info column that ends its drive
+    "rival": {
+        "collision": "collided at",
+        "off_road": "off the road at",
+        "goal_reached": "at its goal at",
+        "else": "not at its goal in",
+    },
 }
-STOPPED = "{one} had stopped and was hit in front by {other}"
-GOES = {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode"}  #: How kinds of agents go.
 
 
 @dataclass(frozen=True)
@@ -42,8 +69,9 @@ class Happening:
     """One thing that happened at a recorded step to an agent and a partner (indices, -1 for none).
 
     Both sides of a collision are one. ``lane`` says whose it is: the ego's, that of a guided
-    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"off_road"``, ``"goal"`` or
-    ``"time_limit"``.
+    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"off_road"``, ``"goal"``,
+    ``"blocked"`` or ``"time_limit"``. ``fault`` is nuPlan's word on a collision of the ego, and
+    ``closing_mps`` how fast the two of a collision approached.
     """
 
     step: int
@@ -51,37 +79,41 @@ class Happening:
     partner: int
     lane: Lane
     kind: str
-    text: str
+    who: str
+    did: str
+    role: Role = ""
+    fault: str = ""
+    closing_mps: float | None = None
+
+    def told(self, when: str = "", who: str | None = None) -> str:
+        """Return it in words, with a time where it has one."""
+        speed = "" if self.closing_mps is None else f", {self.closing_mps:.1f} m/s"
+        return f"{self.who if who is None else who} {self.did}{when}{speed}"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of the ego in words, whether it is bad or good, and collisions of others alone.
+    """What became of the ego in words, and collisions of others alone.
 
-    ``opening_s`` is a moment before what matters most, ``decided_s`` when it is known; both count
-    from the start.
+    ``tone`` is ``"bad"`` after an accident of the ego at any time, else ``"good"`` at its goal.
+    ``fault`` is nuPlan's word on its collision, or "". ``mishap`` is what befell it: it "is hit",
+    "drives into somebody", "meets somebody", "leaves the road", or "". ``opening_s`` is a moment
+    before what matters most, ``decided_s`` when it is known; both count from the start.
     """
 
     tone: Tone
     text: str
+    fault: str
+    mishap: str
     others: int
     opening_s: float
     decided_s: float
 
     @property
-    def mishap(self) -> str:
-        """What befell the ego: it "is hit", "drives into somebody", "leaves the road", or ""."""
-        if self.tone != "bad":
-            return ""
-        if "not at fault" in self.text:
-            return "is hit"
-        return "drives into somebody" if "at fault" in self.text else "leaves the road"
-
-    @property
     def line(self) -> str:
-        """The text, and the number of collisions among the others."""
-        s = "s" * (self.others != 1)
-        return f"{self.text} · others: {self.others} collision{s}" if self.others else self.text
+        """The text, whose fault it was, and the number of collisions among the others."""
+        others = f"others: {counted(self.others, 'collision')}" if self.others else ""
+        return " · ".join(filter(None, [self.text, self.fault, others]))
 
 
 def happenings(rollout: Rollout) -> list[Happening]:
@@ -90,7 +122,10 @@ def happenings(rollout: Rollout) -> list[Happening]:
     Left out: boxes of two that follow the log, and of one that does and another that stands;
     vehicles that leave the road unguided, since many do in their logs.
     """
-    return sorted(_happenings(rollout), key=lambda h: (h.step, h.lane != "ego", h.agent))
+    return sorted(
+        _happenings(rollout),
+        key=lambda h: (h.step, h.lane != "ego", h.agent, h.kind != "collision"),
+    )
 
 
 def outcome(rollout: Rollout) -> Outcome:
@@ -99,96 +134,119 @@ def outcome(rollout: Rollout) -> Outcome:
     others = sum(h.kind == "collision" and h.lane != "ego" for h in found)
     tone, text, moment = _fate(rollout, [h for h in found if h.lane == "ego"])
     decided_s = (rollout.num_steps - 1 if moment is None else moment.step) * rollout.dt_s
+    fault, mishap = (
+        ("", "") if moment is None else (moment.fault, MISHAPS.get(moment.role or moment.kind, ""))
+    )
     if moment is None:
         moment = next((h for h in found if h.kind == "collision"), None)
     step = 0 if moment is None or moment.kind in ENDS else moment.step
-    return Outcome(tone, text, others, max(0.0, step * rollout.dt_s - LEAD_S), decided_s)
+    opening_s = max(0.0, step * rollout.dt_s - LEAD_S)
+    return Outcome(tone, text, fault, mishap, others, opening_s, decided_s)
 
 
 def _fate(rollout: Rollout, own: list[Happening]) -> tuple[Tone, str, Happening | None]:
-    """Tone, words, and the happening of the ego that decides."""
+    """Tone, words, and the happening of the ego that decides: its first accident, if it has one."""
     if "ego" not in rollout.agent_ids:
         return "plain", "no ego", None
     if is_log(rollout):
         return "plain", "as recorded", None
-    ends = {h.kind: h for h in own}
-    goal, seconds = ends.get("goal"), (rollout.num_steps - 1) * rollout.dt_s
-    driven = [h for h in own if goal is None or h.step <= goal.step]
-    bad = next((h for h in driven if h.kind in ("collision", "off_road")), None)
+    when = {h: f" at {h.step * rollout.dt_s:.1f} s" for h in own}
+    goal = next((h for h in own if h.kind == "goal"), None)
+    bad = next((h for h in own if h.kind in ("collision", "off_road")), None)
+    if bad is not None and goal is not None and bad.step > goal.step:
+        return "bad", f"{goal.told(when[goal])}, {bad.told(when[bad], 'then')}", bad
     if bad is not None:
-        what, comma, fault = bad.text.partition(", ")
-        text = f"{what} at {bad.step * rollout.dt_s:.1f} s{comma}{fault}"
-        return "bad", text if goal is None else f"{text}, reached its goal", bad
+        return "bad", bad.told(when[bad]) + (f", {WORDS['goal']}" if goal else ""), bad
     if goal is not None:
-        return "good", f"ego reached its goal at {goal.step * rollout.dt_s:.1f} s", goal
-    if "time_limit" in ends:
-        return "plain", ends["time_limit"].text, ends["time_limit"]
-    return "plain", f"ego drove {seconds:.1f} s, hit nobody", None
+        return "good", goal.told(when[goal]), goal
+    end = next((h for h in own if h.kind in ENDS), None)
+    if end is not None:
+        return "blocked" if end.kind == "blocked" else "plain", end.told(), end
+    return "plain", f"ego drove {(rollout.num_steps - 1) * rollout.dt_s:.1f} s, hit nobody", None
 
 
 def _happenings(rollout: Rollout) -> Iterator[Happening]:
     number = {name: i for i, name in enumerate(rollout.agent_ids)}
     guided = guided_agents(rollout)
-    kinds = rollout.scene.agent_types
     names = _names(rollout)
     standing = np.linalg.norm(rollout.velocity, axis=-1) < STATIONARY_MPS
     replays = [name == "replay" for name in rollout.driver_names]
-    sides: dict[tuple[int, frozenset[int]], list[RolloutEvent]] = {}
+    arrived = {event.agent_id for event in rollout.events if event.kind == "goal"}
+    sides: dict[tuple[int, frozenset[int]], dict[int, RolloutEvent]] = {}
     for event in rollout.events:
         agent, lane = number[event.agent_id], _lane(guided, event.agent_id)
         if event.partner_id is not None:
             if is_collision(rollout, event):
                 pair = frozenset((agent, number[event.partner_id]))
-                sides.setdefault((event.step, pair), []).append(event)
+                sides.setdefault((event.step, pair), {})[agent] = event
+        elif event.kind == "time_limit":
+            if event.agent_id not in arrived:
+                kind, did = _end(rollout, agent, names)
+                yield Happening(event.step, agent, -1, lane, kind, names[agent], did)
         elif event.kind != "off_road" or lane != "others":
-            words = _WORDS.get(event.kind, event.kind.replace("_", " "))
-            if event.kind == "time_limit":
-                words = _late(rollout, agent)
-            yield Happening(event.step, agent, -1, lane, event.kind, f"{names[agent]} {words}")
-    for (step, _), events in sides.items():
-        first = min(events, key=_importance)
-        agent, partner = number[first.agent_id], number[str(first.partner_id)]
+            did = WORDS.get(event.kind, event.kind.replace("_", " "))
+            yield Happening(event.step, agent, -1, lane, event.kind, names[agent], did)
+    for (step, pair), seen in sides.items():
+        lane = _lane(guided, *(rollout.agent_ids[i] for i in pair))
         stood = standing[:, max(step - 1, 0)]
-        lane = _lane(guided, first.agent_id, str(first.partner_id))
         # the log walks and drives through what stands where nobody stood
-        blind = any(replays[i] and stood[j] for i, j in ((agent, partner), (partner, agent)))
-        if blind and lane != "ego":
-            continue
-        went = GOES.get(kinds[agent], "drove")
-        text = _collision(first, bool(stood[agent]), names[agent], names[partner], went)
-        yield Happening(step, agent, partner, lane, "collision", text)
+        blind = any(replays[i] and stood[j] for i in pair for j in pair - {i})
+        if not blind or lane == "ego":
+            yield _collision(rollout, step, lane, seen, names)
 
 
-_WORDS = {"off_road": "left the road", "goal": "reached its goal"}
-
-
-def _late(rollout: Rollout, agent: int) -> str:
-    """What is said of an agent whose time has run out."""
+def _end(rollout: Rollout, agent: int, names: list[str]) -> tuple[str, str]:
+    """What has become of an agent whose time has run out: its kind, and words."""
     log = rollout.scene.tracks()
     steps = slice(rollout.start_step, rollout.start_step + rollout.num_steps)
     own = rollout.position[agent, rollout.valid[agent]]
     logged = log["position"][agent, steps][log["valid"][agent, steps]]
     if max(reach_m(own), reach_m(logged)) < WAITED_M:
-        return "waited, as in its log"
-    return f"not at its goal in {(rollout.num_steps - 1) * rollout.dt_s:.1f} s"
+        return "time_limit", WORDS["waited"]
+    if (found := blocker(rollout, agent)) is not None:
+        words = WORDS["blocked"].replace("{seconds}", f"{found[1]:.1f}")
+        return "blocked", words.replace("{other}", names[found[0]])
+    moves = np.hypot(*rollout.velocity[agent, -1]) >= WAITS_MPS
+    seconds = f"{(rollout.num_steps - 1) * rollout.dt_s:.1f}"
+    words = WORDS["on_its_way" if moves else "late"].replace("{seconds}", seconds)
+    share = rollout.info.get("route_completion")
+    if share is None or not len(share):
+        return "time_limit", words.partition(",")[0]
+    return "time_limit", words.replace("{share}", str(math.floor(100.0 * float(share[-1]))))
 
 
-def _importance(event: RolloutEvent) -> tuple[bool, bool, str]:
-    """The ego's side of a collision comes first, then that of who drives into the other."""
-    return event.agent_id != "ego", event.kind != "collision_front", event.agent_id
-
-
-def _collision(event: RolloutEvent, stood: bool, one: str, other: str, went: str) -> str:
-    """A collision in words; of the ego's it says whose fault it is, and agrees with it."""
-    own, front = event.agent_id == "ego", event.kind == "collision_front"
-    kind = "standing" if stood and front else event.kind
-    text = COLLISIONS.get(kind, "{one} and {other} touch")
-    if own and event.at_fault:
-        text = AT_FAULT.get(event.kind, text)
-    elif own and front:
-        text = STOPPED
-    text = text.format(one=one, other=other, went=went)
-    return f"{text}, {'at fault' if event.at_fault else 'not at fault'}" if own else text
+def _collision(
+    rollout: Rollout, step: int, lane: Lane, seen: dict[int, RolloutEvent], names: list[str]
+) -> Happening:
+    """A collision that one or both of its agents see, told of the ego, else of who hits."""
+    ids, kinds = rollout.agent_ids, rollout.scene.agent_types
+    event = next(iter(seen.values()))
+    pair = sorted((ids.index(event.agent_id), ids.index(str(event.partner_id))))
+    normal, brought = impact(rollout, step, *pair)
+    hits, other = pair if brought[0] >= brought[1] else pair[::-1]
+    velocity, heading = rollout.velocity[:, step], rollout.heading[:, step]
+    passes = (kinds[hits], kinds[other]) == ("pedestrian", "vehicle")
+    if passes and np.hypot(*velocity[other]) > PASSES_MPS:
+        hits = other
+    own = next((i for i in pair if ids[i] == "ego"), None)
+    told = hits if own is None else own
+    (other,) = {*pair} - {told}
+    forwards = np.array([np.cos(heading[told]), np.sin(heading[told])])
+    across = (normal if told == pair[0] else -normal) @ forwards
+    role: Role = "met" if brought.max() < WAITS_MPS else "hits" if told == hits else "hit"
+    if role == "hit":
+        part = "side" if abs(across) < math.sqrt(0.5) else "front" if across > 0.0 else "rear"
+    elif "static" in (kinds[told], kinds[other]):
+        part = "static"
+    else:
+        slides = brought[pair.index(told)] < np.hypot(*velocity[told]) / 2.0
+        part = "aside" if slides else "into" if velocity[told] @ forwards >= 0.0 else "back"
+    words = WORDS["met"] if role == "met" else WORDS[role][part]
+    words = words.replace("{went}", WORDS["goes"].get(kinds[told], WORDS["goes"]["else"]))
+    did = words.replace("{other}", names[other])
+    fault = "" if told not in seen or own is None else WORDS["fault"][seen[told].at_fault]
+    speed = max(float(brought.sum()), 0.0)
+    return Happening(step, told, other, lane, "collision", names[told], did, role, fault, speed)
 
 
 def _lane(guided: set[str], *names: str) -> Lane:

@@ -10,7 +10,6 @@ import base64
 import json
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from ccdiff_env.view.captions import (
     still,
     subtitle,
 )
-from ccdiff_env.view.outcome import happenings, outcome
+from ccdiff_env.view.outcome import Happening, happenings, outcome
 
 LENGTH_STEP_M = 0.01
 ANGLE_STEP_RAD = 1e-4
@@ -99,10 +98,15 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         "graphTtc": causal.GRAPH_TTC_S,
         "graphDistance": causal.GRAPH_DISTANCE_M,
         "agents": agents,
-        "events": [asdict(event) for event in happenings(rollout)],
-        "outcome": {"tone": fate.tone, "text": fate.text, "others": fate.others},
+        "events": [_event(happening) for happening in happenings(rollout)],
+        "outcome": {name: getattr(fate, name) for name in ("tone", "text", "fault", "others")},
         "opening": round(fate.opening_s, 3),
     }
+
+
+def _event(happening: Happening) -> dict[str, Any]:
+    named = ("step", "agent", "partner", "lane", "kind", "fault")
+    return {name: getattr(happening, name) for name in named} | {"text": happening.told()}
 
 
 def _tracks(rollout: Rollout) -> dict[str, Array]:

@@ -26,8 +26,9 @@ from ccdiff_env.system.tensors import tensor_bytes
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import KINDS, NETWORKS
 from ccdiff_env.view import page
-from ccdiff_env.view.link import TRAFFIC, top_speed_mps, world_config
-from ccdiff_env.view.outcome import AT_FAULT, COLLISIONS, STOPPED
+from ccdiff_env.view.contact import AHEAD_M, BLOCKED_S, WAITS_MPS
+from ccdiff_env.view.link import HORIZON_STEPS, TRAFFIC, top_speed_mps, world_config
+from ccdiff_env.view.outcome import PASSES_MPS, WAITED_M, WORDS
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
@@ -41,7 +42,7 @@ SCENES = (
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
 MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))
 #: Scripts of the replay page that this one uses: all but its start.
-SCRIPTS = (*(name for name in page.SCRIPTS if name != "main.js"), "drive.js")
+SCRIPTS = (*(name for name in page.SCRIPTS if name != "main.js"), "contact.js", "drive.js")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,9 +92,14 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         # places of the drivers that every world has; the next is that of the network
         "policies": ["replay", "constant_velocity", "idm"],
         "columns": [column["name"] for column in json.loads(_native.schema("columns"))],
-        "collisions": {
-            "at fault": AT_FAULT,
-            "not at fault": {**COLLISIONS, "collision_front": STOPPED},
+        "words": WORDS,
+        "most": {
+            "steps": HORIZON_STEPS,
+            "waits": WAITS_MPS,
+            "passes": PASSES_MPS,
+            "ahead": AHEAD_M,
+            "blocked": BLOCKED_S,
+            "waited": WAITED_M,
         },
         "traffic": TRAFFIC,
         "configs": _configs(ego),

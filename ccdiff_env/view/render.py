@@ -22,6 +22,7 @@ NUMBERS = {name: number for name, _, number in _native.drivers()}  #: Of drivers
 #: Who moves an agent; sets its colour. Further drivers look like one of these.
 DRIVERS = tuple(name for i, (name, number) in enumerate(NUMBERS.items()) if i == number)
 THEMES = ("light", "dark")  #: Grounds that images are drawn on; the replay page has the same.
+NEAR = 8  #: Colours that differ no more than this in each channel are one in small palettes.
 #: Times, lengths and strengths that images and the replay page share, by name.
 LOOK = dict(_native.render_look())
 
@@ -45,12 +46,8 @@ def save_gif(stack: Image, path: Path, fps: float) -> None:
     """Write images [T, H, W, 3], ``fps`` a second; GIF counts time in hundredths of a second."""
     library = pillow()
     # One palette for the whole video, taken from a few of its images: colours do not flicker.
-    # A stripe of each colour of the legend keeps rare ones, as the red of collisions.
-    few = stack[:: max(1, len(stack) // 8)]
-    colours = [rgb for theme in THEMES for rgb in legend(theme).values()]
-    stripes = np.repeat(np.array(colours, np.uint8), 8, axis=0)[:, None, :]
-    images = [*few, np.repeat(stripes, stack.shape[2], axis=1)]
-    palette = library.fromarray(np.concatenate(images)).quantize(128, method=0, dither=0)
+    few = library.fromarray(np.concatenate(stack[:: max(1, len(stack) // 8)]))
+    palette = _palette(few, 128)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     images[0].save(
         path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0
@@ -85,8 +82,22 @@ def pillow() -> ModuleType:
     return library
 
 
-def data_address(image: Image, colours: int) -> str:
-    """Return the address of an image that is its own data, a PNG of so many colours."""
-    buffer = io.BytesIO()
-    pillow().fromarray(image).quantize(colours).save(buffer, format="PNG", optimize=True)
+def _palette(image: Any, colours: int) -> Any:
+    """Return a palette of so many colours for an image: those of the legend, as they are, which
+    rare things have, and those that it has most of.
+    """
+    kept = np.unique([[*rgb] for theme in THEMES for rgb in legend(theme).values()], axis=0)
+    most = image.quantize(colours - len(kept), method=0, dither=0).getpalette()
+    others = np.reshape(most, (-1, 3))
+    far = np.abs(others[:, None] - kept).max(axis=-1).min(axis=-1) > NEAR
+    palette = pillow().new("P", (1, 1))
+    palette.putpalette(np.concatenate([kept, others[far]]).ravel().tolist())
+    return palette
+
+
+def data_address(image: Image) -> str:
+    """Return the address of an image that is its own data, a PNG of 256 colours."""
+    buffer, drawn = io.BytesIO(), pillow().fromarray(image)
+    drawn = drawn.quantize(palette=_palette(drawn, 256), dither=0)
+    drawn.save(buffer, format="PNG", optimize=True)
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -8,7 +8,6 @@ const DRIVE_KEYS = {
   ArrowLeft: "left", a: "left", ArrowRight: "right", d: "right",
 };
 const KEYS = ["gas", "brake", "left", "right"];
-const SIDES = ["", "collision_front", "collision_rear", "collision_side"];
 
 /** The worker's tasks, see engine.js, as promises. */
 class Engine {
@@ -42,8 +41,14 @@ function written(keys) {
   return text;
 }
 
+/** Keys that a link has, no more than a drive takes. */
 function read(text) {
-  return [...text.matchAll(/([a-p])(\d{1,3})/g)].flatMap(([, held, count]) => Array(+count).fill(held.charCodeAt(0) - 97));
+  const keys = [], { steps } = SETTINGS.most;
+  for (const [, held, count] of text.matchAll(/([a-p])(\d{1,3})/g)) {
+    if (keys.length >= steps) break;
+    keys.push(...Array(Math.min(+count, steps - keys.length)).fill(held.charCodeAt(0) - 97));
+  }
+  return keys;
 }
 
 /** The ground, and on it the way of the ego's log with a ring at its end. */
@@ -153,7 +158,7 @@ class Drive extends View {
     run.pairs.fill([]);
     run.events = [];
     run.goal = null;
-    for (const agent of run.agents) agent.attacks = false;
+    run.agents.forEach((agent, i) => Object.assign(agent, { attacks: false, from: null, still: this.log.agents[i].still }));
     this.steps = 0;
     this.steer = 0;
     this.owed = 0;
@@ -194,6 +199,8 @@ class Drive extends View {
       const at = i * run.numSteps + this.steps;
       Object.entries({ x, y, heading, vx, vy }).forEach(([name, value]) => { run.a[name][at] = value; });
       run.a.valid[at] = there;
+      // parked until it moves, whatever it does in the log
+      if (there && Math.hypot(x - (agent.from ??= [x, y])[0], y - agent.from[1]) > LOOK.PARKED_M) agent.still = false;
       agent.attacks ||= guided > 0;
       agent.driver = driver < 0 ? "ego" : agent.attacks ? "adversary" : policies[driver] || network;
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
@@ -219,24 +226,24 @@ class Drive extends View {
 
   finish() {
     const run = this.runs[0], { info, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
-    const partner = info.collision_partner - 1; // 0 is nobody
-    let tone = "bad", text;
+    const say = (what, speed = "") => `ego ${what} at ${seconds} s${speed}`;
+    let tone = "bad", text, fault = "";
     if (info.collision) {
-      const other = run.agents[partner];
-      const side = other && other.kind === "static" ? "static" : SIDES[info.collision_kind];
-      const fault = info.at_fault ? "at fault" : "not at fault";
-      const words = (settings.collisions[fault][side] || "{one} and {other} touch").replace("{one}", "ego");
-      text = `${words.replace("{other}", other ? other.title.replace(" · ", " (") + ")" : "someone")} at ${seconds} s, ${fault}`;
+      const partner = info.collision_partner - 1; // 0 is nobody
+      const [did, speed] = collisionOf(run, this.steps, partner, settings);
+      text = say(did, `, ${speed.toFixed(1)} m/s`);
+      fault = settings.words.fault[+(info.at_fault > 0)];
       run.events.push({ kind: "collision", step: this.steps, agent: 0, partner, lane: "ego", text });
     } else if (info.off_road) {
-      text = `ego left the road at ${seconds} s`;
+      text = say(settings.words.off_road);
     } else if (info.goal_reached) {
-      [tone, text] = ["good", `ego reached its goal at ${seconds} s`];
+      [tone, text] = ["good", say(settings.words.goal)];
       run.goal = { agent: 0, step: this.steps }; // it stays to be seen
     } else {
-      [tone, text] = ["plain", `ego not at its goal in ${seconds} s`];
+      const [end, what] = endOf(run, this.log, this.steps, info.route_completion, settings);
+      [tone, text] = [end, `ego ${what}`];
     }
-    this.outcome = { tone, text };
+    this.outcome = { tone, text, fault };
     this.going = false;
     this.ended = this.time;
     this.slow = matchMedia("(prefers-reduced-motion)").matches ? null : Math.max(this.time - REPLAY_SECONDS, run.start);
@@ -249,11 +256,10 @@ class Drive extends View {
     let line = "still driving";
     if (result) {
       const info = this.named(result.info), seconds = (result.track.length / STATE - 1) * this.runs[0].dt;
-      line = info.collision ? "hit at" : info.off_road ? "off the road at" : info.goal_reached ? "goal at" : "not at its goal in";
-      line += ` ${seconds.toFixed(1)} s`;
+      const { rival } = this.settings.words;
+      line = `${rival[Object.keys(rival).find((column) => info[column])] || rival.else} ${seconds.toFixed(1)} s`;
     }
-    $("verdict").textContent = this.outcome.text;
-    $("verdict").className = this.outcome.tone;
+    $("verdict").replaceChildren(...verdict(this.outcome));
     $("rival").textContent = `trained ego: ${line}`;
     $("card").hidden = false;
   }
@@ -350,7 +356,7 @@ function wire(drive) {
   for (const [name, title] of Object.entries(drive.settings.traffic)) $("traffic").append(new Option(title, name));
   const asked = new URLSearchParams(location.hash.slice(1));
   if (names.includes(asked.get("scene"))) $("scene").value = asked.get("scene");
-  if (asked.get("traffic") in drive.settings.traffic) $("traffic").value = asked.get("traffic");
+  if (Object.hasOwn(drive.settings.traffic, asked.get("traffic"))) $("traffic").value = asked.get("traffic");
   if (asked.has("criticality")) $("criticality").value = asked.get("criticality");
   const opened = () => {
     try { history.replaceState(null, "", `#${drive.key}`); } catch { /* inside another page */ }

@@ -6,7 +6,7 @@ function chromeOf({ theme }) {
   const { collision, goal, ink, "road divider": off_road } = COLOURS[theme];
   return CHROME[theme] ??= {
     track: of("line"), accent: of("accent"), panel: of("panel"), faint: of("quiet"),
-    flags: { collision, goal, off_road, plan: goal, other: ink },
+    flags: { collision, goal, off_road, blocked: of("warn"), plan: goal, other: ink },
   };
 }
 
@@ -145,7 +145,7 @@ function wireControls(player) {
   }
 }
 
-/** One run at a time, chosen by a slider while it plays; dots below it are what became of the ego in each. */
+/** One run at a time, chosen by a slider while it plays; marks below it are what became of the ego in each. */
 function wireSlider(player) {
   const [input, output, dots] = ["input", "output", ".dots"].map((part) => $("choice").querySelector(part));
   input.max = player.runs.length - 1;
@@ -187,7 +187,7 @@ function showFocus(player) {
   }
   const known = knowing.map((run) => {
     const agent = run.indexOf.get(player.focus);
-    return new Map(captionsOf(run, agent, run.stepAt(player.time)));
+    return new Map(captionsOf(run, agent, player.time));
   });
   const names = [...new Set(known.flatMap((captions) => [...captions.keys()]))];
   const rows = names.map((name) => {

@@ -2,6 +2,7 @@
 
 const KMH = 3.6;
 const RUN_COLOURS = 4;
+const SOON_S = 4; // two on course to meet later are not told
 const LANE_TITLES = { ego: "Ego", guided: "Guided vehicles", others: "Others" };
 
 function element(tag, className, text) {
@@ -11,21 +12,22 @@ function element(tag, className, text) {
   return node;
 }
 
-/** Captions of one agent at a step, as pairs of name and value. */
-function captionsOf(run, agent, at) {
+/** Captions of one agent at a time of the scene, as pairs of name and value. */
+function captionsOf(run, agent, time) {
   const { kind, length, width, drivenBy } = run.agents[agent];
   const captions = kind === "static" ? [] : [["driven by", drivenBy]];
   const lasting = [["size", `${length.toFixed(1)} × ${width.toFixed(1)} m`]];
-  const pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
+  if (time > run.end + 1e-6) return [...captions, ["state", `ended at ${(run.end - run.start).toFixed(1)} s`], ...lasting];
+  const at = run.stepAt(time), pose = run.pose(agent, at), step = Math.floor(at + 1e-6);
   if (!pose) return [...captions, ["state", "not in the scene now"], ...lasting];
   const speed = Math.hypot(pose.vx, pose.vy);
   if (run.arrived(agent, step)) captions.push(["state", "has reached its goal"]);
   if (kind !== "static") {
     captions.push(["speed", `${speed.toFixed(1)} m/s · ${(speed * KMH).toFixed(0)} km/h`]);
     const least = run.meeting(agent, step);
-    if (least) {
+    if (least && least[2] <= SOON_S) {
       const other = run.agents[least[0] === agent ? least[1] : least[0]];
-      captions.push(["contact in", `${least[2].toFixed(1)} s with ${other.label}`]);
+      captions.push(["on course", `to meet ${other.label} in ${least[2].toFixed(1)} s`]);
     }
   }
   captions.push(...planCaptions(run, agent, step));
@@ -66,12 +68,15 @@ function badge(index) {
   return mark;
 }
 
-/** What became of a run, as nodes: the ego's fate, and collisions of the others. */
-function verdict({ tone, text, others }) {
+/** What became of a run, as nodes: the ego's fate, nuPlan's word on its collision, and collisions of the others. */
+function verdict({ tone, text, fault, others }) {
   const nodes = [element("strong", `verdict ${tone}`, text)];
-  if (others) nodes.push(element("span", "quiet", `others: ${others} collision${others > 1 ? "s" : ""}`));
+  if (fault) nodes.push(element("span", "fault", fault));
+  if (others) nodes.push(element("span", "quiet", `others: ${counted(others, "collision")}`));
   return nodes;
 }
+
+const counted = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
 /** Fill a panel with what happened, by whose it is; goTo(run, event) is called with what is clicked. */
 function showEvents(container, runs, goTo) {
@@ -89,7 +94,7 @@ function showEvents(container, runs, goTo) {
     }
     const list = element("ul", "events");
     list.append(...[...told.values()].map((entry) => eventItem(entry, runs.length > 1, goTo)));
-    container.append(element("h3", "events-head", `${title} · ${found.length}`), list);
+    container.append(element("h3", "events-head", `${title}: ${counted(found.length, "event")}`), list);
   }
   if (!container.childElementCount) container.append(element("p", "quiet", "No events."));
 }
@@ -99,6 +104,7 @@ function eventItem({ run, indices, event }, several, goTo) {
   button.append(element("span", "event-time", `${(event.step * run.dt).toFixed(1)} s`));
   if (several) button.append(...indices.map(badge));
   button.append(element("span", "", event.text));
+  if (event.fault) button.append(element("i", "fault", event.fault));
   button.addEventListener("click", () => goTo(run, event));
   item.append(button);
   return item;

@@ -59,7 +59,7 @@ function start(main, why) {
 }
 
 function showLegend(player) {
-  const key = `${player.theme} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => a.driver)}`;
+  const key = `${player.theme} ${player.layers.graph} ${player.runs[0]?.agents.map((a) => [a.driver, a.still])}`;
   if ($("legend").dataset.key === key) return;
   $("legend").dataset.key = key;
   $("legend").replaceChildren(...legendOf(player).map(([colour, title, hollow]) => {
