@@ -168,8 +168,8 @@ def test_an_accident_after_the_goal_decides():
     ("stops", "ahead_m", "tone", "text"),
     [
         (50, 3.0, "blocked", "ego blocked by 1 (car) for 3.0 s"),
-        (50, 8.0, "plain", "ego late, 61 % in 8.0 s"),
-        (70, 3.0, "plain", "ego late, 61 % in 8.0 s"),
+        (50, 8.0, "plain", "ego late, 61 % of its way in 8.0 s"),
+        (70, 3.0, "plain", "ego late, 61 % of its way in 8.0 s"),
         (99, 3.0, "plain", "ego on its way, 61 % in 8.0 s"),
     ],
 )

@@ -53,14 +53,8 @@ WORDS: dict[str, Any] = {
     "waited": "waited, as in its log",
     "blocked": "blocked by {other} for {seconds} s",
     "on_its_way": "on its way, {share} % in {seconds} s",
-    "late": "late, {share} % in {seconds} s",
-    # of the trained ego in the playground, by the info column that ends its drive
-    "rival": {
-        "collision": "collided at",
-        "off_road": "off the road at",
-        "goal_reached": "at its goal at",
-        "else": "not at its goal in",
-    },
+    "late": "late, {share} % of its way in {seconds} s",
+    "collided": "collided",  # of the trained ego in the playground
 }
 
 

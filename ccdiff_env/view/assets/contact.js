@@ -75,18 +75,20 @@ function collisionOf(run, step, partner, { words, most }) {
 }
 
 /** What is said of an ego whose time has run out, and its tone. */
-function endOf(run, log, last, share, { words, most }) {
-  const reach = (run, last) => {
-    let most = 0;
-    for (let i = 0; i <= last; i++) if (run.a.valid[i]) most = Math.max(most, Math.hypot(run.a.x[i] - run.a.x[0], run.a.y[i] - run.a.y[0]));
-    return most;
-  };
-  if (Math.max(reach(run, last), reach(log, Math.min(last, log.numSteps - 1))) < most.waited) return ["plain", words.waited];
+function endOf(run, log, last, info, { words, most }) {
+  const far = [run, log].map(({ a: { x, y, valid } }) =>
+    Math.max(...x.slice(0, last + 1).map((_, i) => valid[i] && Math.hypot(x[i] - x[0], y[i] - y[0]))));
+  if (Math.max(...far) < most.waited) return ["plain", words.waited];
   const way = blockerOf(run, last, most);
-  if (way) return ["blocked", words.blocked.replace("{other}", () => named(run.agents[way[0]].title)).replace("{seconds}", way[1].toFixed(1))];
-  const moves = speedOf(run, 0, last) >= most.waits;
-  return ["plain", (moves ? words.on_its_way : words.late)
-    .replace("{share}", Math.floor(100 * share)).replace("{seconds}", (last * run.dt).toFixed(1))];
+  if (!way) return ["plain", wayOf(info, last * run.dt, { words, most })];
+  const [other, seconds] = [named(run.agents[way[0]].title), way[1].toFixed(1)];
+  return ["blocked", words.blocked.replace("{seconds}", seconds).replace("{other}", () => other)];
+}
+
+/** How far an ego has come whose time has run out. */
+function wayOf({ speed, route_completion: share }, seconds, { words, most }) {
+  const said = Math.abs(speed) >= most.waits ? words.on_its_way : words.late;
+  return said.replace("{share}", Math.floor(100 * share)).replace("{seconds}", seconds.toFixed(1));
 }
 
 /** "4 (bus)" of "4 · bus". */

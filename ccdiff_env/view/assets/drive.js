@@ -240,7 +240,7 @@ class Drive extends View {
       [tone, text] = ["good", say(settings.words.goal)];
       run.goal = { agent: 0, step: this.steps }; // it stays to be seen
     } else {
-      const [end, what] = endOf(run, this.log, this.steps, info.route_completion, settings);
+      const [end, what] = endOf(run, this.log, this.steps, info, settings);
       [tone, text] = [end, `ego ${what}`];
     }
     this.outcome = { tone, text, fault };
@@ -255,9 +255,10 @@ class Drive extends View {
     const { result } = this;
     let line = "still driving";
     if (result) {
-      const info = this.named(result.info), seconds = (result.track.length / STATE - 1) * this.runs[0].dt;
-      const { rival } = this.settings.words;
-      line = `${rival[Object.keys(rival).find((column) => info[column])] || rival.else} ${seconds.toFixed(1)} s`;
+      const { words } = this.settings, info = this.named(result.info);
+      const seconds = (result.track.length / STATE - 1) * this.runs[0].dt;
+      const end = info.collision ? words.collided : info.off_road ? words.off_road : info.goal_reached ? words.goal : null;
+      line = end ? `${end} at ${seconds.toFixed(1)} s` : wayOf(info, seconds, this.settings);
     }
     $("verdict").replaceChildren(...verdict(this.outcome));
     $("rival").textContent = `trained ego: ${line}`;
