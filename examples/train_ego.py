@@ -106,16 +106,12 @@ def main() -> None:
     for seed in range(args.seeds):
         folder = args.out / f"seed-{seed}"
         files.append(str(folder / "ego.safetensors"))
-        if (folder / "done").exists():
-            continue
         words = ["--scenes", str(train), "--decisions", args.decisions, "--seed", str(seed)]
         words += ["--threads", str(args.workers), "--out", str(folder)]
         words += [*RECIPE, "--criticality", "2", "--traffic", *TRAINED_IN]
         words += ["--bank", *banks]
-        words += ["--resume"] * (folder / "checkpoint.pt").is_file() + ["--smoke"] * args.smoke
-        if cli.main(["train-ego", *words]):
+        if cli.main(["train-ego", *words, *["--smoke"] * args.smoke]):
             raise SystemExit(2)
-        (folder / "done").touch()
     tried = driven(choose, files, CHOOSING, 1, args.out / "choose", args.workers)
     chose = {f: float(np.mean([r["score"] for t in CHOOSING for r in tried[f, t]])) for f in files}
     new = max(files, key=chose.__getitem__)

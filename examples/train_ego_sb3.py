@@ -2,7 +2,7 @@
 
     python examples/train_ego_sb3.py
     python examples/train_ego_sb3.py --algorithm sac
-    python examples/train_ego_sb3.py --traffic ccdiff --criticality 1 --start runs/train_ego
+    python examples/train_ego_sb3.py --traffic swift --criticality 1 --start runs/train_ego --out on
 
 The first takes two minutes of one core, the last continues it. Each draws its success rate.
 """
@@ -24,6 +24,7 @@ import ccdiff_env
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
+from ccdiff_env.system.settings import keep_settings
 
 #: Algorithm, its settings, worlds, and decisions that take about two minutes of one core.
 ALGORITHMS = {"ppo": (PPO, PPO_SETTINGS, 128, 1_000_000), "sac": (SAC, SAC_SETTINGS, 32, 50_000)}
@@ -36,7 +37,7 @@ def arguments() -> argparse.Namespace:
     add_other_scenes(parser, "test")
     parser.add_argument("--algorithm", default="ppo", choices=ALGORITHMS)
     parser.add_argument("--traffic", default="idm", help="driver of the other vehicles")
-    parser.add_argument("--criticality", type=float, default=0.0, help="of CCDiff traffic")
+    parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
     parser.add_argument("--dynamics", default="unicycle", help="model of motion")
     parser.add_argument("--decisions", type=int, help="training decisions (default: two minutes)")
     parser.add_argument("--start", type=Path, help="folder of a run to continue from")
@@ -44,10 +45,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--option", nargs="*", default=[], help="NAME=JSON of worlds or algorithm")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a short test run")
-    args = parser.parse_args()
-    if args.scenes is None:
-        args.scenes = "embedded/city"  # 200 scenes: more is learnt of other scenes than from 29
-    return args
+    parser.set_defaults(scenes="embedded/city")  # more is learnt from 200 scenes than from 29
+    return parser.parse_args()
 
 
 def success_rate(model, env: VecNormalize) -> float:
@@ -78,7 +77,7 @@ class Curve(BaseCallback):
         print(f"{self.num_timesteps:9,d} {taken:5.0f} s {rate:5.0%}", "█" * round(40 * rate))
         self.evaluating_s += time.process_time() - before
 
-    _on_training_start = evaluate
+    _on_training_start = _on_training_end = evaluate
 
     def _on_step(self) -> bool:
         if len(self.rows) * self.every <= self.num_timesteps < self.decisions:
@@ -110,34 +109,38 @@ def main() -> None:
         worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
         settings = settings | ({"n_steps": 2, "batch_size": 8} if args.algorithm == "ppo" else {})
     options = {"traffic": args.traffic, "dynamics": args.dynamics, "decision_steps": 3}
-    if args.traffic == "ccdiff":
-        options["ccdiff"] = {"criticality": args.criticality, "denoising_steps": 1}
+    options |= {"ccdiff": {"denoising_steps": 1}} if args.traffic == "ccdiff" else {}
+    options |= (guided := {"criticality": args.criticality} if args.criticality is not None else {})
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
     options |= {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
     train = {"start_spread_steps": 50} | options | {"scenes": scenes_from(args)}
     env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(worlds, **train)), norm_reward=False)
+    keep_settings(args.out / "run.json", {n: of and str(of) for n, of in vars(args).items()})
     if args.start:
         env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
     test = options | {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     test_env = VecNormalize(SB3VecEnv(ccdiff_env.make_vec(tests, **test)), False, norm_reward=False)
     test_env.obs_rms = env.obs_rms
     model = algorithm("MlpPolicy", env, seed=args.seed, device="cpu", **settings)
+    first = args.out / ("start.zip" if args.start else "untrained.zip")
     if args.start:
-        model.set_parameters(args.start / "ego.zip", device="cpu")
-    args.out.mkdir(parents=True, exist_ok=True)
-    save_policy(model, args.out / "untrained.zip")
+        started = ccdiff_env.planners.load(args.start / "ego.zip").model
+        if type(started) is not algorithm:
+            raise SystemExit(f"{args.start} is of {type(started).__name__}, not {args.algorithm}")
+        model.set_parameters(started.get_parameters())
+    save_policy(model, first)
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     curve = Curve(test_env, decisions)
     model.learn(decisions, callback=curve)
-    curve.evaluate()
     save_policy(model, args.out / "ego.zip")
     env.save(str(args.out / "normalize.pkl"))
     draw(curve.rows, args.out / "curve.svg")
     (args.out / "curve.json").write_text(json.dumps(curve.rows) + "\n")
     print(f"\n{'planner':18s}" + "".join(map("{:>10s}".format, FIGURES)))
-    for planner in (f"{args.out}/untrained.zip", f"{args.out}/ego.zip", "constant_velocity", "idm"):
-        rows = play(held_out, planner, Traffic("", args.traffic, options.get("ccdiff", {})))
+    traffic = Traffic("", args.traffic, options.get("ccdiff", {}) | guided)
+    for planner in (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm"):
+        rows = play(held_out, planner, traffic)
         means = (np.mean([row[name] for row in rows]) for name in FIGURES)
         print(f"{Path(planner).stem:18s}" + "".join(f"{mean:10.2f}" for mean in means))
 

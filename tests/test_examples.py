@@ -22,15 +22,38 @@ def test_the_smoke_run_of_an_example_succeeds(path, tmp_path):
         pytest.importorskip(NEEDS[path.stem], exc_type=ImportError)
     text = path.read_text()
     assert len(text.splitlines()) < 150
-    command = [sys.executable, str(path), "--smoke"]
-    if '"--out"' in text:
-        command += ["--out", str(tmp_path / "out")]
-    env = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=280
-    )
+    done = ran(path, tmp_path, *["--out", "out"] * ('"--out"' in text))
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()
+
+
+def ran(path, folder, *words):
+    """A smoke run of an example."""
+    command = [sys.executable, str(path), "--smoke", *words]
+    env = {**os.environ, "PYTHONPATH": str(HERE), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, timeout=280, check=False
+    )
+
+
+@pytest.mark.slow
+def test_an_ego_goes_on_elsewhere_in_traffic_that_is_as_critical_as_asked(tmp_path):
+    path = HERE / "examples" / "train_ego_sb3.py"
+    assert ran(path, tmp_path, "--out", "a").returncode == 0
+    kept = (tmp_path / "a" / "ego.zip").read_bytes()
+    for words, said in (
+        (["--start", "a", "--out", "a"], "other settings: start None, now 'a'"),
+        (["--start", "a", "--out", "b", "--algorithm", "sac"], "a is of PPO, not sac"),
+        (["--criticality", "1", "--out", "c"], "expected one that can be guided"),
+    ):
+        done = ran(path, tmp_path, *words)
+        assert done.returncode
+        assert said in done.stderr
+    assert (tmp_path / "a" / "ego.zip").read_bytes() == kept
+    words = ["--traffic", "swift", "--criticality", "1", "--start", "a", "--out", "d"]
+    done = ran(path, tmp_path, *words)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "start " in done.stdout
 
 
 def test_torchrl_takes_single_vector_and_several_vehicles():

@@ -86,9 +86,27 @@ def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monke
     done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
     assert (done["updates"], done["decisions"]) == (2, 512)
     assert (tmp_path / "ego" / "ego.safetensors").is_file()
-    assert cli.main([*ego, "--resume"]) == 0
+    assert cli.main(ego) == 0
     done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
     assert (done["updates"], done["decisions"]) == (3, 768)
+    kept = (tmp_path / "ego" / "ego.safetensors").read_bytes()
+    for words, said in (
+        (["--dynamics", "bicycle"], "dynamics 'assisted', now 'bicycle'"),
+        (["--worlds", "32"], "worlds 16, now 32"),
+        (["--start", str(tmp_path / "ego" / "checkpoint.pt")], "start None, now '"),
+    ):
+        assert cli.main([*ego, *words]) == 2
+        assert f"other settings: {said}" in capsys.readouterr().err
+    assert cli.main(ego) == 0  # finished
+    assert (tmp_path / "ego" / "ego.safetensors").read_bytes() == kept
+    assert cli.main([*ego, "--decisions", "1024"]) == 0
+    done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
+    assert done["decisions"] == 1024
+    zip_file = tmp_path / "policy.zip"
+    zip_file.touch()
+    assert cli.main([*ego, "--start", str(zip_file), "--out", str(tmp_path / "other")]) == 2
+    assert "policy.zip' is one of stable-baselines3" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()
 
     one = ["train", "--scenes", "embedded/train?limit=4", "--hold-out-every", "4", "--quiet"]
     one += ["--batch-scenes", "1", "--steps", "3", "--out", str(tmp_path / "train")]

@@ -73,7 +73,6 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     for words, said in (
         (["--traffic", "imd"], "--traffic is 'imd'"),
         (["--traffic", "bank"], "go together"),
-        (["--resume"], "there is no checkpoint in"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
     ):

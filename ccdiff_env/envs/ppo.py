@@ -20,13 +20,14 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.errors import CheckpointError, DatasetNotFoundError
-from ccdiff_env.planners import load
+from ccdiff_env.errors import CheckpointError, ConfigError
+from ccdiff_env.planners import load_ego
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import scenes_from
 from ccdiff_env.system.seeds import spread_seed
+from ccdiff_env.system.settings import keep_settings, kept_settings
 from ccdiff_env.traffic import EGOS, SWIFT
 from ccdiff_env.worlds.policy_file import LEARNED
 
@@ -61,6 +62,8 @@ STYLES: dict[str, Any] = {
         "hasty": {"idm": {"headway_s": 0.6, "min_gap_m": 1.0, "acceleration_mps2": 2.5}},
     },
 }
+#: Arguments that do not decide what an update does: a run may go on with others.
+FREE = ("decisions", "out", "run", "smoke", "threads", "verb")
 SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
@@ -222,12 +225,13 @@ def train(args: argparse.Namespace) -> None:
     """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy.
 
     Both are also written where the run is interrupted; one that diverges keeps its last ones.
+    A run in ``--out`` goes on; one of other settings is a :class:`ConfigError`.
     """
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
-    near = None if args.anchor in (None, "zero") else load(args.anchor)
-    given = load(args.start) if args.start and not args.start.endswith(".pt") else None
+    near = None if args.anchor in (None, "zero") else load_ego(args.anchor)
+    given = load_ego(args.start) if args.start and not args.start.endswith(".pt") else None
     policies = [policy for policy in (near, given) if policy is not None]
     dynamics: Any = args.dynamics
     if dynamics == "assisted":
@@ -240,10 +244,11 @@ def train(args: argparse.Namespace) -> None:
     weights = ASSISTED_WEIGHTS if isinstance(config.action.dynamics, AssistedLimits) else {}
     config = config.with_options(reward=weights)
     checkpoint = args.out / "checkpoint.pt"
-    if args.resume and not checkpoint.is_file():
-        raise DatasetNotFoundError(f"--resume: there is no checkpoint in {args.out}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    saved = torch.load(checkpoint, weights_only=True) if args.resume else None
+    settings = {n: of for n, of in vars(args).items() if n not in FREE}
+    settings["bank"] = [*map(str, args.bank)]
+    if not kept_settings(args.out / "run.json", settings) and checkpoint.is_file():
+        raise ConfigError(f"{args.out} holds a run without its settings; choose another folder")
+    saved = torch.load(checkpoint, weights_only=True) if checkpoint.is_file() else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
     worlds = Worlds(args, config, spread_seed(args.seed, done["decisions"]))
@@ -278,6 +283,7 @@ def train(args: argparse.Namespace) -> None:
         file, about = args.out / "ego.safetensors", {"done": done}
         save_ego(file, agent.state_dict(), fitting, about)
 
+    keep_settings(args.out / "run.json", settings)
     begin = shown = kept = time.perf_counter() - done["seconds"]
     try:
         while done["decisions"] < args.decisions:

@@ -64,7 +64,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--start", help="checkpoint (.pt) or policy to begin with (default: a random one)"
     )
-    parser.add_argument("--resume", action="store_true", help="continue the run in --out")
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
     parser.add_argument("--smoke", action="store_true", help="a short test run")
 
