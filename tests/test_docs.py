@@ -12,9 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from stable_baselines3 import PPO
 
 import ccdiff_env
 import ccdiff_env_cli
+from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.embedded import unpack
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env_cli import parse
@@ -28,11 +30,12 @@ PAGES = list(dict.fromkeys(PAGES))
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 #: What is made smaller here than on the page.
 SMALLER = {
-    "make_vec(64": "make_vec(2",
-    "make_vec(\n    128": "make_vec(\n    2",
-    "AgentVectorEnv(16": "AgentVectorEnv(2",
-    "**PPO_SETTINGS)": "**PPO_SETTINGS | {'n_steps': 8, 'batch_size': 16})",
-    "learn(1_000_000)": "learn(1)",
+    r"(make_vec|AgentVectorEnv)\(\s*\d+": r"\1(2",
+    r"\*\*PPO_SETTINGS": "**PPO_SETTINGS | {'n_steps': 8, 'batch_size': 16}",
+    r"n_steps=\d+": "n_steps=8, batch_size=16",
+    r"learn\([\d_]+": "learn(400",
+    r"DECISIONS = [\d_]+": "DECISIONS = 400",
+    r"range\(\d+\)": "range(3)",
 }
 
 
@@ -56,7 +59,6 @@ def ids(pages: list[Path]) -> list[str]:
     return [page.stem for page in pages]
 
 
-WITH_PYTHON = [page for page in PAGES if any(kind == "python" for kind, *_ in blocks(page))]
 WITH_COMMANDS = [page for page in PAGES if any(commands(page))]
 
 
@@ -68,20 +70,26 @@ def desk(tmp_path, monkeypatch):
     rollout = play_scene(ccdiff_env.embedded_scenes("val")[0], traffic="replay", driver="replay")
     rollout.save(tmp_path / "run.npz")
     rollout.to_scenarionet(tmp_path / "scenario.pkl")
+    save_policy(PPO("MlpPolicy", SB3VecEnv(ccdiff_env.make_vec(1))), "my_ego.zip")
     monkeypatch.setattr(
         ccdiff_env, "load_nuscenes", lambda *_, **__: ccdiff_env.embedded_scenes("val")
     )
 
 
-@pytest.mark.parametrize("page", WITH_PYTHON, ids=ids(WITH_PYTHON))
-def test_the_python_of_a_page_runs_from_top_to_bottom(page, desk):
-    names: dict = {"__name__": page.stem}
-    for language, text, line in blocks(page):
-        if language != "python":
-            continue
-        for large, small in SMALLER.items():
-            text = text.replace(large, small)
-        exec(compile("\n" * line + text, str(page), "exec"), names)
+PYTHON = {
+    f"{page.stem}-{line}": (page, "\n" * line + text)
+    for page in PAGES
+    for language, text, line in blocks(page)
+    if language == "python"
+}
+
+
+@pytest.mark.parametrize("block", PYTHON)
+def test_every_block_of_python_runs_by_itself(block, desk):
+    page, text = PYTHON[block]
+    for large, small in SMALLER.items():
+        text = re.sub(large, small, text)
+    exec(compile(text, str(page), "exec"), {"__name__": page.stem})
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=ids(WITH_COMMANDS))
