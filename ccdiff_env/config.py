@@ -156,18 +156,21 @@ class WorldConfig(WorldOptions):
             or any(n.background_driver == "idm" or n.plan_radius_m is not None for n in networks)
         )
 
-    def guided_traffic(self, what: str) -> tuple[CcdiffConfig, ...]:
-        """Return the options of the networks that drive others than the agents with a slot.
-
-        Raises:
-            ConfigError: If there are none: nobody can be guided; ``what`` was to guide them.
-        """
+    def networks_in_traffic(self) -> tuple[CcdiffConfig, ...]:
+        """Return the options of the networks that drive others than the agents with a slot."""
         names = [*self._shares(), *self.drivers.values()]
         own = {name: driver.options for name, driver in self.named_drivers.items()}
         networks = dict.fromkeys(NETWORKS, self.ccdiff)
         options = [own.get(name, networks.get(name)) for name in names]
-        found = tuple(one for one in options if isinstance(one, CcdiffConfig))
-        if not found:
+        return tuple(one for one in options if isinstance(one, CcdiffConfig))
+
+    def guided_traffic(self, what: str) -> tuple[CcdiffConfig, ...]:
+        """Return :meth:`networks_in_traffic`.
+
+        Raises:
+            ConfigError: If there are none: nobody can be guided; ``what`` was to guide them.
+        """
+        if not (found := self.networks_in_traffic()):
             raise ConfigError(
                 f"{what}: traffic is {self.traffic!r}, expected one that can be guided: "
                 f"{', '.join(NETWORKS)}"
@@ -228,18 +231,30 @@ def _fields_of(kind: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
 
 
+#: Names of options of worlds, short ones of nested fields and kinds of drivers among them.
+OPTION_NAMES = frozenset(
+    {*_fields_of(WorldConfig), *KINDS, "bev", "discrete", "dynamics", "ego", "grid"}
+)
+
+
+def check_option(name: str, arguments: Iterable[str] = ()) -> None:
+    """Refuse a keyword that is no option of worlds and none of the ``arguments`` beside them."""
+    if name not in OPTION_NAMES:
+        hints = typing.get_type_hints(WorldConfig)
+        # those of a nested configuration are named by their path
+        inner = [f"{n}.{name}" for n, t in hints.items() if str(name) in _fields_of(t)]
+        raise unknown_option(str(name), inner or {*OPTION_NAMES, *arguments})
+
+
 def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str) -> _C:
     """Options as a dataclass, with what is not named from an old one: checked by Rust's walker."""
     hints = typing.get_type_hints(kind)
     changes = {}
     for name, value in options.items():
         if name not in hints:
-            # those of a nested configuration are named by their path
-            inner = [f"{n}.{name}" for n, t in hints.items() if str(name) in _fields_of(t)]
-            known = inner or [path + n for n in hints]
-            if path:
-                raise unknown("option", path + str(name), known)
-            raise unknown_option(str(name), known)
+            if not path:
+                check_option(name)
+            raise unknown("option", path + str(name), [path + n for n in hints])
         changes[name] = _formed(path + name, value, hints[name], getattr(old, name, None))
     checked = {n: _plain_field(n, v) for n, v in changes.items() if n not in ("ccdiff", "model")}
     table = "PythonOptions" if kind is PythonTraffic else kind.__name__

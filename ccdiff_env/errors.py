@@ -82,11 +82,14 @@ class MissingFeatureError(CcdiffError, ImportError):
 def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:
     """Return the error for a name that does not exist, with the names that come near it."""
     known = sorted(known)
-    near = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
-    hint = (
-        f"did you mean {' or '.join(map(repr, near))}?" if near else f"there are {', '.join(known)}"
-    )
+    hint = meant(name, known) or f"there are {', '.join(known)}"
     return ConfigError(f"unknown {what} {name!r}; {hint}")
+
+
+def meant(name: str, known: Iterable[str]) -> str:
+    """Return the question whether one of the names that come near was meant; nothing for none."""
+    near = difflib.get_close_matches(name.lower(), list(known), n=3, cutoff=0.6)
+    return f"did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 def unknown_option(name: str, known: Iterable[str]) -> UnknownOptionError:

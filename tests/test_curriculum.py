@@ -87,6 +87,8 @@ def test_mistakes_are_named(scenes):
         EgoEnv(scenes=scenes).set_progress(0.5)
     with pytest.raises(ConfigError, match="0 to 1"):
         EgoEnv(scenes=scenes, criticality=1.0, **QUICK).set_progress(2.0)
+    with pytest.raises(ConfigError, match="expected a function of the progress of training"):
+        EgoEnv(scenes=scenes, criticality=lambda: 1.0, **QUICK)
 
 
 def test_shares_of_the_episodes_have_their_strengths():

@@ -32,7 +32,7 @@ BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SMALLER = {
     r"(make_vec|AgentVectorEnv)\(\s*\d+": r"\1(2",
     r"\*\*PPO_SETTINGS": "**PPO_SETTINGS | {'n_steps': 8, 'batch_size': 16}",
-    r"n_steps=\d+": "n_steps=8, batch_size=16",
+    r"\bn_steps=\d+": "n_steps=8, batch_size=16",
     r"learn\([\d_]+": "learn(400",
     r"DECISIONS = [\d_]+": "DECISIONS = 400",
     r"range\(\d+\)": "range(3)",

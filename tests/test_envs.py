@@ -118,7 +118,7 @@ def test_scenes_come_as_set_list_single_scene_or_split(scenes):
     for wrong in ([], [1], 7):
         with pytest.raises((ConfigError, TypeError)):
             EgoEnv(scenes=wrong)
-    with pytest.raises(UnknownNameError):
+    with pytest.raises(ConfigError, match="no source 'nowhere'"):
         EgoEnv(scenes="nowhere")
 
 
@@ -143,7 +143,7 @@ def test_info_levels(level, keys, scenes):
     _, info = env.reset(seed=0)
     # without strings, for tools that make tensors of all there is
     names = set() if level == "none" else {"scene", "scene_token"}
-    assert set(info) == {"scene_idx", "seed", "episode_idx"} | names
+    assert set(info) == {"scene_idx", "seed", "episode_idx", "start_step"} | names
     expected = len(env.unwrapped.worlds.columns) if keys is None else keys
     assert len(env.step(np.zeros(2, np.float32))[4]) == expected
 

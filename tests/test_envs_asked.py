@@ -316,3 +316,145 @@ def test_learners_with_a_memory_learn_on_it(learner, options, scenes):
     settings = {"learning_starts": 50, "batch_size": 32, "policy_kwargs": {"net_arch": [16]}}
     model = learner("MlpPolicy", env, seed=0, **settings).learn(200)
     assert len(model.ep_info_buffer) > 0
+
+
+EPISODE = ("scene", "scene_token", "scene_idx", "seed", "episode_idx", "start_step", "criticality")
+
+
+def test_an_ended_episode_says_which_one_it_was(scenes):
+    """Its last information repeats that of its reset, whoever plays it; a restored one's, too."""
+    options = {"scenes": scenes, "traffic": "swift", "criticality": (0.0, 2.0), "horizon_steps": 4}
+    still, same = np.zeros(2, np.float32), AutoresetMode.SAME_STEP
+
+    def told(info, i=None):
+        return {name: info[name] if i is None else info[name][i] for name in EPISODE}
+
+    env = EgoEnv(start_spread_steps=20, **options)
+    for seed in range(3):
+        begun = env.reset(seed=seed)[1]
+        info = env.step(still)[4]
+        assert "scene" not in info
+        saved = env.snapshot()
+        env.reset(seed=9)
+        env.restore(saved)
+        while "metrics" not in info:
+            info = env.step(still)[4]
+        assert told(info) == told(begun)
+    for mode in AutoresetMode:
+        worlds = ccdiff_env.make_vec(3, autoreset_mode=mode, **options)
+        begun = worlds.reset(seed=2)[1]
+        while not (done := np.logical_or(*(out := worlds.step(np.zeros((3, 2))))[2:4])).any():
+            pass
+        ended = out[4].get("final_info", out[4])
+        for i in np.flatnonzero(done):
+            assert told(ended, i) == told(begun, i)
+            assert out[4]["episode_idx"][i] == int(mode is same)
+    rows = AgentVectorEnv(2, agents=2, **options)
+    for vec in (SB3VecEnv(ccdiff_env.make_vec(2, **options)), AgentSB3VecEnv(rows)):
+        vec.seed(5)
+        vec.reset()
+        before, seen = list(vec.reset_infos), 0
+        while seen == 0:
+            _, _, dones, infos = vec.step(np.zeros((vec.num_envs, 2), np.float32))
+            for i in np.flatnonzero(dones):
+                assert told(infos[i]) == told(before[i])
+                seen += 1
+        assert vec.reset_infos != before
+
+
+def test_options_that_stay_are_refused_and_criticality_holds_from_the_next_reset(scenes):
+    options = {"scenes": scenes, "traffic": "swift", "horizon_steps": 3}
+    doors = [EgoEnv(**options), ccdiff_env.make_vec(2, **options)]
+    doors += [ccdiff_env.parallel_env(agents=2, **options), AgentVectorEnv(2, agents=2, **options)]
+    for env in doors:
+        env.criticality = lambda progress: 2.0 * progress
+        env.set_progress(0.5)
+        assert set(np.ravel(values_of(env.reset(seed=0)[1], "criticality"))) == {1.0}
+        env.criticality = 0.5
+        assert env.criticality == 0.5
+        assert set(np.ravel(values_of(env.reset(seed=0)[1], "criticality"))) == {0.5}
+        with pytest.raises(ConfigError, match="expected a number of at least 0"):
+            env.criticality = "high"
+    doors += [
+        AdversarySelectionVectorEnv(2, scenes=scenes),
+        ccdiff_env.AdversarySelectionEnv(scenes=scenes),
+    ]
+    for env in doors:
+        for name in ("traffic", "reward", "dynamics", "scenes", "horizon_steps"):
+            with pytest.raises(ConfigError, match=f"{name} is an option.*criticality can"):
+                setattr(env, name, 1)
+        env.curiosity = 1.0  # what is no option is the user's
+    with pytest.raises(ConfigError, match="criticality is an option"):
+        doors[-1].criticality = 1.0
+    with pytest.raises(ConfigError, match="expected one that can be guided"):
+        EgoEnv(scenes=scenes, traffic="idm").criticality = 1.0
+    worlds = ccdiff_env.make_vec(2, autoreset_mode="same_step", **options)
+    vec = SB3VecEnv(gymnasium.vector.VectorWrapper(worlds))
+    vec.set_attr("criticality", 1.5)
+    vec.reset()
+    assert [info["criticality"] for info in vec.reset_infos] == [1.5, 1.5]
+    assert vec.get_attr("criticality") == [1.5, 1.5]
+    with pytest.raises(ConfigError, match="traffic is an option"):
+        vec.set_attr("traffic", "idm")
+
+
+def values_of(info, name):
+    """A value of one world's information, of all worlds', or of all agents'."""
+    return info[name] if name in info else [of[name] for of in info.values()]
+
+
+def test_misspelt_arguments_are_guessed_and_the_wrong_wrapper_is_named(scenes):
+    for name, words in {
+        "criticallity": "did you mean 'criticality'",
+        "scene": "did you mean 'scenes'",
+        "dynamic": "did you mean 'dynamics'",
+        "zzz": "criticality.*info.*scenes",
+    }.items():
+        for make in (EgoEnv, ccdiff_env.make_vec, ccdiff_env.parallel_env):
+            with pytest.raises(ConfigError, match=words):
+                make(**{name: 1})
+    with pytest.raises(ConfigError, match="render_mode is 'video', expected None or one of"):
+        EgoEnv(render_mode="video")
+    with pytest.raises(ConfigError, match=r"no source 'city_train' .did you mean 'train'"):
+        EgoEnv(scenes="city_train")
+    with pytest.raises(ConfigError, match=r"names=..double-left-0"):
+        EgoEnv(scenes="double-left-0")
+    with pytest.raises(ConfigError, match=r"names=\[\.\.\.\]\) gives"):
+        EgoEnv(scenes=["double-left-00"])
+    with pytest.raises(UnknownNameError, match="did you mean 'double-left-0"):
+        EgoEnv().reset(options={"scene": "double-left-0"})
+    for wrong in (gymnasium.make("ccdiff_env/Ego-v0"), EgoEnv(scenes=scenes)):
+        with pytest.raises(ConfigError, match=r"takes the worlds of make_vec.*to the algorithm"):
+            SB3VecEnv(wrong)
+    for made, wrong in (
+        (SB3VecEnv, AgentVectorEnv(2, scenes=scenes, agents=2)),
+        (AgentSB3VecEnv, ccdiff_env.make_vec(2, scenes=scenes)),
+    ):
+        with pytest.raises(ConfigError, match="AgentVectorEnv and AgentSB3VecEnv go together"):
+            made(wrong)
+
+
+def test_observations_are_chosen_by_a_dictionary_as_rewards_are(scenes):
+    columns = {"num_neighbors": 3, "ego_columns": ("speed",)}
+    config = ccdiff_env.WorldConfig().with_options(observation=columns)
+    for form in ("flat", "dict"):
+        short = EgoEnv(scenes=scenes, observation={"form": form, **columns})
+        assert (
+            short.observation_space
+            == EgoEnv(scenes=scenes, config=config, observation=form).observation_space
+        )
+    with pytest.raises(ConfigError, match=r"observation.num_neighbours"):
+        EgoEnv(observation={"num_neighbours": 3})
+    with pytest.raises(ConfigError, match="unknown observation form 'flatt'"):
+        EgoEnv(observation={"form": "flatt"})
+
+
+@pytest.mark.parametrize(("dt_steps", "fps"), [(1, 10.0), (4, 2.5)])
+def test_videos_last_as_long_as_the_drive(dt_steps, fps, scenes):
+    options = {"scenes": scenes, "decision_steps": dt_steps}
+    worlds = ccdiff_env.make_vec(2, **options)
+    envs = [EgoEnv(**options), worlds, SB3VecEnv(worlds)]
+    envs += [ccdiff_env.parallel_env(agents=2, **options), AgentVectorEnv(1, agents=2, **options)]
+    assert [env.metadata["render_fps"] for env in envs] == [fps] * len(envs)
+    plans = AdversarySelectionVectorEnv(1, scenes=scenes)
+    assert plans.metadata["render_fps"] == 1.0 / (0.1 * plans.decision_steps)

@@ -3,9 +3,11 @@
 import gymnasium
 import numpy as np
 import pytest
+from array_scenes import TIMES_S, agent, log_env, played
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from ccdiff_env import EgoEnv, EgoVectorEnv
+from ccdiff_env.envs import as_vector
 from ccdiff_env.errors import (
     ConfigError,
     ResetNeededError,
@@ -39,8 +41,10 @@ def assert_same(one, other, path="") -> None:
 
 
 def assert_same_infos(one, other) -> None:
-    """Infos agree in keys, masks, and values where the masks are set."""
-    assert one.keys() == other.keys()
+    """Infos agree in masks that name a row, and in the values of these."""
+    unnamed = {name for name in one.keys() - other.keys() if not one[f"_{name.lstrip('_')}"].any()}
+    assert one.keys() - unnamed == other.keys()
+    one = {name: one[name] for name in other}
     for key in one:
         if key.startswith("_"):
             assert_same(one[key], other[key], key)
@@ -153,7 +157,7 @@ def test_active_worlds_run_as_single_ones_while_the_others_rest(mode, copy, scen
                 assert (reward[i], terminated[i], truncated[i]) == tuple(
                     part[0] for part in got[1:4]
                 )
-                assert ("speed" in infos and infos["_speed"][i]) == ("speed" in got[4])
+                assert infos["_speed"][i] == got[4]["_speed"][0]
             else:
                 rested += 1
                 assert np.array_equal(obs[i], shown[i])
@@ -289,3 +293,53 @@ def test_images_of_all_worlds(scenes):
     assert len(frames) == 2
     assert {frame.shape for frame in frames} == {(48, 64, 3)}
     assert EgoVectorEnv(1, scenes=scenes).render() is None
+
+
+class Cautious(gymnasium.Wrapper):
+    """A reward of one's own from the information of a step."""
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        return obs, reward - 0.5 * (info["ttc"] < 9.0), terminated, truncated, info
+
+
+class CautiousWorlds(gymnasium.vector.VectorWrapper):
+    """The same, written for rows without a thought of their ends."""
+
+    step = Cautious.step
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("num_envs", [1, NUM_ENVS])
+def test_a_reward_of_ones_own_is_that_of_single_environments(mode, num_envs, scenes):
+    options = {"scenes": scenes, **RULES}
+    native = CautiousWorlds(EgoVectorEnv(num_envs, autoreset_mode=mode, **options))
+    sync = SyncVectorEnv([lambda: Cautious(EgoEnv(**options))] * num_envs, autoreset_mode=mode)
+    for env in (native, sync):
+        env.reset(seed=1)
+    ended = charged = 0
+    for action in actions_of(native, 60):
+        got, want = native.step(action), sync.step(action)
+        np.testing.assert_allclose(got[1], want[1], atol=1e-6)
+        assert np.array_equal(got[2], want[2])
+        ended += int((got[2] | got[3]).sum())
+        charged += int((got[1] < -0.4).sum())
+    assert ended > num_envs
+    assert charged > 0
+
+
+def test_where_nobody_is_near_time_to_contact_is_that_of_rows_without_a_step():
+    *_, (_, _, info) = played(log_env(agent("ego", 10.0 * TIMES_S)))
+    assert info["ttc"] == as_vector._NOBODY_NEAR_S
+
+
+def test_actions_of_the_log_are_those_of_single_environments(scenes):
+    for options in ({}, {"discrete": True}, {"decision_steps": 3}):
+        worlds, single = (
+            kind(scenes=scenes, **options) for kind in (lambda **o: EgoVectorEnv(3, **o), EgoEnv)
+        )
+        worlds.reset(seed=4)
+        for i, action in enumerate(worlds.expert_action()):
+            single.reset(seed=4 + i)
+            assert np.array_equal(action, single.expert_action())
+        assert worlds.expert_action() in worlds.action_space

@@ -26,7 +26,6 @@ from ccdiff_env.bench.leaderboard import write_leaderboard
 from ccdiff_env.bench.run import Run
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.models import TrajectoryModel, shipped_weights
-from ccdiff_env.planners.built_in import load_sb3
 from ccdiff_env.record.bank import load_bank, record_bank
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes.embedded import VERSION, unpack
@@ -89,7 +88,7 @@ DOORS = {
     "bank": (bank, "0.scenes"),
     "settings of a bank": (lambda path: record_bank("val", path.parent), "bank.json"),
     "policy": (planners.load, "a.safetensors"),
-    "policy of stable-baselines3": (load_sb3, "a.zip"),
+    "policy of stable-baselines3": (planners.load, "a.zip"),
     "weights": (TrajectoryModel, "a.safetensors"),
     "weights of traffic": (
         lambda path: EgoEnv(traffic="ccdiff", ccdiff={"weights": str(path)}),
@@ -258,7 +257,7 @@ def sb3(text):
     def read(path: Path) -> object:
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
             file.writestr("data", text)
-        return load_sb3(path)
+        return planners.load(path)
 
     return read
 

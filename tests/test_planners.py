@@ -1,6 +1,7 @@
 """Planners of every kind in the ego's seat: what they are given, what is refused, in one line."""
 
 import copy
+import functools
 import json
 from typing import ClassVar
 
@@ -8,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 from array_scenes import played
-from sb3_contrib import RecurrentPPO
+from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 import ccdiff_env
 from ccdiff_env import EgoVectorEnv, WorldConfig
@@ -20,8 +22,8 @@ from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import BicycleLimits, ObservationConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.planners import SHIPPED
-from ccdiff_env.planners.built_in import BUILT_IN, load_sb3
+from ccdiff_env.planners import SHIPPED, load
+from ccdiff_env.planners.built_in import BUILT_IN, ego_driver
 from ccdiff_env.view import page_html
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.worlds import Worlds
@@ -270,12 +272,12 @@ def test_mistakes_name_the_planner(scenes, planner, error, words):
 )
 def test_policies_are_driven_as_they_were_trained(scenes, tmp_path, options):
     trained(scenes, **options).save(tmp_path / "ego.zip")
-    seat = load_sb3(tmp_path / "ego.zip")
+    config = load(tmp_path / "ego.zip").config
     rows, rollouts = drive(scenes, str(tmp_path / "ego.zip"), REPLAY, record=scenes.names[:1])
     assert len(rows) == 2
-    config = rollouts[scenes[0].name].meta["config"]
+    played_in = rollouts[scenes[0].name].meta["config"]
     for name in ("action", "observation"):
-        assert config[name] == json.loads(seat.config.to_json())[name]
+        assert played_in[name] == json.loads(config.to_json())[name]
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -307,24 +309,45 @@ def test_a_bicycle_policy_is_no_unicycle(scenes, tmp_path):
     assert isinstance(fitting.worlds.config.action.dynamics, BicycleLimits)
 
 
+def of_rows(scenes, model=None):
+    """Worlds for learners, under the statistics of a model."""
+    env = SB3VecEnv(ccdiff_env.make_vec(2, scenes=scenes, horizon_steps=20))
+    env.seed(7)
+    if model is None:
+        return env
+    norm = VecNormalize(env, training=False, norm_reward=False)
+    norm.obs_rms = model.get_vec_normalize_env().obs_rms
+    return norm
+
+
 def test_normalised_observations_are_not_forgotten(scenes, tmp_path):
     model = trained(scenes, wrap=VecNormalize)
     model.save(tmp_path / "bare.zip")
     with pytest.raises(ConfigError, match=r"VecNormalize.*save_policy"):
-        load_sb3(tmp_path / "bare.zip")
+        load(tmp_path / "bare.zip")
     save_policy(model, tmp_path / "whole.zip")
-    seat = load_sb3(tmp_path / "whole.zip")
+    policy = load(tmp_path / "whole.zip")
     env = ccdiff_env.make_vec(2, scenes=scenes)
     obs, _ = env.reset(seed=5)
     normalised = model.get_vec_normalize_env().normalize_obs(obs)
     expected = model.predict(normalised, deterministic=True)[0]
-    np.testing.assert_allclose(seat(obs), expected, atol=1e-5)
+    np.testing.assert_allclose(policy.act(obs), expected, atol=1e-5)
+    np.testing.assert_allclose(policy.predict(obs)[0], expected, atol=1e-5)
+    np.testing.assert_allclose(ego_driver(policy)[1](obs), expected, atol=1e-5)
+    # as the algorithm in the worlds that it was trained in
+    rates = [
+        evaluate_policy(one, env, n_eval_episodes=4, warn=False)
+        for one, env in ((model, of_rows(scenes, model)), (policy, of_rows(scenes)))
+    ]
+    assert rates[0] == pytest.approx(rates[1], abs=1e-4)
     assert not hasattr(model, "ccdiff_env_statistics")
     # policies that say nothing are refused
     del model.observation_space.ccdiff_env
     model.save(tmp_path / "old.zip")
+    with pytest.raises(ConfigError, match="the policy does not say what it was trained in"):
+        save_policy(model, tmp_path / "none.zip")
     with pytest.raises(ConfigError, match=r"old\.zip does not say what it was trained in"):
-        load_sb3(tmp_path / "old.zip")
+        load(tmp_path / "old.zip")
 
 
 def test_torch_has_one_thread_unless_told_otherwise(scenes):
@@ -338,3 +361,32 @@ def test_torch_has_one_thread_unless_told_otherwise(scenes):
         assert torch.get_num_threads() == 1
     finally:
         torch.set_num_threads(before)
+
+
+def test_what_cannot_be_driven_is_refused_when_it_is_saved(scenes, tmp_path):
+    file = tmp_path / "ego.zip"
+    raster = {"observation": "bev", "bev": {"size_px": 36}}
+    parts = {"observation": "dict", "policy": "MultiInputPolicy"}
+    of_ego = functools.partial(VecNormalize, norm_obs_keys=["ego"])
+    for options, words in (
+        ({"wrap": lambda env: VecFrameStack(env, 2)}, "a wrapper that changes observations"),
+        ({"wrap": VecNormalize, **raster}, "a wrapper that changes observations"),
+        ({"wrap": of_ego, **parts}, "observation is 'dict', expected 'flat'"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            save_policy(trained(scenes, **options), file)
+    model = trained(scenes)
+    model.policy_class = type("Own", (), {"__module__": "mine.nets"})
+    with pytest.raises(ConfigError, match=r"mine\.nets cannot be driven, expected one of A2C.*TQC"):
+        save_policy(model, file)
+    assert not file.exists()
+
+
+def test_actors_of_tqc_are_driven_and_traffic_names_the_files_that_it_takes(scenes, tmp_path):
+    env = SB3VecEnv(ccdiff_env.make_vec(2, scenes=scenes, horizon_steps=20))
+    settings = {"learning_starts": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}}
+    model = TQC("MlpPolicy", VecNormalize(env, norm_reward=False), seed=0, **settings).learn(32)
+    save_policy(model, tmp_path / "tqc.zip")
+    assert len(drive(scenes, str(tmp_path / "tqc.zip"), REPLAY)[0]) == len(scenes)
+    with pytest.raises(ConfigError, match=r"tqc.zip' is one of stable-baselines3, expected ego,"):
+        ccdiff_env.make_vec(1, traffic="egos", egos={"policy": str(tmp_path / "tqc.zip")})

@@ -12,7 +12,6 @@ from gymnasium.vector import AutoresetMode
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.drawing import FPS
 from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import Scenes, StepArrays
@@ -40,9 +39,9 @@ class AgentVectorEnv(OnWorlds, AsVector):
     """
 
     reset_option_names = AGENT_OPTIONS
+    _own = ("criticality", "num_slots")
     metadata = {  # noqa: RUF012 (Gymnasium's form)
         "render_modes": ["rgb_array"],
-        "render_fps": FPS,
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
 
@@ -56,7 +55,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
         ranking: VehicleRanking = "nearest",
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
-        observation: Form = "flat",
+        observation: Form | Mapping[str, Any] = "flat",
         info: InfoLevel = "end",
         num_threads: int | None = None,
         render_mode: str | None = None,
@@ -146,7 +145,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
             final: Info = {"played": ended.ravel(), "_played": over.copy()}
             if self._info != "none":
                 final |= self._figures(out.columns, ended.ravel())
-                final |= self._metrics(ended, out.done)
+                final |= self._metrics(ended, out.done) | self._episodes(ended.ravel())
             infos.update(self._final(*last, over, final))
         if self._info == "full":
             infos.update(self._figures(out.columns, played.ravel()))

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.drawing import Image
 from ccdiff_env.envs.image import image
 from ccdiff_env.errors import ConfigError
@@ -19,9 +20,10 @@ from ccdiff_env.worlds import StepArrays, Worlds, normalize_seed
 from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
 
 Info = dict[str, Any]
+_NOBODY_NEAR_S = 10.0  #: Greatest time to contact.
 
 
-class AsVector(VectorEnv[Any, Any, Any]):
+class AsVector(Attributes, VectorEnv[Any, Any, Any]):
     """Spaces, seeds and options of resets, and infos."""
 
     #: Options that a reset takes for all worlds, or for each.
@@ -29,6 +31,7 @@ class AsVector(VectorEnv[Any, Any, Any]):
     worlds: Worlds
     _render_options: dict[str, Any]
     _form: Form
+    _info: str
     _seeded = False
 
     def _offer_spaces(self, num_envs: int) -> None:
@@ -119,12 +122,25 @@ class AsVector(VectorEnv[Any, Any, Any]):
             final[i] = self.worlds.layout.observation(self._form, rows[i].copy(), raster)
         return masked({"final_obs": final, "final_info": info}, ended)
 
-    def _figures(self, columns: F32, mask: Bool) -> Info:
-        """Info columns [E, C, M] of some rows [N]; zeros in the others."""
+    def _figures(self, columns: F32, mask: Bool, stepped: Bool | None = None) -> Info:
+        """Info columns [E, C, M] of some rows [N].
+
+        Values are those of the rows that ``stepped`` (by default the same), so that rewards can be
+        made from them without masks; in the others nothing happens: zero, and nobody near.
+        """
         values = columns.reshape(self.num_envs, -1).T.copy()
-        if not mask.all():
-            values[:, ~mask] = 0.0
+        stepped = mask if stepped is None else stepped
+        if not stepped.all():
+            values[:, ~stepped] = 0.0
+            values[self.worlds.column_names.index("ttc"), ~stepped] = _NOBODY_NEAR_S
         return masked(dict(zip(self.worlds.column_names, values, strict=True)), mask)
+
+    def _episodes(self, ended: Bool) -> Info:
+        """Scene, seed and so on of the episodes of rows [N] that ended, as their resets said."""
+        infos: Info = {}
+        for row in np.flatnonzero(ended).tolist() if self._info != "none" else ():
+            self._put(infos, row, self.worlds.episodes[row // self.worlds.num_slots])
+        return infos
 
     def _metrics(self, ended: Bool, done: Bool) -> Info:
         """Metrics of slots whose episode ended [E, C], in worlds of which some are done [E]."""

@@ -10,6 +10,7 @@ import gymnasium
 from gymnasium.wrappers import HumanRendering
 
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.image import image
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import Scene
@@ -17,7 +18,6 @@ from ccdiff_env.worlds import StepArrays, Worlds
 from ccdiff_env.worlds.spaces import F32, U8, Form
 
 Image = U8
-FPS = 10  #: Images per second of simulated time.
 
 #: Options of an image: width and height in pixels, metres across, agent id or (x, y) in the middle
 #: (the ego by default), whether its heading points up, what is drawn, and on which ground.
@@ -47,11 +47,11 @@ RENDER_MODES = [*(["human"] if find_spec("pygame") else []), "rgb_array"]
 class _Images(gymnasium.Env[Any, Any]):
     """Images as an environment, for the window of Gymnasium's wrapper: a reset shows one."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
     render_mode = "rgb_array"
 
-    def __init__(self, draw: Callable[[], Image]) -> None:
+    def __init__(self, draw: Callable[[], Image], fps: float) -> None:
         self._draw = draw
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": fps}
 
     def render(self) -> Any:
         return self._draw()
@@ -60,7 +60,7 @@ class _Images(gymnasium.Env[Any, Any]):
         return None, {}
 
 
-class DrawnWorld:
+class DrawnWorld(Attributes):
     """What every environment of one world has: its scene, what is seen, and images."""
 
     worlds: Worlds
@@ -90,12 +90,13 @@ class DrawnWorld:
         return self.worlds.layout.observation(self._form, obs[0, slot], raster)
 
     def _step_info(self, out: StepArrays, ended: bool, slot: int = 0) -> dict[str, Any]:
-        """Info columns of a slot's step, and at the end of its episode metrics."""
+        """Info columns of a slot's step, and at its end what episode it was, and metrics."""
         info: dict[str, Any] = {}
         if self._info == "full" or (self._info == "end" and ended):
             columns = out.columns[0, slot].tolist()
             info.update(zip(self.worlds.column_names, columns, strict=True))
         if ended and self._info != "none":
+            info.update(self.worlds.episodes[0])
             metrics = self.worlds.native.metrics(0)[slot].tolist()
             info["metrics"] = dict(zip(self.worlds.metric_names, metrics, strict=True))
         return info
@@ -118,7 +119,8 @@ class DrawnWorld:
     def _show(self) -> None:
         """Show the world in a window, where the render mode says so."""
         if self.render_mode == "human":
-            self._window = self._window or HumanRendering(_Images(self._image))
+            fps = self.metadata["render_fps"]
+            self._window = self._window or HumanRendering(_Images(self._image, fps))
             self._window.reset()
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from pettingzoo import ParallelEnv
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
-from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld, Image
+from ccdiff_env.envs.drawing import RENDER_MODES, DrawnWorld, Image
 from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
 from ccdiff_env.traffic.options import VehicleRanking
@@ -54,7 +54,6 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
         "name": "ccdiff_env_multi_v0",
         "render_modes": RENDER_MODES,
-        "render_fps": FPS,
         "is_parallelizable": True,
     }
 
@@ -68,7 +67,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         adversaries: Adversaries = None,
         adversary_shaping: float = 0.0,
         names: Names = "token",
-        observation: Form = "flat",
+        observation: Form | Mapping[str, Any] = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
@@ -84,7 +83,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         self.possible_agents: list[str] = list(self._selection.names(names))
         self.agents: list[str] = []
         self._observation_spaces: dict[str, gymnasium.Space[Any]] = {
-            name: self.worlds.observation_space(observation) for name in self.possible_agents
+            name: self.worlds.observation_space(self._form) for name in self.possible_agents
         }
         self._action_spaces = {
             name: copy.deepcopy(self.worlds.action_space) for name in self.possible_agents

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.config import WorldConfig
+from ccdiff_env.config import WorldConfig, check_option
 from ccdiff_env.envs.agent_selection import AgentSelection, Bool
+from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.drawing import checked_render_options
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seated
@@ -41,7 +43,7 @@ class Shared(NamedTuple):
 
     scenes: Scenes
     config: WorldConfig | None
-    observation: Form
+    observation: Form | Mapping[str, Any]
     info: InfoLevel
     render_mode: str | None
     render_options: Mapping[str, Any] | None
@@ -51,30 +53,41 @@ class Shared(NamedTuple):
     autoreset: Autoreset = "disabled"
 
 
-class OnWorlds:
+class OnWorlds(Attributes):
     """How environments are made, and what can be changed in them while an ego learns."""
 
-    metadata: dict[str, Any]
+    _own: ClassVar[tuple[str, ...]] = ("criticality",)
     worlds: Worlds
     _seat: Seat | None
     _selection: AgentSelection
 
-    def _take(self, shared: Shared) -> None:
-        """Refuse choices that do not exist."""
-        if shared.observation not in FORMS:
-            raise unknown("observation form", str(shared.observation), FORMS)
+    def _take(self, shared: Shared, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Refuse choices that do not exist; return the options, columns of observations among them.
+
+        ``observation`` is a form, or a dictionary of :class:`~ccdiff_env.config.ObservationConfig`
+        in which ``form`` names it.
+        """
+        for name in options:
+            check_option(name, inspect.signature(type(self)).parameters)
+        form, given = shared.observation, dict(options)
+        if isinstance(form, Mapping):
+            given["observation"] = {**form}
+            form = given["observation"].pop("form", "flat")
+        if form not in FORMS:
+            raise unknown("observation form", str(form), FORMS)
         if shared.info not in ("full", "end", "none"):
             raise unknown("info level", str(shared.info), ("full", "end", "none"))
         modes = self.metadata["render_modes"]
         if shared.render_mode not in (None, *modes):
             raise ConfigError(
                 f"render_mode is {shared.render_mode!r}, expected None or one of {', '.join(modes)}"
-                ' ("human" needs pygame)' * (shared.render_mode == "human")
+                + ' ("human" needs pygame)' * (shared.render_mode == "human")
             )
         self._render_options = checked_render_options(shared.render_options)
         self.render_mode = shared.render_mode
-        self._form: Form = shared.observation
+        self._form: Form = form
         self._info: str = shared.info
+        return given
 
     def _play(self, shared: Shared, scenes: Scenes, config: WorldConfig) -> None:
         """Make the worlds of a configuration."""
@@ -85,10 +98,11 @@ class OnWorlds:
             num_threads=shared.num_threads,
             criticality=shared.criticality,
         )
+        self._pace(config)
 
     def _take_ego(self, shared: Shared, options: Mapping[str, Any]) -> None:
         """Make worlds of one ego each, and its planner."""
-        self._take(shared)
+        options = self._take(shared, options)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of environments with one ego per world")
@@ -99,18 +113,18 @@ class OnWorlds:
             )
         chosen = scene_set(shared.scenes)
         self._seat, config, given = seated(options, config, chosen[0].dt)
-        self._play(shared, chosen, world_config(chosen, config, given, shared.observation))
+        self._play(shared, chosen, world_config(chosen, config, given, self._form))
 
     def _take_agents(
         self, shared: Shared, options: Mapping[str, Any], shaping: float, /, **choice: Any
     ) -> None:
         """Make worlds of several agents each; ``choice`` is that of :class:`AgentSelection`."""
-        self._take(shared)
+        options = self._take(shared, options)
         for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not an option of several agents: use agents")
         chosen = scene_set(shared.scenes)
-        resolved = world_config(chosen, shared.config, options, shared.observation)
+        resolved = world_config(chosen, shared.config, options, self._form)
         self._selection = AgentSelection.of(chosen, resolved, **choice)
         self._play(shared, chosen, self._selection.config(chosen, resolved, shaping))
 
@@ -123,6 +137,19 @@ class OnWorlds:
         )
         names = [None if agent is None else ids[agent] for agent in agents]
         return names, self._selection.adversary_slots(scene_idx, names)
+
+    @property
+    def criticality(self) -> Criticality | None:
+        """How critical traffic is, as the environment was told; set, it holds from the next reset.
+
+        It takes what :class:`~ccdiff_env.worlds.curriculum.Curriculum` takes. ``None``: as
+        configured.
+        """
+        return None if self.worlds.curriculum is None else self.worlds.curriculum.criticality
+
+    @criticality.setter
+    def criticality(self, criticality: Criticality) -> None:
+        self.worlds.set_criticality(criticality)
 
     def set_progress(self, progress: float) -> None:
         """Say how far training has come, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""

@@ -16,6 +16,7 @@ from ccdiff_env.envs.parts import reset_options
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError, MissingFeatureError
+from ccdiff_env.planners.sb3_policy import Sb3Policy, algorithm_of
 from ccdiff_env.worlds.fit import STATISTICS
 
 try:
@@ -62,22 +63,27 @@ def save_policy(model: BaseAlgorithm, path: str | Path) -> None:
     """Save a policy with the statistics of the ``VecNormalize`` that it was trained under.
 
     What it was trained in is in the file anyway, as its observation space says it.
+    :func:`ccdiff_env.planners.load` reads it.
 
     Raises:
-        ConfigError: If dictionaries of observations were normalised.
+        ConfigError: If it could not be driven: rasters or dictionaries were normalised, wrappers
+            changed observations, or its algorithm is none of those of docs/planners.md. Nothing is
+            written then.
     """
+    algorithm_of(model.policy_class.__module__)
     norm = model.get_vec_normalize_env()
-    if norm is None or not norm.norm_obs:
-        model.save(path)
-        return
-    if isinstance(norm.obs_rms, dict):
-        raise ConfigError("save_policy: observation is 'dict', expected 'flat' with VecNormalize")
-    scale = np.sqrt(norm.obs_rms.var + norm.epsilon)
-    setattr(model, STATISTICS, [norm.obs_rms.mean.tolist(), scale.tolist(), norm.clip_obs])
+    if norm is not None and norm.norm_obs:
+        form = Sb3Policy(model.policy, "the policy").observation
+        if form != "flat":
+            raise ConfigError(f"observation is {form!r}, expected 'flat' under VecNormalize")
+        assert not isinstance(norm.obs_rms, dict), "the form is flat"
+        scale = np.sqrt(norm.obs_rms.var + norm.epsilon)
+        setattr(model, STATISTICS, [norm.obs_rms.mean.tolist(), scale.tolist(), norm.clip_obs])
     try:
+        Sb3Policy(model, "the policy")
         model.save(path)
     finally:
-        delattr(model, STATISTICS)
+        vars(model).pop(STATISTICS, None)
 
 
 class SB3VecEnv(VecEnv):
@@ -105,6 +111,14 @@ class SB3VecEnv(VecEnv):
         *,
         torch_threads: int | None = 1,
     ) -> None:
+        wanted = getattr(env, "unwrapped", env)
+        if isinstance(wanted, AgentVectorEnv) != isinstance(self, AgentSB3VecEnv):
+            raise ConfigError("AgentVectorEnv and AgentSB3VecEnv go together: its rows may wait")
+        if not isinstance(wanted, (EgoVectorEnv, AgentVectorEnv, AdversarySelectionVectorEnv)):
+            raise ConfigError(
+                f"{type(self).__name__} takes the worlds of make_vec(...), not {env}: give an "
+                "environment of one world to the algorithm itself"
+            )
         if isinstance(env, EgoVectorEnv) and not env.begun:
             env.set_autoreset_mode(AutoresetMode.SAME_STEP)
         if env.metadata["autoreset_mode"] != AutoresetMode.SAME_STEP:
@@ -123,6 +137,7 @@ class SB3VecEnv(VecEnv):
         # VecNormalize changes spaces of rasters in place: those of the worlds stay what they are
         spaces = copy.deepcopy((env.single_observation_space, env.single_action_space))
         super().__init__(env.num_envs, *spaces)
+        self.metadata["render_fps"] = env.metadata["render_fps"]
 
     def reset(self) -> Any:
         """Reset all worlds, with the seeds and options of :meth:`seed` and ``set_options``.
@@ -197,11 +212,23 @@ class SB3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Attribute of the environment, once for each index."""
-        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
+        found = getattr(self._holder(attr_name), attr_name)
+        return [found for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of the environment, which all worlds share."""
-        setattr(self.env, attr_name, value)
+        """Set an attribute of the environment, or of a wrapper that has it; all worlds share it.
+
+        ``set_attr("criticality", 1.0)`` holds from the next reset of each world; other options are
+        refused.
+        """
+        setattr(self._holder(attr_name), attr_name, value)
+
+    def _holder(self, name: str) -> Any:
+        """Return the outermost wrapper that has an attribute, the worlds if none has."""
+        layer: Any = self.env
+        while layer is not self.env.unwrapped and not hasattr(layer, name):
+            layer = layer.env
+        return layer
 
     def env_method(
         self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any
@@ -210,7 +237,7 @@ class SB3VecEnv(VecEnv):
 
         Methods that take the index of a world as first argument are not filled in: pass it.
         """
-        method = getattr(self.env, method_name)
+        method = getattr(self._holder(method_name), method_name)
         return [method(*args, **kwargs) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:

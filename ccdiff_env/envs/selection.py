@@ -93,6 +93,7 @@ class AdversarySelectionVectorEnv(AsVector):
 
     reset_option_names = EgoVectorEnv.reset_option_names
     metadata = EgoVectorEnv.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
+    _own = ("adversaries", "decision_steps", "ego", "num_adversaries")
 
     def __init__(
         self,
@@ -138,7 +139,10 @@ class AdversarySelectionVectorEnv(AsVector):
         self.decision_steps = networks[0].replan_steps
         if len(paces := {one.replan_steps for one in networks}) > 1:
             raise ConfigError(f"replan_steps are {sorted(paces)}, expected one for all traffic")
+        self._pace(self.ego.config, self.decision_steps)
         self.num_envs, self.max_candidates = num_envs, max_candidates
+        self._info = self.ego._info
+        self.worlds.configured_criticality = None  # every decision chooses one
         self.render_mode, self._render_options = self.ego.render_mode, self.ego._render_options
         #: The action that chooses nobody, the last one.
         self.nobody = max_candidates * len(self.strengths)
@@ -197,7 +201,7 @@ class AdversarySelectionVectorEnv(AsVector):
             last = np.full(self.num_envs, None, object)
             for e in np.flatnonzero(done):
                 last[e] = self.obs[e].copy()
-            final = masked(figures | ends, done)
+            final = masked(figures | ends, done) | self._episodes(done)
             infos |= masked({"final_info": final, "final_obs": last}, done)
             infos |= self.reset(options={"reset_mask": done})[1]
         return self.obs.copy(), rewards, done, np.zeros_like(done), infos
@@ -322,6 +326,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         #: The worlds, of which there is one.
         self.vector = AdversarySelectionVectorEnv(1, **options)
         self._render_options = self.vector._render_options
+        self._pace(self.vector.ego.config, self.vector.decision_steps)
         self.observation_space = self.vector.single_observation_space
         self.action_space = self.vector.single_action_space
 
@@ -348,6 +353,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         info = {name: of[0] for name, of in figures.items()} | {"agent_ids": self.agent_ids()}
         done = bool(self.vector.ended[0])
         if done:
+            info.update(self.worlds.episodes[0])
             info["metrics"] = {name: float(of[0]) for name, of in self.vector.metrics().items()}
             info["is_success"] = info["metrics"]["is_success"]
         self._show()

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.envs.drawing import FPS, RENDER_MODES, DrawnWorld
+from ccdiff_env.envs.drawing import RENDER_MODES, DrawnWorld
 from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
@@ -59,7 +59,9 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         scenes: A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the
             name of a split of the embedded scenes.
         config: Configuration to start from.
-        observation: ``"flat"``, ``"dict"`` or ``"bev"``, as above.
+        observation: ``"flat"``, ``"dict"`` or ``"bev"``, as above; or fields of
+            :class:`~ccdiff_env.config.ObservationConfig` to change and the ``form``:
+            ``{"form": "dict", "num_neighbors": 8}``.
         info: ``"full"``: all columns of every step; ``"end"``: only of the last step of an episode;
             ``"none"``: only numbers at resets: index of the scene, seed, episode.
         render_mode: ``None``, ``"rgb_array"`` or ``"human"`` (needs pygame).
@@ -79,14 +81,14 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         again in a copy, in a fork and after :meth:`restore`.
     """
 
-    metadata = {"render_modes": RENDER_MODES, "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": RENDER_MODES}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
         self,
         *,
         scenes: Scenes = None,
         config: WorldConfig | None = None,
-        observation: Form = "flat",
+        observation: Form | Mapping[str, Any] = "flat",
         info: InfoLevel = "full",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
@@ -95,7 +97,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
     ) -> None:
         shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
         self._take_ego(shared, options)
-        self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(observation)
+        self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(self._form)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._actions: bytearray | None = bytearray()
 

@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.drawing import FPS
 from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
@@ -67,7 +66,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
     """
 
     reset_option_names = EGO_OPTIONS
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012 (Gymnasium's form)
+    metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's form)
 
     def __init__(
         self,
@@ -76,7 +75,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         scenes: Scenes = None,
         config: WorldConfig | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        observation: Form = "flat",
+        observation: Form | Mapping[str, Any] = "flat",
         info: InfoLevel = "full",
         copy: bool = True,
         num_threads: int | None = None,
@@ -92,7 +91,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
         )  # fmt: skip
         self._take_ego(shared, options)
         self._offer_spaces(num_envs)
-        self.metadata = {**type(self).metadata, "autoreset_mode": mode}
+        self.metadata = {**self.metadata, "autoreset_mode": mode}
         self._copy = copy
         self._kept = self._arrays_for(mode)
         self._begun = np.zeros(num_envs, np.bool_)
@@ -133,8 +132,9 @@ class EgoVectorEnv(OnWorlds, AsVector):
                 choice. ``reset_mask``: worlds [E] to reset.
 
         Returns:
-            obs, infos: Observations [E, ...]; ``scene``, ``scene_token``, ``seed``, ``episode_idx``
-                of the worlds that were reset, and where drawn ``ego``, ``ego_idx``, ``start_step``.
+            obs, infos: Observations [E, ...]; ``scene``, ``scene_token``, ``scene_idx``, ``seed``,
+                ``episode_idx``, ``start_step``, ``criticality`` of guided traffic, of the worlds
+                that were reset, and where drawn ``ego`` and ``ego_idx``.
         """
         given = reset_options(options, (*EGO_OPTIONS, "reset_mask"))
         named, *rest, drivers = (self._per_world(name, given.get(name)) for name in EGO_OPTIONS)
@@ -172,9 +172,10 @@ class EgoVectorEnv(OnWorlds, AsVector):
 
         Returns:
             obs, rewards, terminations, truncations, infos: Arrays [E, ...], and a dictionary of
-                arrays with ``_key`` masks: the info columns of the step; ``metrics`` of episodes
-                that end; scene and seed of those that begin; in SAME_STEP mode ``final_obs`` and
-                ``final_info``.
+                arrays with ``_key`` masks: the info columns of the step, of rows that end, too, and
+                as if nothing happened in rows without a step; ``metrics``, scene and seed of
+                episodes that end; scene and seed of those that begin; in SAME_STEP mode
+                ``final_obs`` and ``final_info``, which has what is said of those that end.
 
         Raises:
             ShapeError, ActionError: If the actions or the worlds do not fit; nothing has moved
@@ -205,23 +206,24 @@ class EgoVectorEnv(OnWorlds, AsVector):
         any_done, done = bool(out.done.any()), out.done
         if any_done and out.final_obs is not None:
             about = {} if self._info == "none" else self._figures(out.columns, done)
-            about |= self._ended_metrics(out)
+            about |= self._ended(out)
             bev = None if out.final_bev is None else out.final_bev[:, 0]
             infos.update(self._final(out.final_obs[:, 0], bev, done, about))
         if self._info == "full":
             running = ~out.was_reset if active is None else active & ~out.was_reset
-            if running.any():
-                infos.update(self._figures(out.columns, running))
+            infos.update(self._figures(out.columns, running, running | done))
         if any_done and out.final_obs is None:
             if self._info == "end":
                 infos.update(self._figures(out.columns, done))
-            infos.update(self._ended_metrics(out))
+            infos.update(self._ended(out))
         if out.was_reset.any():
             self._reset_infos(infos, out.was_reset.copy())
         return infos
 
-    def _ended_metrics(self, out: StepArrays) -> Info:
-        return {} if self._info == "none" else self._metrics(out.done[:, None], out.done)
+    def _ended(self, out: StepArrays) -> Info:
+        if self._info == "none":
+            return {}
+        return self._episodes(out.done) | self._metrics(out.done[:, None], out.done)
 
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
         for i in np.flatnonzero(which):
@@ -259,6 +261,11 @@ class EgoVectorEnv(OnWorlds, AsVector):
         if not (self._begun | mask).all():
             raise ConfigError("the first reset must reset all worlds")
         return mask
+
+    def expert_action(self) -> Any:
+        """Return the actions [E, W], or indices [E], that lead towards the next logged states."""
+        found = np.stack([self.worlds.native.expert_actions(i)[0] for i in range(self.num_envs)])
+        return found[:, 0].astype(np.int64) if self.worlds.discrete else found
 
     def explain(self, world_idx: int) -> TrafficPlan | None:
         """Return the plan that CCDiff follows in a world; ``None`` before the first one.

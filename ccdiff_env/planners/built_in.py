@@ -5,13 +5,9 @@ docs/planners.md shows the protocol with examples.
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import io
-import json
 import os
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -23,8 +19,6 @@ from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.errors import (
     CcdiffError,
     ConfigError,
-    DatasetError,
-    MissingFeatureError,
     PolicyError,
     ShapeError,
     unknown,
@@ -33,18 +27,17 @@ from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
 from ccdiff_env.planners.rules import LaneIdm, NoOp, PdmClosed
-from ccdiff_env.system.files import read_bytes, reading
+from ccdiff_env.planners.sb3_policy import Sb3Policy
 from ccdiff_env.system.named_objects import named_object
 from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
-from ccdiff_env.worlds.fit import ATTRIBUTE, STATISTICS, Fit
+from ccdiff_env.worlds.fit import Fit
 from ccdiff_env.worlds.spaces import F32, U8, Form, StepArrays
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = [
-    "EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "is_of_package", "load_sb3",
-    "seated",
+    "EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "is_of_package", "seated",
 ]  # fmt: skip
 
 #: Planners of the package by name, without weights of their own.
@@ -96,16 +89,6 @@ class _Predicts(Protocol):
 Ego: TypeAlias = str | os.PathLike[str] | Act | _Predicts
 
 _WORLD_DRIVERS = driver_names()
-_MOST_DATA_BYTES = 64 << 20  #: Bytes of the description in a file of stable-baselines3.
-#: Part of a policy class's module; package and algorithm that loads it.
-_ALGORITHMS = {
-    "recurrent": ("sb3_contrib", "RecurrentPPO"),
-    "maskable": ("sb3_contrib", "MaskablePPO"),
-    "sac": ("stable_baselines3", "SAC"),
-    "td3": ("stable_baselines3", "TD3"),
-    "dqn": ("stable_baselines3", "DQN"),
-    "common": ("stable_baselines3", "PPO"),
-}
 
 
 class Seat:
@@ -309,95 +292,6 @@ class Seat:
             ) from error
 
 
-class _Sb3:
-    """A policy of stable-baselines3, or of sb3-contrib, as a planner."""
-
-    def __init__(self, model: Any, name: str) -> None:
-        self._model = model
-        self.fit = Fit.read(getattr(model.observation_space, ATTRIBUTE, None), name)
-        self.space = model.observation_space
-        self._statistics = getattr(model, STATISTICS, None)
-        last = None if self._statistics else getattr(model, "_last_obs", None)
-        if last is not None and not _inside(model.observation_space, last):
-            raise ConfigError(
-                f"{name} was trained on normalised observations (VecNormalize), whose statistics "
-                "are not in its file: save it with ccdiff_env.envs.sb3.save_policy"
-            )
-        self.observation = self.fit.form
-        self.env_options = dict(self.fit.options)
-        self._state: Any = None
-        self._starts: npt.NDArray[np.bool_] | None = None
-
-    def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
-        if self._starts is None or len(self._starts) != worlds.num_worlds:
-            self._state, self._starts = None, np.ones(worlds.num_worlds, np.bool_)
-        self._starts[indices] = True
-
-    def __call__(self, obs: Any) -> npt.NDArray[Any]:
-        if self._statistics is not None:
-            mean, scale, clip = (np.asarray(part, np.float32) for part in self._statistics)
-            obs = np.clip((obs - mean) / scale, -clip, clip)
-        starts = {} if self._starts is None else {"episode_start": self._starts.copy()}
-        actions, self._state = self._model.predict(
-            obs, state=self._state, deterministic=True, **starts
-        )
-        if self._starts is not None:
-            self._starts[:] = False
-        return np.asarray(actions)
-
-
-def _inside(space: Any, obs: Any) -> bool:
-    """Whether a batch of observations lies in its space, but for rounding."""
-    if isinstance(obs, dict):
-        return all(_inside(space[name], part) for name, part in obs.items())
-    low, high = getattr(space, "low", 0), getattr(space, "high", 1)
-    return bool(((obs >= low - 1e-3) & (obs <= high + 1e-3)).all())
-
-
-def load_sb3(path: str | os.PathLike[str]) -> Seat:
-    """Load a policy that stable-baselines3 (PPO, A2C, SAC, TD3, DQN) or sb3-contrib saved.
-
-    Files of stable-baselines3 hold pickles, which run code: load files that you trust only. What
-    a policy was trained in is in the file; its ``env_options`` make worlds that fit.
-
-    Raises:
-        DatasetNotFoundError: If there is no such file.
-        DatasetError: If it is no file of stable-baselines3.
-        ConfigError: If the file does not say what the policy was trained in, or its statistics are
-            missing.
-        MissingFeatureError: If stable-baselines3 is not installed.
-    """
-    name = Path(path).name
-    with reading("policy of stable-baselines3", path):
-        with zipfile.ZipFile(io.BytesIO(read_bytes(path))) as file:
-            if file.getinfo("data").file_size > _MOST_DATA_BYTES:
-                raise DatasetError(f"data of more than {_MOST_DATA_BYTES} bytes")
-            data = json.loads(file.read("data"))
-        module = str(data["policy_class"]["__module__"])
-        known = [how for part, how in _ALGORITHMS.items() if part in module]
-        if not known:
-            raise DatasetError(f"a policy of {module[:80]!r}")
-        package, algorithm = known[0]
-        said = data["observation_space"].get(ATTRIBUTE)
-    Fit.read(said, name)
-    try:
-        learners = importlib.import_module(package)
-    except ImportError as error:
-        raise MissingFeatureError(
-            f"policies of {package} need it: pip install {package.replace('_', '-')}"
-        ) from error
-    try:
-        model = getattr(learners, algorithm).load(path, device="cpu")
-    except ModuleNotFoundError as error:
-        other = "1" if str(error.name).startswith("numpy._core") else "2"
-        why = f"it was saved under another NumPy than {other}" if "numpy" in str(error.name) else ""
-        raise MissingFeatureError(
-            f"policy {name}: its pickles need the module {error.name!r}; "
-            f"{why or 'install it'}: load it where it was saved, or save it again there"
-        ) from error
-    return Seat(_Sb3(model, name), name, path)
-
-
 def seated(
     options: Mapping[str, Any], config: WorldConfig | None, dt_s: float
 ) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
@@ -451,12 +345,12 @@ def seat_of(ego: Ego) -> Seat:
     planner: Any = ego
     if not isinstance(ego, (str, os.PathLike)):
         name = getattr(ego, "__name__", type(ego).__name__)
-        if hasattr(ego, "predict"):
-            planner = _Sb3(ego, name)
+        if hasattr(ego, "predict") and not callable(ego):
+            planner = Sb3Policy(ego, name)
         return Seat(planner, name, ego)
     name = os.fspath(ego)
     if name.endswith(".zip") and "?" not in name:
-        return load_sb3(ego)
+        return Seat(load(ego), Path(ego).name, ego)
     if name.startswith(PREFIX):
         planner = nuplan_planner(name)
     elif ":" in name:

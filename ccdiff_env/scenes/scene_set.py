@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import overload
 
 from ccdiff_env._native import Scene
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError, meant
 from ccdiff_env.scenes.load_report import LoadReport
 
 
@@ -69,7 +69,8 @@ class SceneSet(Sequence[Scene]):
         if isinstance(key, str):
             if key not in self._by_name:
                 shown = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")
-                raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {shown}")
+                near = meant(key, self.names) or shown
+                raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {near}")
             key = self._by_name[key]
         return self._scenes[key]
 

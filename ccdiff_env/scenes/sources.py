@@ -160,8 +160,8 @@ DEFAULT = "embedded"  #: The source that is meant where none is named.
 def parse(text: str) -> Place:
     """Take a text apart.
 
-    The last part of a path is the split where it names one. A folder that is called as a split
-    needs its version or split named as well.
+    A split of :data:`DEFAULT` may stand alone. The last part of a path is the split where it names
+    one. A folder that is called as a split needs its version or split named as well.
 
     Raises:
         ConfigError: If it names no source, no split of it, or a part that the source does not have
@@ -171,8 +171,10 @@ def parse(text: str) -> Place:
     name, rest, limit = found.groups() if found else (text, "", None)
     if limit is not None and not limit.isdecimal():
         raise _wrong(text, f"limit is {limit!r}, expected a whole number")
+    if name in (splits := split_names(SOURCES[DEFAULT])) and not rest:
+        name, rest = DEFAULT, f"/{name}"
     if name not in SOURCES:
-        raise _wrong(text, f"no source {name!r}{_meant(text)}", name, SOURCES)
+        raise _wrong(text, f"no source {name!r}{_meant(text)}", name, [*SOURCES, *splits])
     path: str | None = None
     version = split = None
     if rest.startswith(":") and SOURCES[name].path is not None:
@@ -238,10 +240,11 @@ def _meant(text: str) -> str:
     """What a text that names no source may be: a folder, or a scene."""
     if text[:1] in ("/", ".", "~") or os.path.exists(text):
         return f"; a folder or file needs one before it, as in nuscenes:{text}"
-    if any(text in names for names in embedded_splits().values()):
+    known = [name for names in embedded_splits().values() for name in names]
+    for name in difflib.get_close_matches(text, known, n=1, cutoff=0.8):
         return (
-            f'; one embedded scene is load("embedded", names=[{text!r}]), '
-            f'or reset(options={{"scene": {text!r}}})'
+            f'; one embedded scene is load("embedded", names=[{name!r}]), '
+            f'or reset(options={{"scene": {name!r}}})'
         )
     return ""
 

@@ -86,7 +86,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     """Return the page of some scenes, :data:`SCENES` by default, as HTML that needs nothing else;
     the module is WebAssembly, as ``tools.playground`` compiles it.
     """
-    ego = planners.load("ego")
+    ego = planners.load_ego("ego")
     settings = {
         **look(),
         # places of the drivers that every world has; the next is that of the network

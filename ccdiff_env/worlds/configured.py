@@ -10,8 +10,7 @@ from typing import Any, TypeAlias
 from ccdiff_env.config import BevConfig, WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.scenes.embedded import embedded_scenes
-from ccdiff_env.scenes.sources import SOURCES, load
+from ccdiff_env.scenes.sources import load
 from ccdiff_env.worlds.spaces import Form
 
 #: Scenes by themselves, the text of a source, or the name of a split of the embedded ones.
@@ -25,14 +24,16 @@ def scene_set(scenes: Scenes) -> SceneSet:
     ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones.
     """
     if scenes is None or isinstance(scenes, str):
-        text = scenes or "train"
-        return embedded_scenes(text) if text.isalnum() and text not in SOURCES else load(text)
+        return load(scenes or "train")
     if isinstance(scenes, SceneSet):
         found = scenes
     else:
         listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
         if not all(isinstance(scene, Scene) for scene in listed):
-            raise ConfigError("scenes: expected scenes, a SceneSet or the name of a split")
+            raise ConfigError(
+                "scenes: expected scenes, a SceneSet or the name of a split; "
+                'load("embedded", names=[...]) gives scenes by name'
+            )
         found = SceneSet(listed)
     if len(found) == 0:
         raise ConfigError("scenes: empty, expected at least one scene")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias
 
@@ -40,13 +41,20 @@ class Curriculum:
     """
 
     def __init__(self, criticality: Criticality) -> None:
-        self._criticality = criticality
+        self.criticality = criticality  #: As given.
         self.progress = 0.0  #: Progress of training, 0 to 1.
         self._range()
 
     def _range(self) -> list[tuple[float, float, float]]:
         """Shares of the episodes, and from where to where their strengths are drawn."""
-        found = self._criticality
+        found = self.criticality
+        try:
+            if callable(found):
+                inspect.signature(found).bind(self.progress)
+        except TypeError as error:
+            raise ConfigError(
+                f"criticality: {error}, expected a function of the progress of training, 0 to 1"
+            ) from None
         strength = found(self.progress) if callable(found) else found
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
         wrong = ConfigError(

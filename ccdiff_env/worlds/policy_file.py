@@ -52,6 +52,12 @@ class PolicyFile(NamedTuple):
 def read_policy(name: str | os.PathLike[str]) -> PolicyFile:
     """Read a policy by name or path; :func:`ccdiff_env.planners.load` says what is raised."""
     path = SHIPPED.get(os.fspath(name), Path(name))
+    if path.suffix == ".zip":
+        raise ConfigError(
+            f"policy {os.fspath(name)!r} is one of stable-baselines3, expected "
+            f"{', '.join(SHIPPED)} or a .safetensors of ccdiff-env train-ego: traffic and further "
+            "training take its network alone"
+        )
     if path.suffix != ".safetensors":
         raise unknown("policy", os.fspath(name), SHIPPED)
     tensors, metadata = read_tensors(path)

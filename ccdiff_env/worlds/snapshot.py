@@ -47,6 +47,8 @@ class Snapshot:
             worlds.criticality[world_idx] = self.criticality
         if other is not None:
             worlds.native.reseed(world_idx, other)
+        if worlds.native.begun(world_idx):
+            worlds.note_episode(world_idx)
 
     def to_bytes(self) -> bytes:
         """Return the snapshot as bytes."""

@@ -20,6 +20,7 @@ from ccdiff_env.errors import (
     ConfigError,
     ShapeError,
     UnknownNameError,
+    meant,
 )
 from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
@@ -135,14 +136,19 @@ class Worlds:
         self.num_worlds = num_worlds
         self._num_threads = num_threads
         self.native = self._made()
-        if criticality is not None and not _models(config, scenes):
-            config.guided_traffic("criticality")
-        self.curriculum = None if criticality is None else Curriculum(criticality)
+        found = {one.criticality for one in config.networks_in_traffic()}
+        #: That of all networks of the traffic, where it is one.
+        self.configured_criticality = found.pop() if len(found) == 1 else None
+        self.curriculum: Curriculum | None = None
+        if criticality is not None:
+            self.set_criticality(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}
         self._agent_ids: frozenset[str] = frozenset()
         #: Criticality that the present episode of a world was given by the curriculum.
         self.criticality: dict[int, float] = {}
+        #: What is known of the present episode of a world: its scene, seed, start and so on.
+        self.episodes: dict[int, dict[str, Any]] = {}
         self.num_slots = config.num_slots
         self.layout = Layout.from_json(self.native.layout_json)
         self.columns = read_columns(_native.schema("columns"))
@@ -246,8 +252,8 @@ class Worlds:
             return None
         if isinstance(choice, str):
             if choice not in self._index:
-                few = ", ".join(list(self._index)[:5])
-                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {few} ...")
+                near = meant(choice, self._index) or f"{', '.join(list(self._index)[:5])} ..."
+                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {near}")
             return self._index[choice]
         index = _integer("scene", choice, "a name or an index")
         if not 0 <= index < len(self._index):
@@ -342,6 +348,18 @@ class Worlds:
             self.native.assign(world_idx, [places[agent]], driver)
         self.drivers[world_idx] = found
 
+    def set_criticality(self, criticality: Criticality) -> None:
+        """Set how critical traffic is in episodes that begin later; progress stays.
+
+        Raises:
+            ConfigError: If nobody can be guided, or for what :class:`Curriculum` does not take.
+        """
+        if not _models(self.config, self.scenes):
+            self.config.guided_traffic("criticality")
+        progress = self.curriculum.progress if self.curriculum else 0.0
+        self.curriculum = Curriculum(criticality)
+        self.curriculum.progress = progress
+
     def set_progress(self, progress: float) -> None:
         """Say how far training has come, 0 to 1: episodes that begin later follow.
 
@@ -378,33 +396,39 @@ class Worlds:
         self.scene_weights = weights
 
     def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
-        """Return what ``info`` says about a new episode: scene, its token, seed, episode.
+        """Return what ``info`` says about a new episode: scene, its token, seed, episode, start.
 
-        An ego that is drawn is reported with the step of the log at which the episode starts.
-        Level ``"none"`` has numbers alone: some learners take no text.
+        An ego that is drawn is reported, too. Level ``"none"`` has numbers alone: some learners
+        take no text.
 
-        With a curriculum, the episode's criticality is drawn, set and reported here.
+        With a curriculum, the episode's criticality is drawn and set here.
         """
+        if self.curriculum is not None:
+            status = self.native.status(world_idx)
+            strength = self.curriculum.draw(status.seed, status.episode - 1)
+            self.native.override_plan(world_idx, guided=None, criticality=strength)
+            self.criticality[world_idx] = strength
+        self.note_episode(world_idx)
+        known = self.episodes[world_idx].items()
+        return {k: of for k, of in known if level != "none" or not isinstance(of, str)}
+
+    def note_episode(self, world_idx: int) -> None:
+        """Note in :attr:`episodes` what is known of the present episode of a world."""
         status = self.native.status(world_idx)
-        scene, seed, episode_idx = self.scenes[status.scene_idx], status.seed, status.episode - 1
-        info: dict[str, Any] = {
+        scene = self.scenes[status.scene_idx]
+        info = self.episodes[world_idx] = {
             "scene": scene.name,
             "scene_token": scene.token,
             "scene_idx": status.scene_idx,
-            "seed": seed,
-            "episode_idx": episode_idx,
+            "seed": status.seed,
+            "episode_idx": status.episode - 1,
+            "start_step": status.step_idx - status.elapsed_steps,
         }
         if self.config.controlled == "any" and status.ego_idx is not None:
-            info["ego"], info["ego_idx"] = scene.agent_ids[status.ego_idx], status.ego_idx
-            info["start_step"] = status.step_idx
-        if level == "none":
-            for text in ("scene", "scene_token", "ego"):
-                info.pop(text, None)
-        if self.curriculum is not None:
-            strength = self.curriculum.draw(seed, episode_idx)
-            self.native.override_plan(world_idx, guided=None, criticality=strength)
-            info["criticality"] = self.criticality[world_idx] = strength
-        return info
+            info |= {"ego": scene.agent_ids[status.ego_idx], "ego_idx": status.ego_idx}
+        strength = self.criticality.get(world_idx, self.configured_criticality)
+        if strength is not None:
+            info["criticality"] = strength
 
     def explain(self, world_idx: int, driver: str | None = None) -> TrafficPlan | None:
         """Return the plan that a world follows, of the driver or of the first that plans; ``None``
