@@ -120,6 +120,48 @@ def test_tables_hold_means_intervals_and_scores(tmp_path):
     assert len((tmp_path / "figures.csv").read_text(encoding="utf-8").splitlines()) == 4
 
 
+def test_comfort_distances_draw_the_log_with_the_scenes():
+    """A method that is the log, one bin farther in every scene, is as far from it in any draw."""
+    ramps = np.zeros((12, 3, 20))
+    for i, ramp in enumerate(ramps):
+        ramp[:, 2 + i], ramp[:, 3] = 0.5, ramp[:, 3] + 0.5
+    log, moved = (
+        [
+            _row(str(i), False, 0.0, 0.0, np.roll(ramp, by, axis=1).tolist())
+            for i, ramp in enumerate(ramps)
+        ]
+        for by in (0, 1)
+    )
+    played = {Condition("replay", "0", 0.5): log, Condition("idm", "1", 0.5): moved}
+    floor, found = (figures["cfd"] for figures in summarise(played).values())
+    assert floor == (0.0, 0.0, 0.0)
+    assert found == pytest.approx([100 * 0.5 / 3] * 3)
+    # rows of several seeds count as one scene, wherever they stand
+    more = [*moved, *({**row, "seed": 1} for row in reversed(moved))]
+    assert summarise({**played, Condition("idm", "1", 0.5): more})[Condition("idm", "1", 0.5)][
+        "cfd"
+    ] == pytest.approx(found)
+
+
+def test_a_random_ranking_is_drawn_for_every_scene_and_seed():
+    scenes = list(ccdiff_env.embedded_scenes("city"))[:60]
+    orders: dict[int, set[tuple[int, ...]]] = {}
+    for scene in scenes:
+        everyone = control_set(scene, "first", None)
+        drawn, again, other = (control_set(scene, "random", None, seed) for seed in (0, 0, 1))
+        assert drawn == again
+        places = tuple(map(sorted(everyone).index, drawn))
+        orders.setdefault(len(drawn), set()).add(places)
+        assert sorted(other) == sorted(everyone)
+    several = [len(found) for count, found in orders.items() if count > 4]
+    assert max(several) > 3
+    rows = evaluate(
+        source="embedded/val", names=scene_names("embedded/val")[:2],
+        method="ccdiff_random", num_controlled=1, replan_steps=5, seed=4,
+    )  # fmt: skip
+    assert [row["seed"] for row in rows] == [4, 4, 5, 5, 6, 6]
+
+
 def test_conditions_stand_by_number_and_intervals_are_never_nan():
     rows = [{"method": "ccdiff", "k": k, "replan_steps": 5} for k in (None, 10, 2, 1)]
     assert [c.k for c in conditions(rows)] == ["1", "2", "10", "Full"]
@@ -236,5 +278,6 @@ def test_what_cannot_differ_is_not_played_twice():
 
 def test_the_order_of_vehicles_does_not_matter_where_all_are_controlled():
     named = ("ccdiff", "ccdiff_random", "ccdiff_greedy")
-    rows = [measured(method, None, replan_steps=10) for method in named]
+    played = [measured(method, None, replan_steps=10) for method in named]
+    rows = [[row for row in of if row["seed"] == played[0][0]["seed"]] for of in played]
     assert rows[1:] == [rows[0]] * 2

@@ -1,8 +1,10 @@
 """Experiments of the traffic benchmark: conflict of gradients, own weights."""
 
+import csv
 import json
 import re
 from dataclasses import replace
+from hashlib import sha256
 
 from ccdiff_env import cli, models
 from ccdiff_env.bench.methods import METHODS
@@ -41,6 +43,18 @@ def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys
     own = rows("own", "--weights", f"ccdiff={routes}")
     assert own["ccdiff"] != shipped["ccdiff"]
     assert own["tokens"] == shipped["tokens"]
+    digest = sha256(routes.read_bytes()).hexdigest()
+    for folder, name in (("shipped", "CCDiff"), ("own", f"CCDiff, own weights {digest[:8]}")):
+        folder = tmp_path / folder
+        table, page = ((folder / file).read_text() for file in ("table.md", "report.html"))
+        assert f"| {name} | 2 |" in table
+        assert "| Tokens | 2 |" in table
+        assert (f"own ccdiff {digest[:12]}" in page) == (name != "CCDiff")
+        for file in ("episodes.csv", "figures.csv"):
+            lines = list(csv.DictReader((folder / file).open()))
+            found = {row["own_weights"] for row in lines if row["method"] == "ccdiff"}
+            assert found == {digest if name != "CCDiff" else ""}
+            assert {row["own_weights"] for row in lines if row["method"] == "tokens"} == {""}
     capsys.readouterr()
     for text, said in (
         (f"ccdiff={tokens}", "another run|other settings: own_weights"),
@@ -54,3 +68,12 @@ def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys
     given = ["--out", str(tmp_path / "kind"), "--methods", "ccdiff"]
     assert cli.main([*command, *given, "--weights", f"ccdiff={tokens}"]) == 2
     assert "tokens" in capsys.readouterr().err
+
+
+def test_rows_without_guidance_say_how_many_samples_they_choose_from():
+    assert METHODS["ccdiff_unguided"].label == "CCDiff, no guidance, safest of 5"
+    assert METHODS["ccdiff_one_sample"].label == "CCDiff, no guidance, N=1"
+    assert METHODS["simnet_unguided"].label == "SimNet, no guidance"
+    for name, method in METHODS.items():
+        chooses = name.endswith("_unguided") and method.ccdiff["num_samples"] > 1
+        assert ("safest of" in method.label) == chooses

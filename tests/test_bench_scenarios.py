@@ -10,10 +10,10 @@ import pytest
 from view_rollouts import planned_rollout
 
 from ccdiff_env import cli
+from ccdiff_env.bench import scenarios
 from ccdiff_env.bench.planners import TRAFFIC, drive, play
 from ccdiff_env.bench.scenarios import (
     cross_jobs,
-    ego_collisions,
     evaluate_in_set,
     generate,
     generation_jobs,
@@ -32,9 +32,9 @@ NAMES = ["merge-in-03", "cut-in-03", "left-turn-05"]
 CRITICAL = "ccdiff-2"
 
 
-def make(folder, generator="idm"):
+def make(folder, generator="idm", names=NAMES):
     return generate(
-        source=VAL, names=NAMES, generator=generator, traffic=CRITICAL, seed=17,
+        source=VAL, names=names, generator=generator, traffic=CRITICAL, seed=17,
         folder=str(folder), num_plans=2,
     )  # fmt: skip
 
@@ -62,7 +62,7 @@ def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(tmp_pa
         for scenario, rollout, row in zip(rows, found, driven, strict=True):
             assert row["collision"] == scenario["collision"]
             assert 1.0 - row["no_at_fault_collision"] == scenario["at_fault"]
-            then, now = ego_collisions(rollout), ego_collisions(again[row["scene"]])
+            then, now = (one.collisions("ego") for one in (rollout, again[row["scene"]]))
             assert [(e.step, e.partner_id, e.kind) for e in now] == [
                 (e.step, e.partner_id, e.kind) for e in then
             ]
@@ -79,11 +79,17 @@ def test_sets_hold_collisions_that_can_and_that_cannot_be_avoided(made):
         assert (row["time_s"] is None) == (not row["collision"])
 
 
-def test_collisions_after_the_goal_do_not_count():
+def test_collisions_after_the_goal_count_as_the_matrix_counts_them(tmp_path, monkeypatch):
+    """A collision at step 30, also where the goal was reached at step 20, is judged."""
     rollout = planned_rollout()
-    assert [event.step for event in ego_collisions(rollout)] == [30]
     goal = RolloutEvent(20, "ego", None, "goal")
-    assert not ego_collisions(replace(rollout, events=(goal, *rollout.events)))
+    for played in (rollout, replace(rollout, events=(goal, *rollout.events))):
+        monkeypatch.setattr(
+            scenarios, "drive", lambda scenes, *_, played=played, **__: ([], {NAMES[0]: played})
+        )
+        (row,) = make(tmp_path, "idm", NAMES[:1])
+        assert row["collision"]
+        assert row["time_s"] == pytest.approx(30 * rollout.dt_s)
 
 
 def test_realism_is_that_of_the_vehicles_that_follow_plans():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_models import QUICK, road
 
-from ccdiff_env import cli
+from ccdiff_env import cli, embedded_scenes
 from ccdiff_env.envs import distil
 from ccdiff_env.errors import CcdiffError, ConfigError
 from ccdiff_env.models import TrajectoryModel, shipped_weights, train, training
@@ -53,12 +53,13 @@ def test_a_training_goes_on_with_what_it_was_begun_with(tmp_path):
 def test_a_training_that_diverges_keeps_its_last_finite_state(tmp_path, monkeypatch):
     monkeypatch.setattr(training, "_CHUNK", 1)
     options = {"out": tmp_path, "checkpoint_minutes": 0.0, "progress": False}
+    scenes = embedded_scenes("train")[:4]
     with pytest.raises(CcdiffError):
-        train([road()], steps=200, settings={**QUICK, "learning_rate": 1e12}, **options)
+        train(scenes, steps=200, settings={**QUICK, "learning_rate": 300.0}, **options)
     step = TrajectoryModel(tmp_path / "weights.safetensors").header["step"]
     assert 0 < step < 200
     # the state is the same step's, and can be read to the last number
-    train([road()], steps=step, **options)
+    train(scenes, steps=step, **options)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

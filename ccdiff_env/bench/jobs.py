@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import random
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
+from ccdiff_env.system.settings import first_change
 
 
 def use_one_thread() -> None:
@@ -60,11 +63,25 @@ class Job:
         return function(**self.arguments, **more)
 
 
-def chunk_jobs(name: str, function: str, source: str, size: int, **arguments: Any) -> list[Job]:
-    """Return a job for each chunk of the scenes of a source; it gets their ``names``."""
+def chunk_jobs(
+    name: str,
+    function: str,
+    source: str,
+    size: int,
+    *,
+    shuffle: int | None = None,
+    **arguments: Any,
+) -> list[Job]:
+    """Return a job for each chunk of the scenes of a source; it gets their ``names``.
+
+    They come in the order of the source, or in one that a seed draws, ``shuffle``.
+    """
+    names = scene_names(source)
+    if shuffle is not None:
+        random.Random(shuffle).shuffle(names)
     return [
         Job(f"{name}-{i:03d}", function, {"source": source, "names": part, **arguments})
-        for i, part in enumerate(chunks(scene_names(source), size))
+        for i, part in enumerate(chunks(names, size))
     ]
 
 
@@ -129,20 +146,13 @@ def run_jobs(
 
 
 def _changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """Say in what two descriptions of a job differ first."""
-    old, new = _flat(then), _flat(now)
-    for name in dict.fromkeys([*new, *old]):
-        if old.get(name) != new.get(name):
-            return f"{name} was {old.get(name)!s:.60}, now {new.get(name)!s:.60}"
-    return None
+    """Say in what two descriptions of a job differ first, by names in words."""
+    changed = first_change(*map(_decides, (then, now)))
+    return None if changed is None else "{} was {!s:.60}, now {!s:.60}".format(*changed)
 
 
-def _flat(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides a result, by names in words; mappings within by theirs."""
-    found = {"function": entry.get("function")}
-    for part in ("arguments", "made_from"):
-        given = entry.get(part)
-        for name, value in given.items() if isinstance(given, dict) else ():  # damaged otherwise
-            inner = value.items() if isinstance(value, dict) else [("", value)]
-            found |= {f"{name} {key}".rstrip(): one for key, one in inner}
-    return found
+def _decides(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides a result."""
+    parts = (entry.get(part) for part in ("arguments", "made_from"))
+    given = (part.items() for part in parts if isinstance(part, dict))  # damaged otherwise
+    return {"function": entry.get("function"), **dict(chain.from_iterable(given))}

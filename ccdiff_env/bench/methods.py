@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any, TypeVar
 
 from ccdiff_env.errors import UnknownNameError
@@ -29,11 +30,14 @@ class Method:
     #: What differs from the preset that ``ccdiff`` names.
     guidance: Mapping[str, Any] = field(default_factory=dict)
 
+    def weights_of(self, given: Mapping[str, str]) -> str | None:
+        """Return what is given for the method's network, unless the method names weights itself."""
+        return None if "weights" in self.ccdiff else given.get(self.driver)
+
     def with_weights(self, weights: Mapping[str, str]) -> Method:
         """Return the method with a file of ``weights``, by driver, unless it names its own."""
-        if self.driver not in weights or "weights" in self.ccdiff:
-            return self
-        return replace(self, ccdiff={**self.ccdiff, "weights": weights[self.driver]})
+        file = self.weights_of(weights)
+        return self if file is None else replace(self, ccdiff={**self.ccdiff, "weights": file})
 
     def options(self) -> dict[str, Any]:
         """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
@@ -76,7 +80,11 @@ class NamedDrivers(dict[str, _T]):
     def __missing__(self, name: str) -> _T:
         if ":" not in name:
             raise UnknownNameError(f"no {self._what} {name!r}, there are {', '.join(self)}")
-        return self._kind(name.partition(":")[2], name)
+        own, taken = (
+            name.partition(":")[2],
+            {getattr(entry, "label", "") for entry in self.values()},
+        )
+        return self._kind(name if own in taken else own, name)
 
 
 #: What a name's middle adds to the title and the options of a network,
@@ -89,7 +97,8 @@ _FORMS: dict[str, tuple[str, dict[str, Any]]] = {
         {"follow_route": True, "denoising_steps": 1},
     ),
 }
-#: and what its end adds: whether plans are guided.
+#: and what its end adds: whether plans are guided. Of several samples that nothing guides, the one
+#: that touches least and stays on the road drives, as in the released code.
 _ENDS: dict[str, tuple[str, dict[str, Any]]] = {
     "": ("", _GUIDED),
     "_unguided": (", no guidance", {"num_samples": 5}),
@@ -122,15 +131,14 @@ def _network(
 ) -> dict[str, Method]:
     """Return the methods of a network, whose name has its driver's first; ``own`` come last."""
     driver = name if name in NETWORKS else "ccdiff"
-    return {
-        name + form + end: Method(
-            title + _FORMS[form][0] + _ENDS[end][0],
-            driver,
-            ccdiff={**_ENDS[end][1], **_FORMS[form][1], **own},
-        )
-        for form in forms
-        for end in ends
-    }
+    found = {}
+    for form, end in product(forms, ends):
+        ccdiff = {**_ENDS[end][1], **_FORMS[form][1], **own}
+        label = title + _FORMS[form][0] + _ENDS[end][0]
+        if end == "_unguided" and ccdiff["num_samples"] > 1:
+            label += f", safest of {ccdiff['num_samples']}"
+        found[name + form + end] = Method(label, driver, ccdiff=ccdiff)
+    return found
 
 
 #: The methods by name. More may be added: a driver is all that one needs.
@@ -206,6 +214,10 @@ PAPER_METHODS: tuple[str, ...] = tuple(
 REORDERED = {name for name, method in METHODS.items() if method.ranking != "cliques"}
 
 
-def label_of(method: str) -> str:
-    """Return the title of a method in tables; its name if it is none of :data:`METHODS`."""
-    return METHODS[method].label if method in METHODS else method
+def label_of(method: str, own_weights: str = "") -> str:
+    """Return the title of a method in tables; its name if it is none of :data:`METHODS`.
+
+    ``own_weights`` is the SHA-256 of weights other than the shipped ones.
+    """
+    label = METHODS[method].label if method in METHODS else method
+    return f"{label}, own weights {own_weights[:8]}" if own_weights else label

@@ -33,10 +33,13 @@ def tables(
     found: Mapping[str, Sequence[Mapping[str, Any]]], num_samples: int
 ) -> dict[str, list[Block]]:
     """Return the parts of the report from rows per scene of every method."""
+    labels = {
+        method: label_of(method, of[0].get("own_weights", "")) for method, of in found.items()
+    }
 
     def table(columns: Sequence[Column], title: str = "") -> Table:
         rows: TableRows = [
-            [label_of(method), *(mean_interval(of, column.name) for column in columns)]
+            [labels[method], *(mean_interval(of, column.name) for column in columns)]
             for method, of in found.items()
         ]
         return Table(["method", *columns], rows, title)
@@ -49,7 +52,10 @@ def tables(
     features = [_likelihood(name) for name in FEATURES]
     groups = table([*map(_likelihood, _LIKELIHOODS), *_PLAIN])
     both: list[Block] = [groups, note, table(features, "By feature")]
-    return {"Likelihood of the log": both, "Calibration": _ranks(found)}
+    return {
+        "Likelihood of the log": both,
+        "Calibration": _ranks({labels[method]: of for method, of in found.items()}),
+    }
 
 
 def _likelihood(name: str) -> Column:
@@ -60,7 +66,7 @@ def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
     """Where the logged speed lies among the samples; nothing without samples."""
     fifths = [f"{100 * k // RANK_BINS} to {100 * (k + 1) // RANK_BINS} %" for k in range(RANK_BINS)]
     rows: TableRows = []
-    for method, of in found.items():
+    for label, of in found.items():
         for seconds in RANK_SECONDS:
             masses = [row[f"ranks_{seconds}s"] for row in of if row.get(f"ranks_{seconds}s")]
             total = np.sum(masses, axis=0) if masses else np.zeros(RANK_BINS)
@@ -68,7 +74,7 @@ def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
                 continue
             shares = (total / total.sum()).tolist()
             off = 100.0 * max(abs(share * RANK_BINS - 1.0) for share in shares)
-            rows.append([label_of(method), str(seconds), *shares, off])
+            rows.append([label, str(seconds), *shares, off])
     head = "Rank of the logged speed among the samples': a calibrated model has 0.20 in each fifth."
     columns = [*map(Column, fifths), Column("rank-histogram error", unit="%", digits=0)]
     return [head, Table(["method", "after s", *columns], rows)] if rows else []

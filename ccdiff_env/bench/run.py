@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.bench.jobs import Job, run_jobs
+from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import Pages, make_replays
@@ -21,7 +22,8 @@ from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weight_files
 from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.scenes.sources import coverage
-from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.files import reading, write_aside
+from ccdiff_env.system.settings import kept_settings
 from ccdiff_env.system.table import Block, Table, document
 from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
@@ -59,32 +61,20 @@ class Run:
         self.own_weights = _weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
         given["coverage"] = self.coverage
-        given["own_weights"] = {name: sha256_of(Path(f)) for name, f in self.own_weights.items()}
+        self._own = {name: sha256_of(Path(file)) for name, file in self.own_weights.items()}
+        given["own_weights"] = self._own
         self._made_with = made_with()
         self._digests: dict[str, str | None] = {}
         self._jobs: dict[str, Job] = {}
         self._begun = False
         facts = {"weights": self.weights, "made_with": self._made_with}
-        self._facts = {**self._agreeing(given), **given, **facts}
+        self._facts = {**kept_settings(self.folder / "run.json", given), **given, **facts}
 
     def _begin(self) -> None:
         """Write what the run is, now that work begins: what is refused before leaves no folder."""
         self._begun = True
         self.folder.mkdir(parents=True, exist_ok=True)
         write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
-
-    def _agreeing(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """Return what ``run.json`` holds; refuse other settings than those."""
-        path = self.folder / "run.json"
-        with reading("settings of a run", path):
-            known = parsed_object(read_text(path)) if path.exists() else {}
-        changed = [k for k in settings if k in known and known[k] != settings[k]]
-        if changed:
-            raise ConfigError(
-                f"--out holds a run with other settings: {changed[0]} {known[changed[0]]!r}, now "
-                f"{settings[changed[0]]!r}; choose another folder"
-            )
-        return known
 
     def note(self, **facts: Any) -> None:
         """Write into ``run.json`` what the results were made from; refuses nothing."""
@@ -131,6 +121,8 @@ class Run:
                     raise DatasetError("no rows of figures")
             of_job = {name: job.arguments.get(key) for name, key in given.items()}
             of_job["job"] = job.name
+            if (method := job.arguments.get("method")) is not None:
+                of_job["own_weights"] = METHODS[method].weights_of(self._own) or ""
             found += [{**of_job, **row} for row in rows]
         return found
 
@@ -161,10 +153,11 @@ class Run:
         for name, table in {"episodes.csv": episodes_table(episodes), **files}.items():
             table.write_csv(self.folder / name)
         page = self.folder / "report.html"
+        own = [f"own {network} {digest[:12]}" for network, digest in self._own.items()]
         facts = (
             source_title(self.source, self.coverage),
             self._line,
-            f"weights {self.weights[:12]}",
+            f"weights {', '.join([*own, self.weights[:12]])}",
             f"ccdiff-env {__version__}",
             time.strftime("%Y-%m-%d"),
         )

@@ -24,7 +24,7 @@ from ccdiff_env.bench.scenes import chunks, scenes_of
 from ccdiff_env.bench.traffic import guidance_cost, motions
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.record.counterfactual import rollout_avoidability
-from ccdiff_env.record.rollout import Rollout, RolloutEvent, as_scene
+from ccdiff_env.record.rollout import Rollout, as_scene
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name, reading
 
@@ -53,7 +53,7 @@ def generation_jobs(
     num_plans: int = 128,
 ) -> list[Job]:
     """Return the jobs that make sets: generators, with their folders, x chunks of the scenes."""
-    given = {"traffic": traffic, "seed": seed, "num_plans": num_plans}
+    given: dict[str, Any] = {"traffic": traffic, "seed": seed, "num_plans": num_plans}
     TRAFFIC[traffic]  # refuses a name that does not exist
     if window_of(source) is not None:
         raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
@@ -82,8 +82,9 @@ def generate(
     """Record episodes of a generator and save them: a row per scene.
 
     A row has the hash of the scene, the SHA-256 of the file and that of who was where, which does
-    not depend on who compressed it; the first collision before the goal, and whether one of
-    ``num_plans`` ego plans avoids it, the others doing as recorded; and :func:`realism`.
+    not depend on who compressed it; the first collision of the ego, also after its goal, and
+    whether one of ``num_plans`` ego plans avoids it, the others doing as recorded; and
+    :func:`realism`.
     """
     drivers, scenes = on_device(TRAFFIC[traffic], device), scenes_of(source, names)
     _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
@@ -93,7 +94,7 @@ def generate(
     for scene in scenes:
         rollout, file = rollouts[scene.name], file_name(scene.name, ".npz")
         rollout.save(place / file)
-        hits = ego_collisions(rollout)
+        hits = rollout.collisions("ego")
         verdict = rollout_avoidability(rollout, num_samples=num_plans) if hits else None
         first = hits[0] if hits else None
         found.append(
@@ -116,12 +117,6 @@ def generate(
 def _motion_hash(rollout: Rollout) -> str:
     arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
-
-
-def ego_collisions(rollout: Rollout) -> tuple[RolloutEvent, ...]:
-    """Return the collisions of the ego before it reaches its goal, as the ego sees them."""
-    goal = next((e.step for e in rollout.events if e.kind == "goal"), rollout.num_steps)
-    return tuple(event for event in rollout.collisions("ego") if event.step <= goal)
 
 
 def realism(rollout: Rollout) -> dict[str, float | None]:

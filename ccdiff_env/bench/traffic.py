@@ -28,6 +28,7 @@ from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.system.settings import sha256
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
 #: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
@@ -37,6 +38,7 @@ HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
 CHUNK = 12
 _PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
 PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
+RANDOM_DRAWS = 3  #: Seeds that a random ranking is drawn and played with.
 STATIONARY_MPS = 0.5  #: Speed below which a logged vehicle counts as standing, m/s.
 
 
@@ -64,7 +66,7 @@ def traffic_jobs(
                 continue
             every = METHODS[method].driver in _PLANNERS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
-    given = {"seed": seed, **({"weights": dict(weights)} if weights else {})}
+    given: dict[str, Any] = {"seed": seed, **({"weights": dict(weights)} if weights else {})}
     return [
         job
         for method, k, n in conditions
@@ -94,7 +96,7 @@ def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) ->
 
     A short ranking is filled up by time to contact, then distance. Vehicles that stand at the start
     never move in CCDiff traffic: all rankings pass them over. ``None`` is all vehicles, the
-    standing ones last.
+    standing ones last. A random ranking is drawn by the scene's content and the seed.
     """
     agents = _vehicles(scene)
     velocity = scene.tracks()["velocity"][agents, START_STEP]
@@ -106,7 +108,7 @@ def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) ->
         valid=np.ones(len(agents), bool),
         ttc=ttc,
         distance=distance,
-        seed=seed,
+        seed=int(sha256(f"{scene.hash} {seed}")[:16], 16),
     )
     movers = [int(agents[i]) for i in ranked.agents if moving[i]]
     if top_k is not None:
@@ -191,15 +193,24 @@ def evaluate(
     weights: Mapping[str, str] | None = None,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
-    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md."""
-    played = episodes(
-        scenes_of(source, names),
-        on_device(METHODS[method].with_weights(weights or {}), device),
-        num_controlled=num_controlled,
-        replan_steps=replan_steps,
-        seed=seed,
-    )
-    return [measure(episode, replan_steps) for episode in played]
+    """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
+
+    With a random ranking there is one per scene and seed: :data:`RANDOM_DRAWS` of them, from
+    ``seed`` on.
+    """
+    chosen = on_device(METHODS[method].with_weights(weights or {}), device)
+    draws = RANDOM_DRAWS if chosen.ranking == "random" else 1
+    return [
+        {**measure(episode, replan_steps), "seed": drawn}
+        for drawn in range(seed, seed + draws)
+        for episode in episodes(
+            scenes_of(source, names),
+            chosen,
+            num_controlled=num_controlled,
+            replan_steps=replan_steps,
+            seed=drawn,
+        )
+    ]
 
 
 def relations(

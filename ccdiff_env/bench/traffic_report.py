@@ -37,16 +37,19 @@ UNGUIDED = "_unguided"
 
 
 class Condition(NamedTuple):
-    """What was played: method, K as tables write it, seconds between plans."""
+    """What was played: method, K as tables write it, seconds between plans, SHA-256 of weights
+    that are not the shipped ones.
+    """
 
     method: str
     k: str
     replan_s: float
+    own_weights: str = ""
 
     @property
     def cells(self) -> list[Any]:
         """Label, K and seconds between plans."""
-        return [label_of(self.method), self.k, f"{self.replan_s:g}"]
+        return [label_of(self.method, self.own_weights), self.k, f"{self.replan_s:g}"]
 
 
 Played = Mapping[Condition, Rows]  #: Episodes of each condition, "0" among the K.
@@ -59,7 +62,12 @@ def conditions(episodes: Iterable[Mapping[str, Any]]) -> dict[Condition, Rows]:
     methods = list(dict.fromkeys(method for method, _, _ in by))
     order = sorted(by, key=lambda c: (methods.index(c[0]), np.inf if c[1] is None else c[1], c[2]))
     return {
-        Condition(method, "Full" if k is None else str(k), steps / 10): by[method, k, steps]
+        Condition(
+            method,
+            "Full" if k is None else str(k),
+            steps / 10,
+            by[method, k, steps][0].get("own_weights", ""),
+        ): by[method, k, steps]
         for method, k, steps in order
     }
 
@@ -80,15 +88,23 @@ def summarise(played: Played) -> dict[Condition, dict[str, Figure]]:
 
 
 def _cfd(rows: Rows, log: Rows, name: str) -> npt.NDArray[np.float64]:
-    """A comfort distance of all scenes, then of resamples, those of as many scenes the same."""
-    stacked, reference = (np.array([r[_COMFORT[name]] for r in part]) for part in (rows, log))
-    count = len(rows)
+    """A comfort distance of all scenes, then of resamples: as many, the same of method and log."""
+    stacked, reference = (_histograms(part, _COMFORT[name]) for part in (rows, log))
+    scenes = [scene for scene in stacked if scene in reference]
+    count = len(scenes)
     drawn = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
+    of = [np.array([by_scene[scene] for scene in scenes]) for by_scene in (stacked, reference)]
     found = [
-        comfort_distance(stacked[chosen].mean(axis=0), reference.mean(axis=0)).cfd
+        comfort_distance(*(part[chosen].mean(axis=0) for part in of)).cfd
         for chosen in (np.arange(count), *drawn)
     ]
     return 100.0 * np.array(found)
+
+
+def _histograms(rows: Rows, name: str) -> dict[Any, npt.NDArray[np.float64]]:
+    """Histograms of each scene, means over its rows."""
+    by_scene = grouped([{"scene": i, **row} for i, row in enumerate(rows)], "scene")
+    return {scene: np.mean([row[name] for row in of], axis=0) for (scene,), of in by_scene.items()}
 
 
 def _with_interval(draws: npt.NDArray[np.float64], rows: Rows) -> Figure:
@@ -110,9 +126,14 @@ def with_scores(found: Found) -> dict[Condition, tuple[float, float]]:
 def figures_table(played: Played, found: Found) -> Table:
     """Return all figures of every condition."""
     relative = with_scores(found)
-    names = ("method", "K", "replan_s", "scenes", *FIGURES, "cs", "rs")
+    names = ("method", "K", "replan_s", "own_weights", "scenes", *FIGURES, "cs", "rs")
     rows: TableRows = [
-        [*c, len(played[c]), *figures.values(), *relative.get(c, (None, None))]
+        [
+            *c,
+            len(grouped(played[c], "scene")),
+            *figures.values(),
+            *relative.get(c, (None, None)),
+        ]
         for c, figures in found.items()
     ]
     return Table(names, rows)
@@ -181,20 +202,22 @@ def comparison(played: Played, found: Found) -> list[Block]:
 def _against(played: Played, base: str) -> list[Block]:
     """Paired differences of all methods to one; those without guidance to it without guidance."""
     rows: TableRows = []
+    at = {c[:3]: c for c in played}
+    own = next((c.own_weights for c in played if c.method == base), "")
     for c, episodes in played.items():
         other = base + UNGUIDED if c.method.endswith(UNGUIDED) else base
-        reference = played.get(c._replace(method=other))
+        reference = at.get((other, c.k, c.replan_s))
         if reference is None or c.method == other or c.method not in METHODS:
             continue
         less = {
-            column.name: difference(episodes, reference, floor(played), column.name)
+            column.name: difference(episodes, played[reference], floor(played), column.name)
             for column in COMPARED
         }
         rows.append([*c.cells, *_known(less, COMPARED)])
     if not rows:
         return []
     return [
-        Table(["method", "K", "T s", *COMPARED], rows, f"Less {METHODS[base].label}"),
+        Table(["method", "K", "T s", *COMPARED], rows, f"Less {label_of(base, own)}"),
         f"Means over scenes, same scenes and vehicles. {brackets(played.values())} "
         "Methods without guidance: less the same without guidance.",
     ]
@@ -209,16 +232,16 @@ def _distances(found: Found) -> list[Block]:
     of: dict[str, list[tuple[float, float]]] = {}
     for c, pair in relative.items():
         if c.replan_s == first_s:
-            of.setdefault(c.method, []).append(pair)
+            of.setdefault(c.cells[0], []).append(pair)
     most = max(map(len, of.values()))
-    whole = {method: points for method, points in of.items() if len(points) == most}
+    whole = {label: points for label, points in of.items() if len(points) == most}
     points = np.array(list(whole.values()))
     if len(whole) < 2 or not np.isfinite(points).all():  # no road, no realism
         return []
     gd, igd = generational_distance(cs=points[..., 0], rs=points[..., 1])
     rows: TableRows = [
-        [label_of(method), *map(float, figures)]
-        for method, *figures in zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
+        [label, *map(float, figures)]
+        for label, *figures in zip(whole, *points.mean(axis=1).T, gd, igd, strict=True)
     ]
     return [
         Table(
