@@ -16,6 +16,7 @@ from ccdiff_env.models import (
     shipped_weights,
     train,
     training,
+    weight_files,
 )
 from ccdiff_env.models.training import Curves
 from ccdiff_env.traffic import NETWORKS, SWIFT
@@ -268,3 +269,10 @@ def test_a_guided_vehicle_takes_the_best_of_its_draws_and_one_beside_it_its_firs
     # draws do not depend on their number
     (one,) = loaded.plan([road()], [40], num_samples=1, follow_route=True)
     np.testing.assert_array_equal(one.states[0], plan.states[0])
+
+
+def test_every_shipped_file_of_weights_names_its_licence():
+    for file in weight_files():
+        data = file.read_bytes()
+        header = data[8 : 8 + int.from_bytes(data[:8], "little")]
+        assert b"CC-BY-NC-SA-4.0" in header, file.name
