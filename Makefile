@@ -82,7 +82,7 @@ playground: $(SO)  ## the page in which one drives the ego by keys: docs/site/pl
 	$(BIN)/python -m tools.playground docs/site/playground.html
 
 bench: $(SO)  ## speed of the world and of networks (DATAROOT= VERSION=: of loading nuScenes, too)
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/steps.py $(if $(DATAROOT),--scenes nuscenes:$(DATAROOT)@$(or $(VERSION),v1.0-trainval))
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made

@@ -1,202 +1,171 @@
-"""Steps per second through Python: ``python benchmarks/steps.py``.
+"""Steps per second through Python, and ratios of them: ``python -m benchmarks.steps``.
 
-A scene-step is one step of one world, an agent-step one step of one controlled agent: it is moved,
-checked for collisions and road departures, rewarded and observed. Resets of ended episodes are
-included (SAME_STEP), background agents are moved but not counted. One thread: steps per second of
-its processor time; more: per second of the clock. Best of some rounds.
+A step is one step of one world: all vehicles are moved, checked for collisions and the road, the
+ego is rewarded and observed. Resets of ended episodes are included. Scenes are the embedded ones,
+which everybody has; the ego's actions are small random ones. The figures of a row of traffic:
 
-- *make_vec*: the vector environment on the embedded scenes, default configuration, but
-  ``copy=False`` and ``info="end"`` as a learner would choose.
-- *equal work*: the worlds beneath, all vehicles controlled, with 7 + 63 x 7 + 200 x 7 = 1,848
-  floats each: the work that other simulators' figures are quoted for. It needs real roads, the
-  eight scenes of most vehicles in ``--scenes``.
-- traffic of networks: a plan every 0.5 s, one sample, the ego driven by IDM; without ``--scenes``
-  in the embedded ones.
+- E = 1: ``gymnasium.make`` and a loop over ``step`` and ``reset``. Where highway-env is installed,
+  the same loop steps its ``highway-fast-v0``, whose frames count, several of each of its steps.
+- E = 64, 1,024: ``make_vec`` as a learner would choose it. Networks plan every half second.
+- its ratio to IDM's steps at E = 64 (of highway-env at E = 1), and what a vehicle's plan takes
+  beyond log replay.
 
-The last lines say what one world of 1,024 costs, when it is reset and when it goes on alone, and
-what a plan of CCDiff costs.
+All rows take turns, round after round, and figures are medians over rounds: ratios hold on a
+machine that is busy or slow. One thread: steps per second of its processor time; more: per second
+of the clock. ``--keep`` writes the table into docs/results.
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
 import os
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from itertools import product
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Any
 
+import gymnasium
 import numpy as np
 
 import ccdiff_env
-from ccdiff_env.config import ObservationConfig, WorldConfig
-from ccdiff_env.models import TrajectoryModel, shipped_weights
-from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.worlds import Worlds, scene_set
+from ccdiff_env.bench.provenance import processor
+from ccdiff_env.config import WorldConfig
+from ccdiff_env.system.table import Table
+from ccdiff_env.worlds import scene_set
+
+ONE = {"denoising_steps": 1}
+#: Traffic by title, with its options.
+TRAFFIC: dict[str, dict[str, Any]] = {
+    "log replay": {"traffic": "replay"},
+    "IDM": {"traffic": "idm"},
+    "swift": {"traffic": "swift"},
+    "CCDiff, one step": {"traffic": "ccdiff", "ccdiff": ONE},
+    "CCDiff, one step, criticality 1": {"traffic": "ccdiff", "criticality": 1.0, "ccdiff": ONE},
+    "CCDiff": {"traffic": "ccdiff"},
+    "CCDiff, criticality 1": {"traffic": "ccdiff", "criticality": 1.0},
+}
+HIGHWAY = "highway-env's highway-fast-v0"
+PLAN_STEPS = 5  #: Steps from one plan to the next.
+HEADS = {
+    "what": "traffic",
+    "1": "E = 1",
+    "64": "E = 64",
+    "1024": "E = 1,024",
+    "threads": "the same, two threads",
+    "of_idm": "of IDM's steps",
+    "plan_us": "µs per vehicle and plan",
+}
 
 
-def best_s(step: Callable[[], object], threads: int, rounds: int) -> float:
-    """Return the best seconds per call over rounds of about a fifth of a second."""
-    clock = time.process_time if threads == 1 else time.perf_counter
-    best = float("inf")
-    for _ in range(rounds):
-        end, start, calls = time.perf_counter() + 0.2, clock(), 0
-        while time.perf_counter() < end:
-            step()
-            calls += 1
-        best = min(best, (clock() - start) / calls)
-    return best
+def one_env(made: gymnasium.Env[Any, Any], frames: int = 1) -> tuple[Callable[[], object], float]:
+    """Return what takes ten steps of an environment and resets it where it ends, and the frames of
+    a call.
+    """
+    made.reset(seed=0)
+    made.action_space.seed(0)
+
+    def steps() -> None:
+        for _ in range(10):
+            _, _, terminated, truncated, _ = made.step(made.action_space.sample())
+            if terminated or truncated:
+                made.reset()
+
+    return steps, 10.0 * frames
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Something to be stepped."""
-
-    step: Callable[[], object]
-    envs: int
-    threads: int
-    agents: float
-    floats: int
-    steps: int = 1  #: That one call takes.
-
-    def report(self, name: str, rounds: int) -> None:
-        """Measure and print one line."""
-        s = best_s(self.step, self.threads, rounds) / self.steps
-        slots = self.envs * self.agents
-        print(
-            f"{name:<36}{self.envs:>6}{self.threads:>4}{self.agents:>5.0f}{self.floats:>6}"
-            f"{self.envs / s:>13,.0f}{slots / s:>13,.0f}{s * 1e9 / slots:>9,.0f}",
-            flush=True,
-        )
-
-
-def vector_env(envs: int, traffic: str, threads: int) -> Steps:
-    """Return a vector environment that has begun, as what steps it."""
-    options = {"copy": False, "info": "end", "autoreset_mode": "same_step"}
-    env = ccdiff_env.make_vec(envs, traffic=traffic, num_threads=threads, **options)
+def vector_env(envs: int, threads: int, **options: Any) -> tuple[Callable[[], object], float]:
+    """Return what takes ten steps of a vector environment, and the steps of a call."""
+    learner = {"copy": False, "info": "end", "autoreset_mode": "same_step"}
+    env = ccdiff_env.make_vec(envs, num_threads=threads, **learner, **options)
     env.reset(seed=0)
     shape = env.action_space.shape
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, shape).astype(np.float32)
-    return Steps(lambda: env.step(actions), envs, threads, 1, env.single_observation_space.shape[0])
+    return lambda: [env.step(actions) for _ in range(10)], 10.0 * envs
 
 
-def network_env(scenes: SceneSet, envs: int, threads: int, traffic: str, **ccdiff: object) -> Steps:
-    """Return a vector environment in traffic that plans, as what takes ten steps of it."""
-    options = {"copy": False, "info": "end", "driver": "idm", "ccdiff": ccdiff}
-    env = ccdiff_env.make_vec(envs, scenes=scenes, traffic=traffic, num_threads=threads, **options)
-    env.reset(seed=0)
-    idle, width = np.zeros(env.action_space.shape, np.float32), env.single_observation_space.shape
-    return Steps(lambda: [env.step(idle) for _ in range(10)], envs, threads, 1, width[0], 10)
+def seconds_of(call: Callable[[], object], clock: Callable[[], float], span_s: float) -> float:
+    """Return seconds per call over a span."""
+    end, start, calls = time.perf_counter() + span_s, clock(), 0
+    while time.perf_counter() < end or not calls:
+        call()
+        calls += 1
+    return (clock() - start) / calls
 
 
-def vehicles(scene: Scene) -> int:
-    """Return how many vehicles are there when an episode starts."""
-    there = scene.tracks()["valid"][:, WorldConfig().history_steps]
-    return int((there & (np.array(scene.agent_types) == "vehicle")).sum())
+def measured(rounds: int, span_s: float) -> dict[tuple[str, str], list[float]]:
+    """Return seconds per step of every row and column, one of each round."""
+    calls: dict[tuple[str, str], tuple[Callable[[], object], float]] = {}
+    if find_spec("highway_env") is not None:
+        import highway_env  # noqa: F401  # registers its environments
+
+        made = gymnasium.make("highway-fast-v0")
+        config = made.unwrapped.config  # type: ignore[attr-defined]
+        frames = config["simulation_frequency"] // config["policy_frequency"]
+        calls[HIGHWAY, "1"] = one_env(made, frames)
+    for what, options in TRAFFIC.items():
+        calls[what, "1"] = one_env(gymnasium.make("ccdiff_env/Ego-v0", **options))
+        calls[what, "64"] = vector_env(64, 1, **options)
+        if "ccdiff" not in options["traffic"]:
+            calls[what, "1024"] = vector_env(1024, 1, **options)
+            calls[what, "threads"] = vector_env(1024, 2, **options)
+    found: dict[tuple[str, str], list[float]] = {key: [] for key in calls}
+    for _ in range(rounds):
+        for key, (call, steps) in calls.items():
+            clock = time.perf_counter if key[1] == "threads" else time.process_time
+            found[key].append(seconds_of(call, clock, span_s) / steps)
+    return found
 
 
-def equal_work(scenes: Sequence[Scene], envs: int, threads: int) -> Steps:
-    """Return the worlds beneath with all vehicles controlled, as what steps them."""
-    slots = max(map(vehicles, scenes))
-    config = WorldConfig(
-        controlled="vehicles",
-        num_slots=slots,
-        on_collision="ignore",
-        on_off_road="ignore",
-        terminate_at_goal=False,
-        horizon_steps=91,
-        autoreset="same_step",
-        observation=ObservationConfig(
-            num_neighbors=63,
-            num_route_points=0,
-            num_map_segments=200,
-            radius_m=200.0,
-            masks=False,
-            ego_columns=(
-                *("speed", "acceleration", "yaw_rate", "length", "width", "off_road", "collided"),
-            ),
-            agent_columns=("x", "y", "cos", "sin", "speed", "length", "width"),
-            map_columns=("x", "y", "cos", "sin", "half_length", "is_lane", "is_road_edge"),
-        ),
-    )
-    worlds = Worlds(scene_set(list(scenes)), config, num_worlds=envs, num_threads=threads)
-    out = worlds.arrays()
-    worlds.native.reset(list(range(envs)), [None] * envs, None, out)
-    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (envs, slots, 2)).astype(np.float32)
-    there = sum(a is not None for i in range(envs) for a in worlds.native.slot_agents(i)) / envs
-    return Steps(lambda: worlds.native.step(actions, out), envs, threads, there, out.obs.shape[-1])
+def vehicles() -> float:
+    """Return how many vehicles but the ego a world has when its episode starts, on average."""
+    scenes, at = scene_set(None), WorldConfig().history_steps
+    there = [
+        (s.tracks()["valid"][:, at] & (np.array(s.agent_types) == "vehicle")).sum() - 1
+        for s in scenes
+    ]
+    return float(np.mean(there))
 
 
-def one_of_many(rounds: int, envs: int = 1024) -> None:
-    """Print what it costs to reset one world of many, and to step one of them."""
-    config = WorldConfig(autoreset="same_step")
-    worlds = Worlds(scene_set(None), config, num_worlds=envs, num_threads=1)
-    out, native, nothing = worlds.arrays(), worlds.native, [None] * envs
-    native.reset(list(range(envs)), nothing, None, out)
-    actions = np.zeros((envs, 1, 2), np.float32)
-    one, nobody = np.eye(1, envs, dtype=np.bool_)[0], np.zeros(envs, np.bool_)
-    masks = {"none": nobody.tolist(), "one": one.tolist()}
-    figures = {
-        f"reset of {name}": lambda mask=mask: native.reset(nothing, nothing, mask, out)
-        for name, mask in masks.items()
-    }
-    figures |= {
-        "step of all": lambda: native.step(actions, out),
-        "step of none": lambda: native.step(actions, out, nobody),
-        "step of one": lambda: native.step(actions, out, one),
-    }
-    for name, call in figures.items():
-        print(f"{name} of {envs} worlds: {best_s(call, 1, rounds) * 1e6:,.1f} us")
-
-
-def plans(scenes: SceneSet, rounds: int, envs: int = 64, step: int = 40) -> None:
-    """Print what plans of some worlds cost in one thread."""
-    part = [scenes[i % len(scenes)] for i in range(envs)]
-    for solver_steps in (5, 1):
-        model = TrajectoryModel(shipped_weights(one_step=solver_steps == 1))
-        plan = partial(model.plan, part, [step] * envs, solver_steps=solver_steps)
-        count = sum(len(found.agents) for found in plan())
-        ms = 1e3 * best_s(plan, 1, rounds) / count
-        print(
-            f"a plan of {count} vehicles, denoising steps {solver_steps}: {ms:.2f} ms per vehicle"
-        )
-
-
-def table(rounds: int, source: str | None) -> None:
-    """Print all figures, those of real roads first."""
-    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    heads = ("E", "n", "C", "D", "scene-st/s", "agent-st/s", "ns/as")
-    widths = (6, 4, 5, 6, 13, 13, 9)
-    print("E worlds, n threads, C controlled agents each, D floats of observation each")
-    print(" " * 36 + "".join(f"{head:>{w}}" for head, w in zip(heads, widths, strict=True)))
-    sizes = ((1, 1), (64, 1), (1024, 1), (1024, threads))
-    if source is not None:
-        real = sorted(ccdiff_env.load(source), key=vehicles, reverse=True)[:8]
-        equal_work(real[:1], 1, 1).report(f"equal work, {real[0].name}", rounds)
-        equal_work(real[:1], 64, 1).report(f"equal work, {real[0].name}", rounds)
-        equal_work(real, 64, 1).report("equal work, eight scenes", rounds)
-    for traffic in ("replay", "idm"):
-        for envs, n in sizes:
-            vector_env(envs, traffic, n).report(f"make_vec, {traffic}", rounds)
-    scenes = ccdiff_env.load(source or "embedded/val")
-    for envs, n in ((1, 1), (64, 1), (64, threads)):
-        network_env(scenes, envs, n, "swift", criticality=1.0).report("make_vec, swift", rounds)
-        for criticality, steps in product((0.0, 1.0), (5, 1)):
-            ccdiff = {"criticality": criticality, "denoising_steps": steps}
-            name = f"make_vec, ccdiff-{criticality:g}, {steps} denoising"
-            network_env(scenes, envs, n, "ccdiff", **ccdiff).report(name, rounds)
-    one_of_many(rounds)
-    plans(scenes, rounds)
+def rows(found: Mapping[tuple[str, str], list[float]], driven: float) -> list[dict[str, Any]]:
+    """Return the table's rows."""
+    made = []
+    log = np.array(found["log replay", "64"])
+    for what in dict.fromkeys(what for what, _ in found):
+        of = {column: values for (name, column), values in found.items() if name == what}
+        row: dict[str, Any] = {"what": what}
+        row |= {c: int(float(f"{1.0 / np.median(v):.3g}")) for c, v in of.items()}
+        column = "64" if "64" in of else "1"
+        ratio = np.median(np.array(found["IDM", column]) / of[column])
+        row["of_idm"] = f"{100.0 * ratio:.3g} %"
+        if TRAFFIC.get(what, {}).get("traffic") in ("swift", "ccdiff"):
+            extra_us = 1e6 * np.median(np.array(of["64"]) - log)
+            row["plan_us"] = int(float(f"{extra_us * PLAN_STEPS / driven:.2g}"))
+        made.append(row)
+    return made
 
 
 def main() -> None:
-    """Parse options; print the table."""
+    """Parse options; measure, print and keep the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rounds", type=int, default=5, help="rounds of 0.2 s per figure")
-    parser.add_argument("--scenes", help="source of real roads, as ccdiff_env.load takes it")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of all figures")
+    parser.add_argument("--span", type=float, default=0.2, help="seconds of a figure in a round")
+    parser.add_argument("--keep", action="store_true", help="write docs/results/speed.json")
     options = parser.parse_args()
-    table(options.rounds, options.scenes)
+    driven = vehicles()
+    table = rows(measured(options.rounds, options.span), driven)
+    about = {
+        "command": "python -m benchmarks.steps --keep",
+        "machine": f"{processor()}, {os.cpu_count()} cores",
+        "date": datetime.date.today().isoformat(),
+        "heads": HEADS,
+    }
+    cells = [[row.get(name, "–") for name in HEADS] for row in table]
+    print(Table([*HEADS.values()], cells), about, sep="\n")
+    if options.keep:
+        from tools.pages import keep
+
+        keep("speed", about, table)
 
 
 if __name__ == "__main__":
