@@ -1,11 +1,13 @@
 """Planners of several runs in one page, recomputed from their raw results alone."""
 
 import re
+from dataclasses import replace
 
 import pytest
 from planner_run import raw, write_run
 
 from ccdiff_env.bench import leaderboard as module
+from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
 from ccdiff_env.errors import DatasetError
@@ -73,11 +75,12 @@ def test_runs_that_do_not_agree_stand_apart_and_none_is_lost(tmp_path, other):
     assert all(order(table)[0] == [MARKED] for table in tables.values())
 
 
-def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_path):
+def test_results_of_a_level_share_a_table_whatever_their_seeds_and_other_networks(tmp_path):
     hashes = PROTOCOL.fields["levels"]["smoke"]["hashes"]
     runs = []
-    for planner, weights in (("idm", "with rivals"), ("pdm", "without")):
-        results = [raw(planner, traffic, [0.5] * 12, weights=weights) for traffic in PROTOCOL.panel]
+    for planner, weights, seed in (("idm", "with rivals", 12), ("pdm", "without", 11)):
+        given = {"values": [0.5] * 12, "weights": weights, "seed": seed}
+        results = [raw(planner, traffic, **given) for traffic in PROTOCOL.panel]
         for result in results:
             result["arguments"]["names"] = list(hashes)
             result["made_from"]["scenes"] = hashes
@@ -85,8 +88,43 @@ def test_results_of_a_level_share_a_table_whatever_other_networks_are_there(tmp_
                 row["scene"] = name
         runs.append(write_run(tmp_path / planner, *results))
     ((heading, table),) = leaderboard(*runs).items()
-    assert heading == "planner-1.2 smoke, seed 0, version 1"
+    assert heading == "planner-1.3 smoke, version 1"
     assert set(order(table)[0]) == {MARKED, "PDM-Closed"}
+    assert f"Seeds: {IDM} 12; PDM-Closed 11" in table
+
+
+@pytest.mark.parametrize(
+    ("planner", "shown"),
+    [
+        ("x/PDM-Closed", "x/PDM-Closed"),
+        ("x/PDM-Closed.zip", "PDM-Closed.zip"),
+        ("PDM-Closed", "PDM-Closed (not of the package)"),
+        ("x/pdm closed", "x/pdm closed"),
+        ("x/idm", "x/idm"),
+        ("IDM on the log's path", "IDM on the log's path (not of the package)"),
+        ("x/mine.zip", "mine.zip"),
+        ("mine:Ego", "mine:Ego"),
+    ],
+)
+def test_a_label_of_the_package_is_nobody_elses(tmp_path, planner, shown):
+    own = write_run(tmp_path / "own", raw("pdm", "replay", [0.4] * 10))
+    folder = write_run(tmp_path / "mine", raw(planner, "replay", TEN, source="a"))
+    (table,) = leaderboard(own, folder).values()
+    assert order(table)[0] == [f"{shown} (no code)", "PDM-Closed"]
+    record = replace(Record.read(folder), code="https://example.org/x")
+    (table,) = module.leaderboard([record, Record.read(own)]).values()
+    assert order(table)[0] == [shown, "PDM-Closed"]
+
+
+def test_a_title_of_the_package_is_no_own_traffics():
+    assert [TRAFFIC[name].label for name in ("x:IDM", "x:Mine")] == ["x:IDM", "Mine"]
+
+
+def test_names_of_planners_are_of_ascii(tmp_path):
+    for number, planner in enumerate(("mine:Cruise \u2020", "PDM\u2011Closed", "mine:\u0130dm")):
+        folder = write_run(tmp_path / str(number), raw(planner, "replay", TEN, source="a"))
+        with pytest.raises(DatasetError, match="letters of ASCII"):
+            Record.read(folder)
 
 
 def test_runs_of_one_name_are_all_there_wherever_the_data_lies(tmp_path):

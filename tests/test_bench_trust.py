@@ -8,16 +8,18 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene, wide_road
 
 import ccdiff_env
 from ccdiff_env import cli
 from ccdiff_env.bench.intervals import are_few, scene_means
 from ccdiff_env.bench.planner_report import comparison
 from ccdiff_env.bench.planner_score import Judge
-from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.planners import TRAFFIC, drive, planner_jobs
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import package_digest, sha256_of
 from ccdiff_env.bench.record import Record
@@ -26,8 +28,10 @@ from ccdiff_env.bench.verify import verify
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.models import weight_files
 from ccdiff_env.planners import SHIPPED
+from ccdiff_env.record.episode import begin
 from ccdiff_env.system.table import document
 from ccdiff_env.worlds.worlds_view import behind, worlds_view
+from ccdiff_env_cli import parse
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -93,7 +97,7 @@ class Idle:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.2 fixes at 100"),
+        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.3 fixes at 100"),
         ({"speed_limit_mps": 100.0}, "speed_limit_mps"),
         ({"success_completion": 0.1}, "success_completion"),
         ({"traffic": "idm"}, "traffic"),
@@ -173,6 +177,46 @@ def test_planners_are_not_shown_which_episode_it_is_nor_who_drives_the_others(na
         eval(f"worlds.{name}", shown)
 
 
+def test_planners_are_shown_of_agents_what_is_there_and_no_scene_by_name():
+    t = np.arange(160) * 0.1
+    late = agent("late", 60.0 + 4.0 * t, size=(9.0, 2.5, 3.0), valid=t > 4.0)
+    scene = array_scene(agent("ego", 8.0 * t), late, name="own", layers=wide_road())
+    env = ccdiff_env.EgoEnv(scenes=[scene], driver="replay")
+    env.reset(seed=0)
+    shown = worlds_view(env.worlds, "mine").scenes[0]
+    assert shown.sizes[:, 0].tolist() == [4.5, 0.0]
+    assert shown.agent_types == ["vehicle", ""]
+    for _ in range(15):
+        env.step(np.zeros(2, np.float32))
+    assert shown.sizes[:, 0].tolist() == [4.5, 9.0]
+    assert shown.agent_types == ["vehicle", "vehicle"]
+    with pytest.raises(ConfigError, match="by their numbers"):
+        worlds_view(env.worlds, "mine").scenes["own"]
+
+
+def test_sizes_tell_no_scene_in_which_somebody_comes_later():
+    """What a planner that knows all scenes by their sizes finds at the first step."""
+    scenes = ccdiff_env.embedded_scenes("val")
+    known = {scene.sizes.tobytes(): scene.name for scene in scenes}
+    shown = worlds_view(begin(scenes, ccdiff_env.WorldConfig(), 0), "mine").scenes
+    found = {known.get(shown[i].sizes.tobytes()) for i in range(len(scenes))} - {None}
+    assert found == {s.name for s in scenes if s.tracks()["valid"][:, 30].all()}
+    assert len(found) < len(scenes) / 2
+
+
+def test_scenes_come_to_planners_in_an_order_that_the_seed_draws():
+    known = [scene.name for scene in ccdiff_env.embedded_scenes("city")]
+    orders = [
+        [name for job in planner_jobs("embedded/city", ["idm"], ["replay"], seed=seed)
+         for name in job.arguments["names"]]
+        for seed in (0, 0, 1)
+    ]  # fmt: skip
+    assert orders[0] == orders[1] != orders[2]
+    for order in orders:
+        assert sorted(order) == sorted(known)
+        assert sum(a == b for a, b in zip(order, known, strict=True)) < 10
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A run of two planners with networks in traffic, and the command that made it."""
@@ -216,6 +260,10 @@ def test_wider_processors_verify_what_those_with_fewer_instructions_made(tmp_pat
     on_a_narrow_processor("planners", *words, *few, "--out", tmp_path)
     assert cli.main(["bench", "verify", str(tmp_path)]) == 0
     assert "12 of 12 episodes come out the same, bit for bit" in capsys.readouterr().out
+
+
+class Leaps(Idle):
+    env_options: ClassVar = {"dynamics": "delta_pose"}
 
 
 class Weakens(Idle):
@@ -297,7 +345,8 @@ def test_an_action_changed_by_a_thousandth_is_found(made, tmp_path, capsys):
     folder = changed(made, tmp_path / "run", nudge)
     assert cli.main(["bench", "verify", str(folder)]) == 1
     out = capsys.readouterr().out
-    scene = ccdiff_env.embedded_scenes("val")[1].name
+    (raw,) = (folder / "raw").iterdir()
+    scene = json.loads(raw.read_text())["arguments"]["names"][1]
     assert f"ego in ccdiff-1, seed 1, {scene}: " in out
     assert "2 of 3 episodes" in out
 
@@ -358,7 +407,7 @@ def test_the_protocol_fixes_scenes_and_weights():
     level = PROTOCOL.fields["levels"]["smoke"]
     scenes = {scene.name: scene.hash for scene in ccdiff_env.embedded_scenes(level["embedded"])}
     PROTOCOL.check("smoke", scenes)
-    with pytest.raises(DatasetError, match=r"'queue-03' has hash x, planner-1\.2 fixes"):
+    with pytest.raises(DatasetError, match=r"'queue-03' has hash x, planner-1\.3 fixes"):
         PROTOCOL.check("smoke", {**scenes, "queue-03": "x"})
     with pytest.raises(DatasetError, match="'queue-03' has hash None"):
         PROTOCOL.check("smoke", {k: v for k, v in scenes.items() if k != "queue-03"})
@@ -367,18 +416,22 @@ def test_the_protocol_fixes_scenes_and_weights():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--traffic", "idm"], "--traffic: planner-1.2 fixes it"),
-        (["--seeds", "0"], "--seeds: planner-1.2 fixes it"),
-        (["--limit", "2"], "--limit: planner-1.2 fixes it"),
-        (["--scenes", "embedded/train"], "--level smoke of planner-1.2 takes no --scenes"),
-        (["--level", "val"], "--level val of planner-1.2 takes --scenes nuscenes:FOLDER"),
+        (["--traffic", "idm"], "--traffic: planner-1.3 fixes it"),
+        (["--seeds", "0,1"], "--seeds has 2, planner-1.3 smoke takes 1"),
+        (
+            ["--planners", f"{__name__}:Leaps"],
+            "moves by DeltaPoseLimits, planner-1.3 allows unicycle",
+        ),
+        (["--limit", "2"], "--limit: planner-1.3 fixes it"),
+        (["--scenes", "embedded/train"], "--level smoke of planner-1.3 takes no --scenes"),
+        (["--level", "val"], "--level val of planner-1.3 takes --scenes nuscenes:FOLDER"),
         (["--level", "val", "--scenes", "nuscenes:x/train"], "takes --scenes nuscenes:FOLDER"),
         (["--level", "vla"], "no level 'vla', there is smoke, city, mini, val"),
-        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.2"),
+        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.3"),
     ],
 )
 def test_options_cannot_change_what_the_protocol_fixes(tmp_path, capsys, words, said):
-    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.2"]
+    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.3"]
     assert cli.main([*command, *words]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "r").exists()
@@ -391,21 +444,38 @@ def test_a_level_is_told_by_what_was_played():
     def level(sha256=PROTOCOL.sha256, scenes=scenes, traffic=panel, seeds=(0,)):
         return PROTOCOL.level_of(sha256, scenes, traffic, seeds)
 
-    assert level() == "planner-1.2 smoke"
+    assert level() == level(seeds=(7,)) == "planner-1.3 smoke"
     assert level(sha256="x") is None
     assert level(traffic=panel[1:]) is None
-    assert level(seeds=(1,)) is None
+    assert level(seeds=(1, 2)) is None
+    assert PROTOCOL.level_of(PROTOCOL.sha256, scenes, panel, (0,), ["assisted"]) == level()
+    assert PROTOCOL.level_of(PROTOCOL.sha256, scenes, panel, (0,), ["delta_pose"]) is None
     assert level(scenes={**scenes, "queue-03": "x"}) is None
     some = dict.fromkeys(ccdiff_env.scenes.splits()["val"][:93], "x")
-    assert level(scenes=some, seeds=val["seeds"]) == "planner-1.2 val, 93 of 150 scenes"
+    assert level(scenes=some, seeds=range(val["num_seeds"])) == "planner-1.3 val, 93 of 150 scenes"
+
+
+def test_seeds_of_a_protocol_are_drawn_when_a_run_begins_and_kept_in_it(tmp_path):
+    def drawn(folder, *words):
+        given = ["--protocol", "planner-1.3", "--planners", "idm", "--out", str(tmp_path / folder)]
+        args = parse(["bench", "planners", *given, *words])
+        PROTOCOL.fix(args)
+        return args.seeds
+
+    seeds = {drawn(str(i)) for i in range(4)}
+    assert len(seeds) == 4
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "run.json").write_text('{"seeds": [17]}')
+    assert drawn("begun") == "17"
+    assert drawn("begun", "--seeds", "5") == "5"
 
 
 @pytest.mark.slow
 def test_the_smoke_level_of_the_protocol_in_one_command(tmp_path, capsys):
-    command = ["bench", "planners", "--protocol", "planner-1.2", "--planners", "idm", "--quiet"]
+    command = ["bench", "planners", "--protocol", "planner-1.3", "--planners", "idm", "--quiet"]
     assert cli.main([*command, "--out", str(tmp_path)]) == 0
     (result,) = Record.read(tmp_path).results()
-    assert result.heading.startswith("planner-1.2 smoke")
+    assert result.heading.startswith("planner-1.3 smoke")
     assert {entry.traffic for entry in Record.read(tmp_path).entries} == set(PROTOCOL.panel)
 
 

@@ -53,7 +53,7 @@ class Made:
 
 
 _PLANNERS = Made(
-    "bench planners --protocol planner-1.2 --level smoke --planners "
+    f"bench planners --protocol {PROTOCOL.name} --level smoke --planners "
     "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,ego_replay",
     ("planner",),
     {
@@ -116,8 +116,12 @@ _STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the
 
 TABLES: dict[str, Made] = {
     **{
-        f"planners_{level}": replace(_PLANNERS, command=_PLANNERS.command.replace("smoke", level))
-        for level in PROTOCOL.levels
+        f"planners_{level}": replace(
+            _PLANNERS,
+            command=_PLANNERS.command.replace("smoke", level)
+            + f" --seeds {','.join(map(str, range(fields['num_seeds'])))}",
+        )
+        for level, fields in PROTOCOL.fields["levels"].items()
     },
     "realism": _REALISM,
     "realism_rivals": replace(

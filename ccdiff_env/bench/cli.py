@@ -177,7 +177,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
     parser.add_argument(
         "--protocol",
-        help="fix scenes, traffic and seeds by planner-1.2 (default: the options choose them)",
+        help="fix scenes, traffic and rules by planner-1.3 (default: the options choose them)",
     )
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
@@ -195,9 +195,9 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.provenance import scene_hashes
     from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
-    fixed = PROTOCOL.fix(args)
     if args.nuplan is not None:
         os.environ[VARIABLE] = args.nuplan  # processes of jobs look there, too
+    fixed = PROTOCOL.fix(args)
     if args.nuplan_score:
         find_devkit()
     planners = list(dict.fromkeys(args.planners.split(",")))
@@ -354,7 +354,7 @@ def _realism(args: argparse.Namespace) -> int:
         "Realism",
         tables(found, args.samples),
         rows,
-        {"figures.csv": figures(rows, ("method",), COLUMNS)},
+        {"figures.csv": figures(rows, ("method", "own_weights"), COLUMNS)},
     )
 
 

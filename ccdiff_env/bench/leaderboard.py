@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ccdiff_env.bench.page import write_report_page
-from ccdiff_env.bench.planner_report import BASES, comparison, summary, verdict
+from ccdiff_env.bench.planner_report import BASES, Label, comparison, summary, verdict
 from ccdiff_env.bench.record import Record, Result
 from ccdiff_env.system.table import document
 from ccdiff_env.system.terminal import counted
@@ -31,8 +31,8 @@ def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
 def leaderboard(records: Sequence[Record]) -> dict[str, str]:
     """Compare the planners of runs of ``bench planners``: heading and Markdown of each table.
 
-    Planners share a table where protocol, scenes (by their hashes), traffic, seeds, weights and
-    version are the same; without a protocol also the package. A planner that is in several runs is
+    Planners share a table where protocol, scenes (by their hashes), traffic, weights and version
+    are the same; without a protocol also seeds and package. A planner that is in several runs is
     named with its run. Planners that are no part of the package are marked where no code is given.
 
     Raises:
@@ -56,7 +56,7 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
     for (record, result), label in zip(members, labels, strict=True):
         name = label if labels.count(label) == 1 else f"{label} ({record.path.name})"
         number = sum(known.partition(" #")[0] == name for known in named)
-        named[f"{name} #{number + 1}" if number else name] = result
+        named[Label(f"{name} #{number + 1}" if number else name)] = result
     traffic = list(members[0][1].rows)
     found = {(name, t): result.rows[t] for name, result in named.items() for t in traffic}
     bases = [name for name, result in named.items() if result.planner in BASES]
@@ -68,4 +68,7 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
                 f"{record.label(result)}: [{record.code}]({record.code}), source "
                 f"{result.planner_source[:8]}, trained on: {record.training_data or 'not said'}"
             )
+    seeds = {name: ", ".join(map(str, result.seeds)) for name, result in named.items()}
+    if len({*seeds.values()}) > 1:
+        blocks.append("Seeds: " + "; ".join(f"{name} {drawn}" for name, drawn in seeds.items()))
     return document(*blocks, *comparison(found, bases))

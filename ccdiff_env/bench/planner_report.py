@@ -26,7 +26,7 @@ from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.replays import Pages
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.view.captions import planner_title
+from ccdiff_env.view.captions import LOG_TITLES, planner_title
 
 Row = Mapping[str, Any]
 #: Episodes of every planner in every traffic: planner, traffic -> rows per scene and seed.
@@ -44,8 +44,6 @@ _REASONS = {
     "right_way": "wrong way",
     "ttc": "close call",
 }
-#: What built-in planners are, where the name alone does not say it.
-_TITLES = {"idm": "IDM on the log's path", "replay": "Log replay"}
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
 BAD_BELOW = 0.7  #: Scenes with a lower score are listed; others where they have a replay.
@@ -164,9 +162,17 @@ def parts_tables(found: Results) -> list[Block]:
     return [*tables, f"Means over scenes and seeds. {brackets(found.values())}{best}"]
 
 
+class Label(str):
+    """The name of a planner in words, as tables have it."""
+
+    __slots__ = ()
+
+
 def short_name(planner: str) -> str:
     """Return the name of a planner in words: of a file, its name without the suffix."""
-    return _TITLES.get(planner) or planner_title(planner)
+    if isinstance(planner, Label):
+        return planner
+    return LOG_TITLES.get(planner) or planner_title(planner)
 
 
 def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Row]]:

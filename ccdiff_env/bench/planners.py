@@ -151,6 +151,9 @@ def planner_jobs(
         window: As :func:`window_of` returns it.
         by_nuplan: Whether nuPlan's own score is taken, too, see
             :mod:`ccdiff_env.bench.nuplan_score`.
+
+    Scenes are dealt to the chunks in an order that the seed draws: a planner, whose worlds are in
+    that of the chunk, does not know a scene by its number.
     """
     for name in traffic:
         TRAFFIC[name]  # refuses a name that does not exist
@@ -168,7 +171,8 @@ def planner_jobs(
         for name in traffic
         for job in chunk_jobs(
             f"{file_name(planner)}-{file_name(name)}-{seed}", f"{__name__}:evaluate", source, CHUNK,
-            planner=planner, traffic=name, seed=seed, sources=_sources(planner, name), **given,
+            shuffle=seed, planner=planner, traffic=name, seed=seed,
+            sources=_sources(planner, name), **given,
         )
     ]  # fmt: skip
 

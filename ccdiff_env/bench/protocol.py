@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import secrets
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,17 @@ from typing import Any
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError
 from ccdiff_env.models import shipped_weights
-from ccdiff_env.planners.built_in import Seat
+from ccdiff_env.planners.built_in import Seat, ego_driver
 from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.scenes.sources import Place, parse
 from ccdiff_env.system.files import read_bytes
+from ccdiff_env.system.settings import kept_settings
+from ccdiff_env.traffic.options import DYNAMICS
 
-_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.2.json"
-#: Arguments that the protocol fixes, beside the scenes.
-_FIXED = ("traffic", "seeds", "limit")
+_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.3.json"
+#: Arguments that the protocol fixes, beside the scenes and the number of seeds.
+_FIXED = ("traffic", "limit")
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,11 @@ class Protocol:
         return tuple(self.fields["traffic"])
 
     @property
+    def dynamics(self) -> tuple[str, ...]:
+        """Names of the models of motion that planners may choose."""
+        return tuple(self.fields["dynamics"])
+
+    @property
     def levels(self) -> tuple[str, ...]:
         """Names of the choices of scenes."""
         return tuple(self.fields["levels"])
@@ -60,8 +68,9 @@ class Protocol:
     def fix(self, args: argparse.Namespace) -> dict[str, Any]:
         """Fill in the arguments that a level fixes, where ``--protocol`` is given.
 
-        Returns settings of the run: ``protocol``, its name, and ``level``. Refuses an argument that
-        is fixed, and other data.
+        Seeds are drawn by the system's randomness when a run begins, so that nobody can play its
+        episodes beforehand; ``--seeds`` repeats a draw. Returns settings of the run: ``protocol``,
+        its name, and ``level``. Refuses an argument that is fixed, and other data.
         """
         if args.protocol is None:
             if args.level is not None:
@@ -87,7 +96,22 @@ class Protocol:
         if data is not None:
             args.scenes = str(replace(data, version=level["version"], split=level["split"]))
         args.traffic = ",".join(self.panel)
-        args.seeds = ",".join(str(seed) for seed in level["seeds"])
+        if args.seeds is None:
+            begun = kept_settings(args.out / "run.json", {}).get("seeds")
+            drawn = begun or [secrets.randbits(31) for _ in range(level["num_seeds"])]
+            args.seeds = ",".join(map(str, drawn))
+        elif (number := len(args.seeds.split(","))) != level["num_seeds"]:
+            raise ConfigError(
+                f"--seeds has {number}, {self.name} {args.level} takes {level['num_seeds']}"
+            )
+        for planner in args.planners.split(","):
+            seat = ego_driver(planner)[1]
+            allowed = tuple(DYNAMICS[name] for name in self.dynamics)
+            if seat is not None and not isinstance(seat.config.action.dynamics, allowed):
+                raise ConfigError(
+                    f"{planner} moves by {type(seat.config.action.dynamics).__name__}, {self.name} "
+                    f"allows {', '.join(self.dynamics)}"
+                )
         return {"protocol": self.name, "level": args.level}
 
     def check(self, level: str, hashes: Mapping[str, str]) -> None:
@@ -108,7 +132,12 @@ class Protocol:
                 )
 
     def level_of(
-        self, sha256: str, scenes: Mapping[str, str], traffic: Iterable[str], seeds: Sequence[int]
+        self,
+        sha256: str,
+        scenes: Mapping[str, str],
+        traffic: Iterable[str],
+        seeds: Sequence[int],
+        dynamics: Collection[str] = (),
     ) -> str | None:
         """Return the level that results are of in words, with what is missing of its scenes.
 
@@ -117,8 +146,10 @@ class Protocol:
         """
         if sha256 != self.sha256 or set(traffic) != set(self.panel):
             return None
+        if not {*dynamics} <= {*self.dynamics}:
+            return None
         for name, level in self.fields["levels"].items():
-            if list(seeds) != level["seeds"]:
+            if len(seeds) != level["num_seeds"]:
                 continue
             if "hashes" in level:
                 if dict(scenes) == level["hashes"]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planner_report import NUPLAN, short_name
+from ccdiff_env.bench.planner_report import NUPLAN, Label, short_name
 from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -31,6 +31,7 @@ from ccdiff_env.system.files import (
     reading,
     write_aside,
 )
+from ccdiff_env.view.captions import is_taken
 
 FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
@@ -57,6 +58,7 @@ class Entry:
     planner_source: str | None
     made_from: Mapping[str, Any]
     rows: tuple[Mapping[str, Any], ...]
+    dynamics: frozenset[str]  #: Models of motion that the actions are of.
     #: Steps before and of an episode; ``None`` for those of the protocol.
     window: Mapping[str, int] | None = None
 
@@ -74,6 +76,7 @@ class Result:
     planner: str
     planner_source: str | None
     privileged: bool
+    seeds: tuple[int, ...]
     rows: Mapping[str, list[Mapping[str, Any]]]
 
 
@@ -144,37 +147,42 @@ class Record:
         made, window = first.made_from, first.window
         level = None
         if window is None:
-            level = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds)
+            moves = {name for entry in entries for name in entry.dynamics}
+            level = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds, moves)
         facts = {
             "protocol": made["protocol"],
             "scenes": scenes,
             "traffic": sorted(rows),
-            "seeds": seeds,
             "window": window,
-            # a protocol fixes the weights that drive; others may be there or not
+            # a protocol has seeds drawn, and fixes the weights that drive; others may be there
+            "seeds": None if level else seeds,
             "weights": None if level else made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
         }
         count = coverage(place_of(first.source), len(scenes))
         weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
         heading = level or f"{source_title(first.source, count)}, {weights}"
-        heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
+        heading += "" if level else f", seed {', '.join(map(str, seeds))}"
+        heading += f", version {made.get('version')}"
         if window is not None:
             heading += ", {horizon_steps} steps after {history_steps}".format(**window)
         key = json.dumps(facts, sort_keys=True)
         packaged = first.planner_source is None
         privileged = is_privileged(first.planner) if packaged else made.get("privileged") is True
-        return Result(key, heading, first.planner, first.planner_source, privileged, rows)
+        source = first.planner_source
+        return Result(key, heading, first.planner, source, privileged, tuple(seeds), rows)
 
-    def label(self, result: Result) -> str:
+    def label(self, result: Result) -> Label:
         """Return the name of a planner in tables; one without code is marked.
 
-        A file keeps its suffix: ``pdm.zip`` is none of the package's.
+        A file keeps its suffix, and its path where its name is one of the package.
         """
         if result.planner_source is None:
-            return short_name(result.planner)
+            return Label(short_name(result.planner))
         file = re.fullmatch(r"(?:.*/)?([^/:]+)", result.planner)
-        return (file[1] if file else result.planner) + ("" if self.code else " (no code)")
+        name = result.planner if file is None or is_taken(file[1]) else file[1]
+        marks = [" (not of the package)"] * is_taken(name) + [" (no code)"] * (self.code is None)
+        return Label(name + "".join(marks))
 
 
 def _of_folder(path: Path) -> Iterator[tuple[str, str]]:
@@ -241,6 +249,8 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
         given, made_from = dict(fields["arguments"]), dict(fields["made_from"])
         source_title(given["source"])
         planner, traffic, seed, names = (given[n] for n in ("planner", "traffic", "seed", "names"))
+        if not planner.isascii():
+            raise ValueError(f"the name {planner!a:.80}, expected letters of ASCII")
         scenes, weights = made_from["scenes"], made_from.get("weights") or ""
         for text in (planner, traffic, *names, *scenes.values(), made_from["version"], weights):
             if not _is_plain(text):
@@ -260,6 +270,9 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
         ):
             raise ValueError(f"window {window!a:.80}")
         rows = tuple(_row(row, names, seed) for row in fields["result"])
+        moves = frozenset(
+            name for row in rows for name in row.get("action", {}).get("dynamics", ())
+        )
         if [row["scene"] for row in rows] != list(names):
             raise ValueError("its scenes")
         source = given["sources"]["planner"]
@@ -268,7 +281,9 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
     except (AttributeError, CcdiffError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"damaged result of a run ({error}): {where}") from None
     names, place = tuple(names), given["source"]
-    return Entry(where, place, names, planner, traffic, seed, source, made_from, rows, window)
+    return Entry(
+        where, place, names, planner, traffic, seed, source, made_from, rows, moves, window
+    )
 
 
 def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, Any]:

@@ -25,13 +25,35 @@ PLANNER_TITLES = {
 }
 
 
+#: What tables call planners of the package that drive by the log, where drivers have other titles.
+LOG_TITLES = {"idm": "IDM on the log's path", "replay": "Log replay"}
+
+
+def is_taken(name: str) -> bool:
+    """Return whether a name, or one that looks like it, is of a planner or driver of the package:
+    nobody else's is called so.
+    """
+    titles = (PLANNER_TITLES, DRIVER_TITLES, LOG_TITLES)
+    own = (text for known in titles for text in (*known, *known.values()))
+    return _letters(name) in {_letters(text) for text in own}
+
+
+def _letters(text: str) -> str:
+    return "".join(letter for letter in text.casefold() if letter.isalnum())
+
+
 def planner_title(name: str) -> str:
-    """Return in words who drives the ego: of a file, its name without folder and suffix."""
+    """Return in words who drives the ego: of a file, its name without folder and suffix.
+
+    A file keeps its path where its name is one of the package.
+    """
     path, asked, options = name.partition("?")
     if ":" in path:  # of one's own
         return name
     file = path.rpartition("/")[2]
     stem = file.rpartition(".")[0] if file.endswith((".zip", ".safetensors")) else path
+    if stem != path and is_taken(stem):
+        stem = path
     return (PLANNER_TITLES.get(path) or DRIVER_TITLES.get(path, stem)) + asked + options
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.worlds import Worlds
 
 #: What can be read, of each kind of object; a mapping says what its own parts show, or what comes
-#: of a call. Nothing tells which scene it is, by which seed it is played, or who drives the others:
-#: so that nobody can look the episode up, or play it beforehand.
+#: of a call.
 _SCENE = dict.fromkeys(("dt", "location", "agent_types", "agent_categories", "sizes", "map_layers"))
 _CONFIG = dict.fromkeys((
     "action", "decision_steps", "dt_s", "history_steps", "horizon_steps", "num_slots",
@@ -52,6 +53,8 @@ class _View:
                 + ", ".join(self._shown)
             )
         found, parts = getattr(self._target, name), self._shown[name]
+        if parts is _SCENE:
+            return _Scenes(found, parts, f"{self._path}.{name}", self._target)
         return found if parts is None else _View(found, parts, f"{self._path}.{name}")
 
     def __call__(self, *given: Any) -> _View:
@@ -64,6 +67,35 @@ class _View:
         return len(self._target)
 
 
+class _Scenes(_View):
+    """Scenes of worlds by number, of whose agents those are shown that are there at present."""
+
+    def __init__(self, target: Any, shown: Mapping[str, Any], path: str, worlds: Worlds) -> None:
+        super().__init__(target, shown, path)
+        self._worlds = worlds
+
+    def __getitem__(self, index: Any) -> _View:
+        if not isinstance(index, (int, np.integer)):
+            raise ConfigError(f"{self._path}[{index!r}]: scenes go by their numbers")
+        scene = self._target[int(index)]
+        return _Scene(scene, self._shown, f"{self._path}[{index}]", self._worlds)
+
+
+class _Scene(_Scenes):
+    def __getattr__(self, name: str) -> Any:
+        found = super().__getattr__(name)
+        if name not in ("agent_types", "agent_categories", "sizes"):
+            return found
+        there = np.zeros(self._target.num_agents, np.bool_)
+        native = self._worlds.native
+        for i in range(native.num_worlds):
+            if native.begun(i) and self._worlds.scenes[native.status(i).scene_idx] is self._target:
+                there |= native.states(i)["active"]
+        if name == "sizes":
+            return np.where(there[:, None], found, np.float32(0.0))
+        return [text if here else "" for text, here in zip(found, there, strict=True)]
+
+
 def behind(shown: Any) -> Any:
     """Return what a view shows, for functions of the package that only read it."""
     return shown._target if isinstance(shown, _View) else shown
@@ -73,7 +105,8 @@ def worlds_view(worlds: Worlds, who: str) -> Any:
     """Return worlds that can only be read, and show what a vehicle can know; errors name ``who``.
 
     There is no log, snapshot or plan of others, no name, token or hash of a scene, no seed, and
-    nothing of who drives the others. It is a rule that is kept, not a wall: code that digs through
-    private names gets through.
+    nothing of who drives the others. Agents that are not there at present have size 0 and empty
+    types and categories. It is a rule that is kept, not a wall: code that digs through private
+    names gets through, and who knows all scenes can tell them apart by what is there.
     """
     return _View(worlds, _WORLDS, f"{who}: worlds")
