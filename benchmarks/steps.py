@@ -10,9 +10,9 @@ which everybody has; the ego's actions are small random ones. The figures of a r
 - its ratio to IDM's steps at E = 64 (of highway-env at E = 1), and what a vehicle's plan takes
   beyond log replay.
 
-All rows take turns, round after round, and figures are medians over rounds: ratios hold on a
-machine that is busy or slow. One thread: steps per second of its processor time; more: per second
-of the clock. ``--keep`` writes the table into docs/results.
+All rows take turns, round after round, and figures are medians over rounds of steps per second of
+processor time on one thread: ratios hold on a machine that is busy or slow.
+``--keep`` writes the table into docs/results.
 """
 
 from __future__ import annotations
@@ -34,16 +34,13 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.system.table import Table
 from ccdiff_env.worlds import scene_set
 
-ONE = {"denoising_steps": 1}
 #: Traffic by title, with its options.
 TRAFFIC: dict[str, dict[str, Any]] = {
     "log replay": {"traffic": "replay"},
     "IDM": {"traffic": "idm"},
     "swift": {"traffic": "swift"},
-    "CCDiff, one step": {"traffic": "ccdiff", "ccdiff": ONE},
-    "CCDiff, one step, criticality 1": {"traffic": "ccdiff", "criticality": 1.0, "ccdiff": ONE},
+    "CCDiff, one step": {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 1}},
     "CCDiff": {"traffic": "ccdiff"},
-    "CCDiff, criticality 1": {"traffic": "ccdiff", "criticality": 1.0},
 }
 HIGHWAY = "highway-env's highway-fast-v0"
 PLAN_STEPS = 5  #: Steps from one plan to the next.
@@ -52,7 +49,6 @@ HEADS = {
     "1": "E = 1",
     "64": "E = 64",
     "1024": "E = 1,024",
-    "threads": "the same, two threads",
     "of_idm": "of IDM's steps",
     "plan_us": "µs per vehicle and plan",
 }
@@ -74,23 +70,23 @@ def one_env(made: gymnasium.Env[Any, Any], frames: int = 1) -> tuple[Callable[[]
     return steps, 10.0 * frames
 
 
-def vector_env(envs: int, threads: int, **options: Any) -> tuple[Callable[[], object], float]:
+def vector_env(envs: int, **options: Any) -> tuple[Callable[[], object], float]:
     """Return what takes ten steps of a vector environment, and the steps of a call."""
     learner = {"copy": False, "info": "end", "autoreset_mode": "same_step"}
-    env = ccdiff_env.make_vec(envs, num_threads=threads, **learner, **options)
+    env = ccdiff_env.make_vec(envs, num_threads=1, **learner, **options)
     env.reset(seed=0)
     shape = env.action_space.shape
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, shape).astype(np.float32)
     return lambda: [env.step(actions) for _ in range(10)], 10.0 * envs
 
 
-def seconds_of(call: Callable[[], object], clock: Callable[[], float], span_s: float) -> float:
-    """Return seconds per call over a span."""
-    end, start, calls = time.perf_counter() + span_s, clock(), 0
+def seconds_of(call: Callable[[], object], span_s: float) -> float:
+    """Return processor seconds per call over a span."""
+    end, start, calls = time.perf_counter() + span_s, time.process_time(), 0
     while time.perf_counter() < end or not calls:
         call()
         calls += 1
-    return (clock() - start) / calls
+    return (time.process_time() - start) / calls
 
 
 def measured(rounds: int, span_s: float) -> dict[tuple[str, str], list[float]]:
@@ -105,15 +101,13 @@ def measured(rounds: int, span_s: float) -> dict[tuple[str, str], list[float]]:
         calls[HIGHWAY, "1"] = one_env(made, frames)
     for what, options in TRAFFIC.items():
         calls[what, "1"] = one_env(gymnasium.make("ccdiff_env/Ego-v0", **options))
-        calls[what, "64"] = vector_env(64, 1, **options)
+        calls[what, "64"] = vector_env(64, **options)
         if "ccdiff" not in options["traffic"]:
-            calls[what, "1024"] = vector_env(1024, 1, **options)
-            calls[what, "threads"] = vector_env(1024, 2, **options)
+            calls[what, "1024"] = vector_env(1024, **options)
     found: dict[tuple[str, str], list[float]] = {key: [] for key in calls}
     for _ in range(rounds):
         for key, (call, steps) in calls.items():
-            clock = time.perf_counter if key[1] == "threads" else time.process_time
-            found[key].append(seconds_of(call, clock, span_s) / steps)
+            found[key].append(seconds_of(call, span_s) / steps)
     return found
 
 
