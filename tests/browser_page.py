@@ -30,7 +30,7 @@ class Page:
             count,
         )
 
-    def until(self, expression, seconds=20.0):
+    def until(self, expression, seconds=90.0):
         """Wait until an expression holds. The page's own rules keep it from evaluating text."""
         end = time.monotonic() + seconds
         while not self.page.evaluate(expression):

@@ -64,17 +64,15 @@ if __name__ == "__main__":
         start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    end = time.monotonic() + 60.0
-    while len(list(pids.iterdir())) < 2 and time.monotonic() < end:
+    while len(list(pids.iterdir())) < 2:
         time.sleep(0.1)
     workers = [int(file.name) for file in pids.iterdir()]
     os.killpg(run.pid, sent) if sent is signal.SIGINT else run.kill()
-    said = run.communicate(timeout=10.0)[1].decode()
+    said = run.communicate()[1].decode()
     assert len(workers) == 2
     assert said.count("Traceback") == (sent is signal.SIGINT)
-    while any(alive(pid) for pid in workers) and time.monotonic() < end:
+    while any(alive(pid) for pid in workers):
         time.sleep(0.1)
-    assert not any(alive(pid) for pid in workers)
 
 
 def test_a_killed_run_goes_on_where_it_stopped(tmp_path):
