@@ -1,7 +1,6 @@
 """Values, names, folders and bytes made to harm are refused in words, or do nothing."""
 
 import base64
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -10,7 +9,6 @@ import re
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +89,7 @@ def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:
-        with pytest.raises(OSError, match="File too large"):
+        with pytest.raises(OSError, match=r"File too large: '.*a\.csv'$"):
             files.write_aside(path, "x" * 10**6)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -193,7 +191,7 @@ def data_set(tmp_path):
     return tmp_path, load
 
 
-def test_a_lane_of_very_many_pieces_costs_little(data_set):
+def test_a_lane_of_very_many_pieces_is_refused(data_set):
     folder, load = data_set
     load()
     path = folder / "maps/expansion/ccdiff-town.json"
@@ -202,10 +200,8 @@ def test_a_lane_of_very_many_pieces_costs_little(data_set):
     pieces = town["arcline_path_3"][lane] * 100_000
     town["arcline_path_3"][lane] = pieces[:300_000]
     path.write_text(json.dumps(town))
-    start = time.process_time()
-    with contextlib.suppress(errors.DatasetError):
+    with pytest.raises(errors.DatasetError, match=r"ccdiff-town\.json"):
         load()
-    assert time.process_time() - start < 20.0
 
 
 def test_files_may_begin_with_a_byte_order_mark(data_set):
@@ -252,12 +248,13 @@ def test_observations_that_do_not_fit():
 
 
 def test_long_names_are_cut_in_images():
-    scene = rollout().to_scene("n" * 100_000)
-    env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
-    env.reset(seed=0)
-    start = time.process_time()
-    env.render()
-    assert time.process_time() - start < 2.0
+    images = []
+    for count in (1_000, 100_000):
+        scene = rollout().to_scene("n" * count)
+        env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
+        env.reset(seed=0)
+        images.append(env.render())
+    assert np.array_equal(*images)
 
 
 # what is said, and what a browser runs

@@ -10,6 +10,7 @@ Then the strength is fitted: IDM shall collide as often as in five-step CCDiff.
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import math
 import sys
@@ -37,7 +38,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.scenes.sources import coverage, title
-from ccdiff_env.system.files import read_bytes
+from ccdiff_env.system.files import read_bytes, reading, write_aside
 from ccdiff_env.system.settings import keep_settings, sha256
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import SWIFT, CcdiffConfig, NamedDriver
@@ -141,11 +142,11 @@ def run(args: argparse.Namespace) -> int:
     def labels(name: str, made: Callable[[], F32]) -> F32:
         file: Path = args.out / f"labels-{name}.npy"
         if not file.exists():
-            part = file.with_suffix(".part.npy")
-            np.save(part, made())
-            part.replace(file)
+            np.save(packed := io.BytesIO(), made())
+            write_aside(file, packed.getvalue())
             say(f"{file.name}: {len(np.load(file, mmap_mode='r'))} labels")
-        rows: F32 = np.load(file)
+        with reading("labels", file):
+            rows: F32 = np.load(file)
         return rows
 
     def taught(of: SceneSet, episodes: int, seed: int, student: Path | None = None) -> F32:

@@ -131,16 +131,27 @@ def _integer(text: str) -> int:
     return int(text)
 
 
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Let an ``OSError`` of what is written name its file, which a full disk's does not."""
+    try:
+        yield
+    except OSError as fault:
+        said = fault.strerror or str(fault)
+        raise OSError(fault.errno or 0, said, os.fspath(path)) from fault
+
+
 def write_aside(path: Path, data: str | bytes) -> None:
     """Write a file under another name first: a run that ends in the middle leaves no half of it."""
     aside = path.with_name(f".{path.name[:200]}.{os.getpid()}")
-    try:
-        aside.unlink(missing_ok=True)
-        with aside.open("xb") as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
+    with naming(path):
+        try:
+            aside.unlink(missing_ok=True)
+            with aside.open("xb") as file:
+                file.write(data.encode() if isinstance(data, str) else data)
+            aside.replace(path)
+        finally:
+            aside.unlink(missing_ok=True)
 
 
 def file_name(name: str, suffix: str = "") -> str:

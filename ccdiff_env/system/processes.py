@@ -10,6 +10,8 @@ from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TypeVar
 
+from ccdiff_env.system.files import naming
+
 _Work = TypeVar("_Work")
 _Result = TypeVar("_Result")
 
@@ -24,7 +26,9 @@ def results_of_processes(
     """
     # forked children may not enter worlds that hold threads
     context, others = get_context("spawn"), set(active_children())
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin) as pool:
+    with naming("/dev/shm"):
+        made = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    with made as pool:
         try:
             for future in as_completed([pool.submit(do, work) for work in works]):
                 yield future.result()

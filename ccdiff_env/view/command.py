@@ -12,7 +12,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
-from ccdiff_env.system.files import file_name, write_aside
+from ccdiff_env.system.files import file_name, naming, write_aside
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS, driver_names
 from ccdiff_env.view import render
@@ -227,7 +227,9 @@ def _image(
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
-        render.pillow().fromarray(side_by_side(videos, step)).save(out)
+        image = render.pillow().fromarray(side_by_side(videos, step))
+        with naming(out):
+            image.save(out)
     elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")
     else:

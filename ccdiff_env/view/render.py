@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.system.files import naming
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -49,9 +50,9 @@ def save_gif(stack: Image, path: Path, fps: float) -> None:
     few = library.fromarray(np.concatenate(stack[:: max(1, len(stack) // 8)]))
     palette = _palette(few, 128)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
-    images[0].save(
-        path, save_all=True, append_images=images[1:], duration=max(20, round(1000.0 / fps)), loop=0
-    )
+    options = {"duration": max(20, round(1000.0 / fps)), "loop": 0}
+    with naming(path):
+        images[0].save(path, save_all=True, append_images=images[1:], **options)
 
 
 def save_mp4(stack: Image, path: Path, fps: float) -> None:
