@@ -1,5 +1,6 @@
 """Reports of the benchmarks: pages of tables, plots and links to replays of what was measured."""
 
+import csv
 from html.parser import HTMLParser
 
 import pytest
@@ -9,6 +10,8 @@ from ccdiff_env.bench import plots
 from ccdiff_env.bench.intervals import FEW
 from ccdiff_env.bench.page import markdown_html, write_report_page
 from ccdiff_env.bench.planner_report import verdict, worst_scenes
+from ccdiff_env.system.table import Column, Table, document, escaped, link
+from ccdiff_env.system.terminal import align
 
 VAL = "embedded/val"
 
@@ -25,7 +28,7 @@ class Parts(HTMLParser):
         found = dict(attrs)
         if tag == "tr":
             self.rows.append([])
-        self._cell = tag in ("td", "th", "a") and (self._cell or tag != "a")
+        self._cell = tag in ("td", "th", "a", "b") and (self._cell or tag not in "ab")
         if tag in ("td", "th"):
             self.rows[-1].append("")
         if tag == "a":
@@ -53,6 +56,40 @@ def test_markdown_of_reports_becomes_html():
     found = Parts(text)
     assert found.rows == [["scene", "why"], ["a", "x < y"], ["", ""]]
     assert found.links == ["replays/a.html#t=1.0&follow=ego"]
+
+
+NAMES = (
+    "a|b",
+    "<script>alert(1)</script>",
+    "50% & x_1",
+    "**x**",
+    "[a](b:c)",
+    "`_x_` \\| &amp; #",
+    "\\",
+)
+
+
+def test_names_are_only_names_for_all_readers(tmp_path):
+    rows = [[name, 0.5, link(name, "a b(1).html")] for name in NAMES]
+    made = Table(["name", Column("score", best=True), Column("page", NAMES[0])], rows, NAMES[3])
+    text = document(made, escaped("; ".join(NAMES)))
+    lines = align(text).splitlines()
+    assert lines[:3] == [NAMES[3], "", f"{'name':<25}   score  a|b"]
+    assert [line.split("  0.50 *  ") for line in lines[4:11]] == [[f"{n:<25}", n] for n in NAMES]
+    assert lines[12] == "; ".join(NAMES)
+    page = Parts(markdown_html(text))
+    assert page.rows == [["name", "score", "a|b"], *([name, "0.50", name] for name in NAMES)]
+    assert page.links == ["a%20b%281%29.html"] * len(NAMES)
+    assert "<script" not in markdown_html(text)
+    assert r"50\% \& x\_1 & \textbf{0.50} & 50\% \& x\_1 \\" in made.latex()
+    made.write_csv(tmp_path / "t.csv")
+    assert [row[0] for row in csv.reader((tmp_path / "t.csv").open())][1:] == [*NAMES]
+
+
+def test_markdown_of_names_is_that_of_commonmark():
+    markdown = pytest.importorskip("markdown_it").MarkdownIt().enable("table")
+    table = Table(["name"], [[name] for name in NAMES])
+    assert Parts(markdown.render(str(table))).rows[1:] == [[name] for name in NAMES]
 
 
 def test_pages_need_nothing_else(tmp_path):
@@ -84,8 +121,8 @@ def test_the_worst_scenes_of_every_planner_have_replays(planners):
     folder = planners
     links = replays(folder)
     assert len(links) == 4
-    for link in links:
-        page = folder / link.partition("#")[0]
+    for address in links:
+        page = folder / address.partition("#")[0]
         assert 10_000 < page.stat().st_size < 1_000_000
     assert (folder / "table.md").read_text(encoding="utf-8").count("](replays/") == 4
     page = (folder / "report.html").read_text(encoding="utf-8")
@@ -184,8 +221,8 @@ def test_reports_of_scenarios_link_to_replays(tmp_path):
     assert cli.main([*scenarios, "--planners", "idm,replay"]) == 0
     links = replays(tmp_path / "s")
     assert links
-    for link in links:
-        assert (tmp_path / "s" / link.partition("#")[0]).exists()
+    for address in links:
+        assert (tmp_path / "s" / address.partition("#")[0]).exists()
 
 
 def test_without_matplotlib_a_plot_is_left_out_and_said(tmp_path, monkeypatch, capsys):

@@ -13,7 +13,7 @@ import pytest
 from ccdiff_env import cli
 from ccdiff_env.cli import main
 from ccdiff_env.models import TrajectoryModel
-from ccdiff_env.system.table import Column, Table, document
+from ccdiff_env.system.table import Column, Markdown, Table, document, link
 from ccdiff_env.system.terminal import align
 
 
@@ -200,7 +200,7 @@ def test_readers_see_units_digits_and_intervals():
 
 
 def test_latex_has_the_same_cells_with_its_letters_escaped():
-    cells = [["a_b & c", 0.25], ["[d](page.html)", 0.5]]
+    cells = [["a_b & c", 0.25], [link("d", "page.html"), 0.5]]
     text = Table(["name", Column("hit", unit="%", best=True)], cells, "Two_").latex()
     assert text.splitlines() == [
         r"\begin{table}",
@@ -225,7 +225,7 @@ def test_files_have_the_values_themselves(tmp_path):
 
 
 def test_the_highest_as_shown_are_emphasised():
-    cells = (0.901, "[0.90](#a) [0.80, 0.95]", 0.894, NAN, None)
+    cells = (0.901, Markdown("[0.90](#a) [0.80, 0.95]"), 0.894, NAN, None)
     lines = str(Table([Column("score", best=True)], [[cell] for cell in cells])).splitlines()
     shown = ["**0.90**", "**[0.90](#a) [0.80, 0.95]**", "0.89", "n/a"]
     assert lines[2:] == [*(f"| {cell} |" for cell in shown), "| |"]

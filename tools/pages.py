@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.system.table import Table, document
+from ccdiff_env.system.table import Markdown, Table, document
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results"
@@ -38,7 +38,7 @@ def keep(name: str, head: Mapping[str, Any], rows: Iterable[Mapping[str, Any]]) 
 def _with_heads(run: Mapping[str, Any]) -> str:
     """The rows of a run under ``heads``, which name keys of the rows."""
     cells = [[row.get(key, "–") for key in run["heads"]] for row in run["rows"]]
-    written = [[f"{cell:,}" if isinstance(cell, int) else cell for cell in row] for row in cells]
+    written = [[f"{c:,}" if isinstance(c, int) else Markdown(c) for c in row] for row in cells]
     machine = f"{run['machine']}, {run['date']}." if "machine" in run else ""
     return document(Table([*run["heads"].values()], written), machine).rstrip()
 

@@ -10,13 +10,13 @@ from typing import Any
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
 from ccdiff_env.envs.selection import INFO_COLUMNS
-from ccdiff_env.system.table import Table
+from ccdiff_env.system.table import Markdown, Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 from tools import configuration
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return str(Table(heads, list(rows)))
+    return str(Table(heads, [[*map(Markdown, row)] for row in rows]))
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:

@@ -14,6 +14,7 @@ from ccdiff_env.bench.run import Run
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.system.table import escaped
 from ccdiff_env.system.terminal import say, say_page
 
 #: Traffic of ``bench planners`` without a protocol.
@@ -301,13 +302,14 @@ def _scenarios(args: argparse.Namespace) -> int:
     digests = {generator: set_digest(made[generator], rows) for generator, rows in sets.items()}
     run.note(digests=digests)
     for generator, digest in digests.items():
-        say(f"set against {generator}: {digest}")
+        print(f"set against {generator}: {digest}")
     driving = cross_jobs(sets, made, planners)
     rows = report.cross_rows(sets, run.episodes(driving, "generator", "planner"))
     avoidable = grouped((row for row in rows if row["avoidable"]), "planner", "generator")
     worst = (worst_scenes(avoidable, planner, args.replays) for planner in planners)
     pages = run.replays(row for of in worst for _, row in of)
-    what = f"Scenes: {source_title(run.source)}. Traffic: {args.traffic}, seed {args.seed}."
+    scenes = escaped(source_title(run.source))
+    what = f"Scenes: {scenes}. Traffic: {args.traffic}, seed {args.seed}."
     return run.report(
         "Egos that traffic is made against, and planners in it",
         {
@@ -372,7 +374,7 @@ def _leaderboard(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.leaderboard import write_leaderboard
 
     for heading, text in write_leaderboard(args.runs, args.out).items():
-        say(f"{heading}\n\n{text}")
+        say(f"{escaped(heading)}\n\n{text}")
     say_page(args.out, open_it=args.open)
     return 0
 
@@ -411,7 +413,7 @@ def _verify(args: argparse.Namespace) -> int:
         _native.hold_to_base()
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
-        say(f"{heading}\n\n{text}")
+        say(f"{escaped(heading)}\n\n{text}")
     found = verify(
         record,
         episodes=args.episodes,

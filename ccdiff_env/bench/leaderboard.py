@@ -9,7 +9,7 @@ from pathlib import Path
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.planner_report import BASES, Label, comparison, summary, verdict
 from ccdiff_env.bench.record import Record, Result
-from ccdiff_env.system.table import document
+from ccdiff_env.system.table import document, escaped, link
 from ccdiff_env.system.terminal import counted
 
 
@@ -17,7 +17,7 @@ def write_leaderboard(paths: Sequence[Path], out: Path) -> dict[str, str]:
     """Write the page of :func:`leaderboard`, with links to the reports; return the tables."""
     tables = leaderboard([Record.read(path) for path in paths])
     links = [
-        f"[{path.name}]({Path(os.path.relpath(path / 'report.html', out.parent)).as_posix()})"
+        link(path.name, Path(os.path.relpath(path / "report.html", out.parent)).as_posix())
         for path in paths
         if (path / "report.html").is_file()
     ]
@@ -65,8 +65,9 @@ def _table(members: Sequence[tuple[Record, Result]]) -> str:
     for record, result in members:
         if record.code and result.planner_source is not None:
             blocks.append(
-                f"{record.label(result)}: [{record.code}]({record.code}), source "
-                f"{result.planner_source[:8]}, trained on: {record.training_data or 'not said'}"
+                f"{escaped(record.label(result))}: {link(record.code, record.code)}, source "
+                f"{result.planner_source[:8]}, trained on: "
+                + escaped(record.training_data or "not said")
             )
     seeds = {name: ", ".join(map(str, result.seeds)) for name, result in named.items()}
     if len({*seeds.values()}) > 1:

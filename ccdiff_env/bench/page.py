@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from ccdiff_env.system.files import read_text, write_aside
+from ccdiff_env.system.table import shielded, unshielded
 from ccdiff_env.view.page import plain_html
 
 #: What abbreviations in the reports stand for.
@@ -102,7 +103,7 @@ def markdown_html(text: str) -> str:
     be sorted; numbers from 0 to 1 of those whose first head is ``score`` are coloured.
     """
     found: list[str] = []
-    for block in re.split(r"\n\s*\n", text.strip()):
+    for block in re.split(r"\n\s*\n", shielded(text.strip())):
         lines = block.splitlines()
         if lines[0].startswith("#"):
             head = lines[0].lstrip("# ")
@@ -114,7 +115,7 @@ def markdown_html(text: str) -> str:
             found.append(_table(lines))
         else:
             found.append(f"<p>{_inline(' '.join(lines))}</p>")
-    return "\n".join(found)
+    return unshielded("\n".join(found), html.escape)
 
 
 def _table(lines: Sequence[str]) -> str:

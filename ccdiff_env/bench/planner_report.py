@@ -24,7 +24,7 @@ from ccdiff_env.bench.intervals import (
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.replays import Pages
-from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
+from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows, escaped, link
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.view.captions import LOG_TITLES, planner_title
 
@@ -200,10 +200,11 @@ def worst_table(found: Results, count: int, pages: Pages, traffic: str = "traffi
             page = pages.get((row["job"], row["scene"]))
             if row["score"] < BAD_BELOW or page is not None:
                 kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)
-                scene = row["scene"] if page is None else f"[{row['scene']}]({page})"
+                scene = row["scene"] if page is None else link(row["scene"], page)
                 rows.append([scene, kind, row["score"], _why(row)])
-        table = Table(["scene", traffic, Column("score"), "why"], rows, short_name(planner))
-        blocks.append(table or f"### {short_name(planner)}\n\nNo scene below {BAD_BELOW:g}.")
+        name = short_name(planner)
+        table = Table(["scene", traffic, Column("score"), "why"], rows, name)
+        blocks.append(table or f"### {escaped(name)}\n\nNo scene below {BAD_BELOW:g}.")
     return blocks
 
 
@@ -216,7 +217,7 @@ def _why(row: Row) -> str:
 
 
 def verdict(found: Results) -> str:
-    """Say in two sentences who is best, and where planners break."""
+    """Say in two sentences of Markdown who is best, and where planners break."""
     if _few(found):
         return FEW
     planners, traffic = _names(found)
@@ -245,7 +246,7 @@ def verdict(found: Results) -> str:
         ends = "from {:.2f} ({}) to {:.2f} ({})".format(*top, *low)
         sentences.append(f"{name} breaks most: {ends}")
     count = len({row["scene"] for row in next(iter(found.values()))})
-    return ". ".join([*sentences, counted(count, "scene")]) + "."
+    return escaped(". ".join([*sentences, counted(count, "scene")]) + ".")
 
 
 def summary(found: Results, privileged: Collection[str] = ()) -> list[Block]:

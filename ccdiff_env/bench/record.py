@@ -39,7 +39,6 @@ FUNCTION = "ccdiff_env.bench.planners:evaluate"
 MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
 MOST_STEPS = 100_000  #: Steps that an episode may last, or begin after.
 _MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
-_MARKS = frozenset("|[]")  #: Letters that mean something in tables of Markdown.
 _FORMER = ("log_fails",)  #: Figures that rows of this protocol had once.
 _VERSION = re.compile(r"[\w.+-]{1,40}", re.ASCII)
 
@@ -227,8 +226,7 @@ def _parsed(texts: Iterator[tuple[str, str]], path: Path) -> dict[str, dict[str,
 
 def _is_plain(text: object, most: int = 300) -> bool:
     """Return whether a text can be shown in tables and terminals as it is."""
-    fits = isinstance(text, str) and len(text) <= most and text.isprintable()
-    return fits and not set(str(text)) & _MARKS
+    return isinstance(text, str) and len(text) <= most and text.isprintable()
 
 
 def _declared(code: object, training_data: object) -> tuple[str | None, str | None]:

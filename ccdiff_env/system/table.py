@@ -8,17 +8,48 @@ import csv
 import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from ccdiff_env.system.files import write_aside
 
 #: A value, and the ends of its interval; NaN where there is none.
 Figure = tuple[float, float, float]
-#: Words and counts stand as they are; of a float or a figure NaN is ``n/a``, ``None`` nothing.
+#: Words and counts are shown as they are; of a float or a figure NaN is ``n/a``, ``None`` nothing.
 Cell = str | int | float | Figure | None
 TableRows = list[list[Cell]]
+#: Letters that mean something in Markdown, and where.
+_MEANING = re.compile(r"[\\`*\[\]<|~$]|&(?=#?\w+;)|^[#>]|(?<![^\W_])_|_(?![^\W_])")
+#: A letter that is escaped by Markdown is shielded as one of the area for private use.
+_ESCAPED, _SHIELD = re.compile(r"\\([!-/:-@\[-`{-~])"), 0xE000
+
+
+class Markdown(str):
+    """A cell of Markdown, as a :func:`link`; other words are escaped where they enter a table."""
+
+    __slots__ = ()
+
+
+def escaped(text: str) -> Markdown:
+    """Return the Markdown that shows a text, such as a name, as it is, on one line."""
+    return Markdown(_MEANING.sub(r"\\\g<0>", " ".join(text.splitlines())))
+
+
+def link(words: str, address: str) -> Markdown:
+    """Return a link of Markdown."""
+    return Markdown(f"[{escaped(words)}]({quote(address, safe='/:?#&=%+,;@!')})")
+
+
+def shielded(markdown: str) -> str:
+    """Return Markdown in which letters that are escaped mean nothing, for its readers."""
+    return _ESCAPED.sub(lambda found: chr(_SHIELD + ord(found[1])), markdown)
+
+
+def unshielded(text: str, letter: Callable[[str], str] = str) -> str:
+    """Return what :func:`shielded` letters stand for, as ``letter`` writes each."""
+    return text.translate({_SHIELD + i: letter(chr(i)) for i in range(128)})
 
 
 @dataclass(frozen=True)
@@ -46,9 +77,11 @@ class Column:
         return f"{head} {self.unit}".rstrip()
 
     def text(self, cell: Cell) -> str:
-        """Return what readers see of a cell."""
-        if cell is None or isinstance(cell, str | int):
-            return "" if cell is None else str(cell)
+        """Return a cell in Markdown."""
+        if cell is None or isinstance(cell, Markdown):
+            return cell or ""
+        if isinstance(cell, str | int):
+            return escaped(str(cell))
         figure = [self.factor * x for x in (cell if isinstance(cell, tuple) else (cell,))]
         if not math.isfinite(figure[0]):
             return "n/a"
@@ -57,7 +90,7 @@ class Column:
         return f"{shown} [{', '.join(ends)}]" if known else shown
 
     def texts(self, cells: Sequence[Cell]) -> list[str]:
-        """Return what readers see of all cells."""
+        """Return all cells in Markdown."""
         texts = [self.text(cell) for cell in cells]
         if not self.best:
             return texts
@@ -86,20 +119,20 @@ class Table:
 
     def __str__(self) -> str:
         shown = [c.texts([row[i] for row in self.rows]) for i, c in enumerate(self.columns)]
-        lines = [[c.title for c in self.columns], *zip(*shown, strict=True)]
+        lines = [[escaped(c.title) for c in self.columns], *zip(*shown, strict=True)]
         drawn = ["".join(f"| {cell} " if cell else "| " for cell in line) + "|" for line in lines]
         text = "\n".join([drawn[0], "|" + "---|" * len(shown), *drawn[1:]])
-        return f"### {self.title}\n\n{text}" if self.title else text
+        return f"### {escaped(self.title)}\n\n{text}" if self.title else text
 
     def latex(self) -> str:
         """Return the table for LaTeX with booktabs; the best of a column is bold."""
         shown = [c.texts([row[i] for row in self.rows]) for i, c in enumerate(self.columns)]
         lines = [" & ".join(map(_latex, line)) + r" \\" for line in zip(*shown, strict=True)]
-        head = " & ".join(_latex(c.title) for c in self.columns) + r" \\"
+        head = " & ".join(_latex(escaped(c.title)) for c in self.columns) + r" \\"
         columns = "l" + "c" * (len(self.columns) - 1)
         parts = [r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
         parts = [rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}"]
-        caption = [rf"\caption{{{_latex(self.title)}}}"] if self.title else []
+        caption = [rf"\caption{{{_latex(escaped(self.title))}}}"] if self.title else []
         return "\n".join([r"\begin{table}", *caption, *parts, r"\end{table}", ""])
 
     def write_csv(self, path: Path) -> None:
@@ -125,9 +158,10 @@ _LATEX = {
 
 def _latex(text: str) -> str:
     """A text of Markdown for LaTeX: links are their words, ``**bold**`` is bold."""
-    words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", shielded(text))
     plain = "".join(_LATEX.get(letter, letter) for letter in words)
-    return re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", plain)
+    bold = re.sub(r"\*\*(.+?)\*\*", r"\\textbf{\1}", plain)
+    return unshielded(bold, lambda letter: _LATEX.get(letter, letter))
 
 
 Block = Table | str  #: A part of a document.

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from itertools import groupby, zip_longest
 from pathlib import Path
 
+from ccdiff_env.system.table import shielded, unshielded
+
 ENDLESS = 1_000_000  #: Width where nothing says how wide the terminal is: a pipe.
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _BEST = re.compile(r"\*\*(.+)\*\*")
@@ -33,11 +35,11 @@ def align(markdown: str, width: int = ENDLESS) -> str:
     Tables that are wider than ``width`` lose their intervals.
     """
     out: list[str] = []
-    plain = _LINK.sub(r"\1", markdown).splitlines()
+    plain = _LINK.sub(r"\1", shielded(markdown)).splitlines()
     for is_table, group in groupby(plain, lambda line: line.startswith("|")):
         lines = [*group]
         out += _aligned(lines, width) if is_table else [s.removeprefix("### ") for s in lines]
-    return "\n".join(out).rstrip() + "\n"
+    return unshielded("\n".join(out).rstrip()) + "\n"
 
 
 def _aligned(lines: Sequence[str], width: int) -> list[str]:
