@@ -2,8 +2,9 @@
 
 import importlib
 import itertools
+import os
 import sys
-from fractions import Fraction
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -149,6 +150,12 @@ def test_routes_of_the_embedded_town_follow_its_lanes(name):
 # settings of planners
 
 
+@dataclass
+class Share:
+    numerator: int
+    denominator: int = 1
+
+
 class Mine:
     """Made as nuPlan's planners are."""
 
@@ -163,8 +170,8 @@ SETTINGS = """
 my_planner:
   _target_: {target}
   _convert_: 'all'
-  step: {{_target_: fractions.Fraction, numerator: 8, denominator: 5}}
-  names: [1e-4, {{_target_: fractions.Fraction, numerator: 3}}]
+  step: {{_target_: test_nuplan_parts.Share, numerator: 8, denominator: 5}}
+  names: [1e-4, {{_target_: test_nuplan_parts.Share, numerator: 3}}]
   speed: ???
   path: ${{oc.env:HOME}}
 """
@@ -172,12 +179,18 @@ my_planner:
 
 @pytest.fixture
 def checkout(tmp_path, monkeypatch):
-    """A checkout with the settings of one planner."""
+    """A checkout with the settings of one planner, and another with its class."""
     folder = tmp_path / "mine" / "config" / "simulation" / "planner"
     folder.mkdir(parents=True)
     (folder / "my_planner.yaml").write_text(SETTINGS.format(target="test_nuplan_parts.Mine"))
-    monkeypatch.setenv(devkit.VARIABLE, str(tmp_path))
+    folders = [str(tmp_path), os.path.dirname(__file__)]
+    monkeypatch.setenv(devkit.VARIABLE, os.pathsep.join(folders))
     return tmp_path
+
+
+def made(name):
+    settings = Settings.of(name)
+    return made_of(settings.values, "mine", own=settings.owns)
 
 
 def test_settings_are_found_by_name_by_class_and_by_file(checkout):
@@ -191,8 +204,12 @@ def test_settings_are_found_by_name_by_class_and_by_file(checkout):
 
 
 def test_settings_make_objects_of_parts(checkout):
-    values = Settings.of("nuplan:my_planner?speed=3&path=x&step.numerator=4").values
-    assert made_of(values, "mine").given == (Fraction(4, 5), [1e-4, 3], 3, "x")
+    assert made("nuplan:my_planner?speed=3&path=x&step.numerator=4").given == (
+        Share(4, 5),
+        [1e-4, Share(3)],
+        3,
+        "x",
+    )
 
 
 @pytest.mark.parametrize(
@@ -200,14 +217,14 @@ def test_settings_make_objects_of_parts(checkout):
     [
         ("path=x", r"speed is '\?\?\?', give it as \?speed=value"),
         ("speed=1", r"path is '\$\{oc.env:HOME\}', give it as \?path=value"),
-        ("path=x&speed=1&step.parts=2", r"Fraction: .*'parts'; it takes numerator, denom"),
+        ("path=x&speed=1&step.parts=2", r"Share: .*'parts'; it takes numerator, denom"),
         ("path=x&speed=1&stop.numerator=2", r"no part 'stop' in its settings, there are step"),
         ("path=x&speed=1&sped=2", "Mine: .*'sped'; it takes step, names, speed, path, as"),
     ],
 )
 def test_settings_that_do_not_fit_name_the_value(checkout, options, says):
     with pytest.raises(ConfigError, match=says):
-        made_of(Settings.of(f"nuplan:my_planner?{options}").values, "mine")
+        made(f"nuplan:my_planner?{options}")
 
 
 def test_a_class_without_settings_is_made_with_options(checkout):
@@ -216,7 +233,18 @@ def test_a_class_without_settings_is_made_with_options(checkout):
         "year": 1,
     }
     with pytest.raises(ConfigError, match="it takes numerator, denominator"):
-        made_of({"_target_": "fractions.Fraction", "part": 1}, "mine")
+        made("nuplan:fractions.Fraction?part=1")
+
+
+@pytest.mark.parametrize("text", ["%s", "test_nuplan_parts.Share, numerator: {_target_: %s}"])
+@pytest.mark.parametrize(
+    "target", ["os.system", "numpy.load", "torch.load", "test_nuplan_parts.Polygon", "system", "."]
+)
+def test_files_of_settings_name_no_foreign_code(checkout, text, target):
+    # a file's name is none of a package
+    (checkout / "os.yaml").write_text(f"p: {{_target_: {text % target}, command: exit}}")
+    with pytest.raises(ConfigError, match=r"_target_ is .*, expected a class of nuplan or torch"):
+        made(f"nuplan:{checkout}/os.yaml")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +257,7 @@ def test_a_class_without_settings_is_made_with_options(checkout):
 )
 def test_names_that_are_not_there_are_refused(checkout, name, says):
     with pytest.raises(ConfigError, match=says):
-        made_of(Settings.of(f"nuplan:{name}").values, name)
+        made(f"nuplan:{name}")
 
 
 @pytest.mark.parametrize("text", ["[1, 2]", "a: {b: 1}", "a: [", ""])
