@@ -2,15 +2,19 @@
 
     python examples/planner_over_a_pipe.py --smoke
 
-Every line that it reads is one decision for all worlds, and it answers by one line, the actions
-``[[a, w], ...]`` in [-1, 1], or trajectories ``[[[x, y, heading], ...], ...]``:
+Every line that it reads is one decision for all worlds, and it answers each by one line, with the
+number of the decision and the actions in [-1, 1], or trajectories ``[[[x, y, heading], ...], ...]``
+in their place:
 
-    {"dt_s": 0.1, "worlds": [{"ego": 0, "step": 3, "route": [[x, y], ...],
+    {"number": 7, "dt_s": 0.1, "worlds": [{"ego": 0, "step": 3, "route": [[x, y], ...],
      "position": [[x, y], ...], "heading": [...], "speed": [...],
      "size": [[length, width, height], ...], "active": [...]}]}
 
+    {"number": 7, "actions": [[acceleration, yaw rate], ...]}
+
 Arrays are over agents, in the scene's frame: metres, radians, m/s (docs/planners.md). A world whose
-episode has ended is ``null``. In this folder the whole benchmark takes a program by
+episode has ended is ``null``. An answer with another number, or none within ``limit_s`` seconds,
+ends the run. In this folder the whole benchmark takes a program by
 
     ccdiff-env bench planners --planners "planner_over_a_pipe:Piped?command=./my_planner"
 
@@ -22,9 +26,11 @@ from __future__ import annotations
 import argparse
 import cmath
 import json
+import queue
 import shlex
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import numpy as np
@@ -37,20 +43,35 @@ class Piped:
     """Asks a program, which is started with the worlds and ends with its input."""
 
     def __init__(
-        self, worlds: Any, command: str = f"{sys.executable} {__file__} --program"
+        self,
+        worlds: Any,
+        command: str = f"{sys.executable} {__file__} --program",
+        limit_s: float = 60.0,
     ) -> None:
-        self.worlds, self.command = worlds, command
+        self.worlds, self.command, self.limit_s, self.number = worlds, command, limit_s, 0
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self.program = subprocess.Popen(shlex.split(command), **pipes)
+        self.lines: queue.Queue[str] = queue.Queue(2)  # one that writes too much waits
+        # a pipe has no time limit; the thread does not keep the program's input open
+        told = self.program.stdout, self.lines
+        threading.Thread(target=read, args=told, daemon=True).start()
 
     def __call__(self, obs: np.ndarray) -> np.ndarray:
         worlds = [self.world(i) for i in range(self.worlds.num_worlds)]
-        line = json.dumps({"dt_s": self.worlds.config.dt_s, "worlds": worlds})
-        print(line, file=self.program.stdin, flush=True)
-        answer = self.program.stdout.readline()
-        if not answer:
+        self.number += 1
+        asked = {"number": self.number, "dt_s": self.worlds.config.dt_s, "worlds": worlds}
+        print(json.dumps(asked), file=self.program.stdin, flush=True)
+        try:
+            line = self.lines.get(timeout=self.limit_s)
+        except queue.Empty:
+            self.program.kill()
+            raise TimeoutError(f"no answer of {self.command} in {self.limit_s:g} s") from None
+        if not line:
             raise RuntimeError(f"{self.command} has ended with {self.program.wait()}")
-        return np.array(json.loads(answer), np.float32)
+        answer = json.loads(line)
+        if not isinstance(answer, dict) or answer.get("number") != self.number:
+            raise ValueError(f"{self.command} answers {line:.80}, not number {self.number}")
+        return np.array(answer["actions"], np.float32)
 
     def world(self, i: int) -> dict[str, Any] | None:
         """What a program is told of a world."""
@@ -68,13 +89,19 @@ class Piped:
         }
 
 
+def read(file: Any, lines: queue.Queue[str]) -> None:
+    """Read lines to their end, which is an empty one."""
+    for line in file:
+        lines.put(line)
+    lines.put("")
+
+
 def program() -> None:
     """What another language would do."""
     for line in sys.stdin:
-        found = [
-            (0.0, 0.0) if world is None else act(world) for world in json.loads(line)["worlds"]
-        ]
-        print(json.dumps(found), flush=True)
+        asked = json.loads(line)
+        found = [(0.0, 0.0) if world is None else act(world) for world in asked["worlds"]]
+        print(json.dumps({"number": asked["number"], "actions": found}), flush=True)
 
 
 def act(world: dict[str, Any]) -> tuple[float, float]:

@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 import ccdiff_env
+from ccdiff_env.bench.planners import TRAFFIC, play
 
 HERE = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((HERE / "examples").glob("*.py"))
@@ -54,6 +56,34 @@ def test_an_ego_goes_on_elsewhere_in_traffic_that_is_as_critical_as_asked(tmp_pa
     done = ran(path, tmp_path, *words)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "start " in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ("print(json.dumps(answer))", None),
+        ("print(json.dumps(answer)); print(json.dumps(answer))", "not number 2"),
+        ("print(json.dumps(answer['actions']))", "not number 1"),
+        ("break", "has ended with 0"),
+        ("time.sleep(999)", "no answer of .* in 0.5 s"),
+    ],
+)
+def test_a_program_answers_each_decision_once_and_in_time(tmp_path, monkeypatch, answers, says):
+    monkeypatch.syspath_prepend(HERE / "examples")
+    (tmp_path / "mine.py").write_text(f"""
+import json, sys, time
+for line in sys.stdin:
+    asked = json.loads(line)
+    answer = {{"number": asked["number"], "actions": [[0.0, 0.0]] * len(asked["worlds"])}}
+    {answers}
+    sys.stdout.flush()
+""")
+    command = f"{sys.executable} {tmp_path / 'mine.py'}"
+    limit_s = 0.5 if "sleep" in answers else 100.0
+    planner = f"planner_over_a_pipe:Piped?command={command}&limit_s={limit_s}"
+    scenes = ccdiff_env.load("embedded/val", limit=2)
+    with pytest.raises(ccdiff_env.errors.CcdiffError, match=says) if says else nullcontext():
+        assert len(play(scenes, planner, TRAFFIC["replay"])) == 2
 
 
 def test_torchrl_takes_single_vector_and_several_vehicles():
