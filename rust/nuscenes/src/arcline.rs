@@ -22,7 +22,7 @@ pub(crate) struct ArcLinePath {
 pub(crate) type PathFault = (&'static str, String, &'static str);
 
 impl ArcLinePath {
-    fn check(&self) -> Result<(), PathFault> {
+    pub(crate) fn check(&self) -> Result<(), PathFault> {
         let fault = |field, got, expected| Err((field, got, expected));
         if self.curvatures_1pm().is_none() {
             return fault("shape", format!("{:?}", self.shape), "three letters of L, S, R");
@@ -38,6 +38,11 @@ impl ArcLinePath {
             return fault("start_pose", format!("{:?}", self.start_pose), "x, y in metres and yaw");
         }
         Ok(())
+    }
+
+    /// Pieces that a path is cut into, of about `spacing_m` each.
+    pub(crate) fn num_pieces(&self, spacing_m: f64) -> usize {
+        ((self.segment_length.iter().sum::<f64>() / spacing_m).ceil() as usize).max(1)
     }
 
     /// Signed curvature of each segment, 1/metre, left positive.
@@ -108,17 +113,17 @@ fn position_along(segments: &[Segment; 3], distance_m: f64) -> [f64; 2] {
     segments[2].at(left_m.min(segments[2].length_m))
 }
 
-/// Points of a centre line about `spacing_m` apart, ends of paths included. Empty where all paths have no length.
+/// Points of a centre line about `spacing_m` apart, ends of paths included, which have been checked. Empty where all have
+/// no length.
 ///
 /// # Reference
 /// Same curve and same number of points per path as the devkit's `discretize_lane`, joints once.
-pub(crate) fn discretise(paths: &[ArcLinePath], spacing_m: f64) -> Result<Vec<[f64; 2]>, PathFault> {
+pub(crate) fn discretise(paths: &[ArcLinePath], spacing_m: f64) -> Vec<[f64; 2]> {
     let mut points: Vec<[f64; 2]> = Vec::new();
     for path in paths {
-        path.check()?;
         let Some(curvatures) = path.curvatures_1pm() else { continue };
         let length: f64 = path.segment_length.iter().sum();
-        let (segments, count) = (path.segments(curvatures), ((length / spacing_m).ceil() as usize).max(1));
+        let (segments, count) = (path.segments(curvatures), path.num_pieces(spacing_m));
         points.reserve(count + 1);
         for i in 0..=count {
             let point = position_along(&segments, length * i as f64 / count as f64);
@@ -131,7 +136,7 @@ pub(crate) fn discretise(paths: &[ArcLinePath], spacing_m: f64) -> Result<Vec<[f
     if points.len() < 2 {
         points.clear();
     }
-    Ok(points)
+    points
 }
 
 #[cfg(test)]
@@ -145,7 +150,7 @@ mod tests {
     #[test]
     fn quarter_turns_end_where_geometry_says() {
         let quarter = 10.0 * std::f64::consts::FRAC_PI_2;
-        let points = discretise(&[path("LSR", 10.0, [quarter, 5.0, quarter])], 1.0).ok().unwrap();
+        let points = discretise(&[path("LSR", 10.0, [quarter, 5.0, quarter])], 1.0);
         let end = points[points.len() - 1];
         assert!((end[0] - 21.0).abs() < 1e-9 && (end[1] - 27.0).abs() < 1e-9, "{end:?}");
         let steps = points.windows(2).map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]));
@@ -154,12 +159,12 @@ mod tests {
 
     #[test]
     fn faults_name_the_field() {
-        let fault = |p: ArcLinePath| discretise(&[p], 1.0).err().unwrap().0;
+        let fault = |p: ArcLinePath| p.check().err().unwrap().0;
         assert_eq!(fault(path("LXL", 1.0, [1.0; 3])), "shape");
         assert_eq!(fault(path("LS", 1.0, [1.0; 3])), "shape");
         assert_eq!(fault(path("LSL", 0.0, [1.0; 3])), "radius");
         assert_eq!(fault(path("LSL", 1.0, [1.0, -1.0, 0.0])), "segment_length");
         assert_eq!(fault(path("LSL", 1.0, [1e9, 0.0, 0.0])), "segment_length");
-        assert!(discretise(&[path("LSL", 1.0, [0.0; 3])], 1.0).ok().unwrap().is_empty());
+        assert!(discretise(&[path("LSL", 1.0, [0.0; 3])], 1.0).is_empty());
     }
 }

@@ -1,5 +1,6 @@
 //! From the logged facts of one scene to a [`Scene`].
 
+use crate::budget::Budget;
 use crate::category::kind_of_category;
 use crate::crop::crop;
 use crate::error::Result;
@@ -19,13 +20,14 @@ const EGO_SIZE_M: [Real; 3] = [4.084, 1.730, 1.562];
 /// Key frames further from their nominal distance than this are noted, seconds.
 const JITTER_NOTED_S: f64 = 0.15;
 
-/// Builds a scene and says what was left out; no scene where no agent is left.
+/// Builds a scene and says what was left out; no scene where no agent is left. Points of its map are of a budget.
 pub(crate) fn build_scene(
     entry: &SceneEntry,
     logged: &LoggedScene,
     map: Option<&GlobalMap>,
     source: &str,
     options: &BuildOptions,
+    points: &Budget,
 ) -> Result<(Option<Scene>, SceneReport)> {
     let mut report = SceneReport {
         name: entry.name.clone(),
@@ -34,6 +36,9 @@ pub(crate) fn build_scene(
         ..SceneReport::default()
     };
     note_timing(logged, &mut report);
+    if logged.tracks.is_empty() {
+        report.notes.push("nobody but the ego: no annotations".into());
+    }
     let clock = Clock::of(logged, options);
     let (agents, tracks) = collect(logged, &clock, options, &mut report);
     let states = || tracks.iter().flat_map(|t| &t.states);
@@ -50,7 +55,8 @@ pub(crate) fn build_scene(
     .map(f64::round);
     let num_steps = clock.steps.count;
     let scene_map = map.map(|map| {
-        crop(map, origin, &Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m))
+        let rect = Bounds::of(states().map(|s| &s.position_m)).grown(options.map_margin_m);
+        crop(map, origin, &rect, points)
     });
     let scene_map = scene_map.unwrap_or_default();
     report.road = if scene_map.drivable_area.is_empty() { Road::None } else { Road::Given };
@@ -67,6 +73,14 @@ pub(crate) fn build_scene(
         map: Arc::new(scene_map),
     };
     Ok((Some(report.mend(scene.validated()?)), report))
+}
+
+/// States of all agents at all steps of a scene, and the logged ones that they are made of.
+pub(crate) fn num_states(logged: &LoggedScene, options: &BuildOptions) -> [usize; 2] {
+    let tracks = logged.tracks.iter().filter(|track| wanted_kind(track, options).is_ok());
+    let (agents, keys) =
+        tracks.fold((1, logged.ego.len()), |(agents, keys), track| (agents + 1, keys + track.keys.len()));
+    [agents * Clock::of(logged, options).steps.count, keys]
 }
 
 /// When key frames of a scene are, and its steps.
@@ -172,7 +186,8 @@ fn lay_out(tracks: &[Resampled], origin: [f64; 2], num_steps: usize) -> Tracks {
     };
     for (agent_idx, track) in tracks.iter().enumerate() {
         for (step, state) in (track.first_step..).zip(&track.states) {
-            if track.absences.iter().any(|away| away.contains(&step)) {
+            let next = track.absences.partition_point(|away| away.end <= step);
+            if track.absences.get(next).is_some_and(|away| away.contains(&step)) {
                 continue;
             }
             let at = agent_idx * num_steps + step;

@@ -1,5 +1,6 @@
 //! The part of a location's map round one scene, in the scene frame.
 
+use crate::budget::Budget;
 use crate::map_file::{Bounds, GlobalLane, GlobalLine, GlobalMap, GlobalPolygon};
 use ccdiff_sim::geom::{Point2, Polygon, Real};
 use ccdiff_sim::scene::{Lane, Map};
@@ -7,10 +8,11 @@ use ccdiff_sim::scene::{Lane, Map};
 /// Clipped polygons smaller than this are slivers along the cut, square metres.
 const MIN_AREA_M2: Real = 1e-3;
 
-/// Cuts a map to a rectangle given in the global frame; lanes whose bounding box touches it stay whole.
-pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds) -> Map {
-    let cutter =
-        Cutter { origin, rect: *rect, min: recentre(origin, &rect.min), max: recentre(origin, &rect.max) };
+/// Cuts a map to a rectangle given in the global frame; lanes whose bounding box touches it stay whole. Its points are
+/// of a budget, as many scenes may have one map.
+pub(crate) fn crop(map: &GlobalMap, origin: [f64; 2], rect: &Bounds, points: &Budget) -> Map {
+    let [min, max] = [rect.min, rect.max].map(|corner| recentre(origin, &corner));
+    let cutter = Cutter { origin, rect: *rect, min, max, points };
     Map {
         drivable_area: cutter.polygons(&map.drivable_area),
         lanes: cutter.lanes(map),
@@ -28,15 +30,18 @@ fn recentre(origin: [f64; 2], point: &[f64; 2]) -> Point2 {
     Point2::new((point[0] - origin[0]) as Real, (point[1] - origin[1]) as Real)
 }
 
-struct Cutter {
+struct Cutter<'a> {
     origin: [f64; 2],
     rect: Bounds,
     min: Point2,
     max: Point2,
+    points: &'a Budget,
 }
 
-impl Cutter {
+impl Cutter<'_> {
     fn points(&self, points: &[[f64; 2]]) -> Vec<Point2> {
+        // a line takes about as much as eight points by itself; who asked for the map looks whether it was covered
+        self.points.covers(points.len() + 8);
         points.iter().map(|p| recentre(self.origin, p)).collect()
     }
 
@@ -88,6 +93,7 @@ impl Cutter {
         let bounds = (0..).zip(&map.lane_bounds);
         let kept: Vec<u32> = bounds.filter(|(_, b)| b.touches(&self.rect)).map(|(i, _)| i).collect();
         let links = |indices: &[u32]| {
+            self.points.covers(indices.len());
             let new = |old: &u32| kept.binary_search(old).ok().map(|i| i as u32);
             indices.iter().filter_map(new).collect()
         };

@@ -5,9 +5,10 @@
 //! quaternions, 2 Hz key frames, node lists) stop here.
 //!
 //! `load` reads tables (`stream`, `token`, `tables`), makes steps of key frames (`resample`, `spline`) and maps (`arcline`,
-//! `map_file`, `crop`), and keeps built scenes (`cache`). `gpudrive` reads Waymo scenes in GPUDrive's JSON.
+//! `map_file`, `crop`) within bounds (`budget`), and keeps built scenes (`cache`). `gpudrive` reads Waymo scenes in GPUDrive's JSON.
 
 mod arcline;
+mod budget;
 mod build;
 mod cache;
 mod category;

@@ -1,12 +1,13 @@
 //! A load from beginning to end: choose scenes, take them from the cache, build the others.
 
-use crate::build::build_scene;
+use crate::budget::Budget;
+use crate::build::{build_scene, num_states};
 use crate::cache::{Cache, Hash, stamp};
 use crate::error::{NuscenesError, Result};
-use crate::map_file::{GlobalMap, map_path, read_map};
+use crate::map_file::{GlobalMap, MOST_POINTS, map_path, read_map};
 use crate::options::{LoadOptions, Selection};
 use crate::report::{LoadReport, SceneReport};
-use crate::tables::{SceneEntry, TABLES, Tables};
+use crate::tables::{LoggedScene, SceneEntry, TABLES, Tables};
 use ccdiff_sim::scene::Scene;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -17,6 +18,11 @@ use std::time::Instant;
 /// About what the allocations of one scene take. glibc grows the heap of a thread page by page, each time with a system
 /// call that holds up the other threads' page faults: one piece of this size, given back at once, grows it in one.
 const SCENE_BYTES: usize = 96 << 10;
+/// States of agents that a load may have, and more for each logged one: at 10 Hz those of nuScenes have 11 for each.
+const MOST_STATES: usize = 4_000_000;
+const STATES_PER_KEY: f64 = 200.0;
+/// More points that the maps of all scenes may have for each key frame, where they reach 60 m beyond the tracks.
+const POINTS_PER_FRAME: f64 = 2_000.0;
 
 /// Scenes and what the load has to say about them.
 #[derive(Debug, Clone)]
@@ -109,11 +115,17 @@ impl Load<'_> {
                 || self.read_maps(indices.iter().map(|i| &entries[*i])),
             );
             let (logged, maps) = (logged?, maps?);
+            let points = self.budget(&logged)?;
             let build = |(logged, (slot, scene_idx)): (_, (&usize, &usize))| {
                 let entry = &entries[*scene_idx];
                 drop(std::hint::black_box(Vec::<u8>::with_capacity(SCENE_BYTES)));
                 let map = maps.get(&entry.location).and_then(|(map, _)| map.as_ref());
-                let built = build_scene(entry, logged, map, &self.source, &self.options.build)?;
+                let built = build_scene(entry, logged, map, &self.source, &self.options.build, &points)?;
+                if !points.covers(0) {
+                    let path = self.dataroot.join("maps").join("expansion");
+                    let what = "the scenes to load have too many points of maps for so few key frames".into();
+                    return Err(NuscenesError::Data { path, what });
+                }
                 if let Some(keys) = &keys {
                     self.cache.put("scene", keys[*slot], &built);
                 }
@@ -132,6 +144,22 @@ impl Load<'_> {
         }
         self.note_missing_maps(wanted.iter().map(|i| &entries[*i]));
         self.finish(built.into_iter().flatten())
+    }
+
+    /// Points that the maps of scenes may have; refuses tables of few records and very many states.
+    fn budget(&self, logged: &[LoggedScene]) -> Result<Budget> {
+        let options = &self.options.build;
+        let each = logged.iter().map(|scene| num_states(scene, options));
+        let [states, keys] = each.fold([0, 0], |[a, b], [c, d]| [a + c, b + d]);
+        let most = MOST_STATES + (keys as f64 * STATES_PER_KEY * (0.1 / options.dt_s).max(1.0)) as usize;
+        if states > most {
+            let what =
+                format!("{states} states of agents, made of {keys} logged ones, expected at most {most}");
+            return Err(NuscenesError::Data { path: self.tables.path("sample_annotation"), what });
+        }
+        let frames: usize = logged.iter().map(|scene| scene.timestamps_us.len()).sum();
+        let reach = (options.map_margin_m / 60.0).max(1.0);
+        Ok(Budget::new(MOST_POINTS + (frames as f64 * POINTS_PER_FRAME * reach * reach) as usize))
     }
 
     fn finish(&mut self, built: impl Iterator<Item = Built>) -> Result<Vec<Arc<Scene>>> {
@@ -232,8 +260,9 @@ impl Load<'_> {
     /// Maps of the locations, read once each; `None` where there is no file.
     fn read_maps<'e>(&self, entries: impl Iterator<Item = &'e SceneEntry>) -> Result<Maps> {
         let locations: Vec<&str> = locations(entries).into_iter().collect();
+        let points = Budget::new(MOST_POINTS);
         let read = |location: &&str| {
-            let map = match read_map(&map_path(self.dataroot, location), location) {
+            let map = match read_map(&map_path(self.dataroot, location), location, &points) {
                 Err(NuscenesError::Missing { .. }) => (None, Vec::new()),
                 other => other.map(|(map, notes)| (Some(map), notes))?,
             };

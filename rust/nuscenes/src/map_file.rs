@@ -1,6 +1,7 @@
 //! A map expansion file (version 1.3) of one location, parsed once and shared by all its scenes.
 
 use crate::arcline::{ArcLinePath, discretise};
+use crate::budget::{Budget, name};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::stream::{BYTE_ORDER_MARK, parse};
@@ -14,6 +15,8 @@ use std::path::{Path, PathBuf};
 
 /// Points of centre lines are about this far apart, metres.
 const CENTRELINE_SPACING_M: f64 = 1.0;
+/// Points that the maps of a load may have in all; those of nuScenes have 275,000. Many records may name one polygon.
+pub(crate) const MOST_POINTS: usize = 5_000_000;
 
 /// Axis-aligned box, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,8 +110,8 @@ pub(crate) fn map_path(dataroot: &Path, location: &str) -> PathBuf {
     dataroot.join("maps").join("expansion").join(format!("{location}.json"))
 }
 
-/// Reads the map of a location.
-pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, Vec<String>)> {
+/// Reads the map of a location; its points are of a budget.
+pub(crate) fn read_map(path: &Path, location: &str, points: &Budget) -> Result<(GlobalMap, Vec<String>)> {
     let bytes =
         file::read(path, file::MOST_BYTES).map_err(|e| NuscenesError::from_io(path, "map expansion", e))?;
     let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(&bytes);
@@ -118,7 +121,7 @@ pub(crate) fn read_map(path: &Path, location: &str) -> Result<(GlobalMap, Vec<St
         return Err(NuscenesError::Json { path, offset: 0, message });
     }
     let file: MapFile = parse(text, path, (bytes.len() - text.len()) as u64)?;
-    let assembler = Assembler::new(&file, path)?;
+    let assembler = Assembler::new(&file, path, points)?;
     let mut notes = Vec::new();
     let lanes = assembler.lanes(&file, &mut notes)?;
     let map = GlobalMap {
@@ -189,6 +192,7 @@ struct DrivableAreaRow {
 /// A lane, or an area of another layer.
 #[derive(Deserialize)]
 struct AreaRow {
+    #[serde(deserialize_with = "name")]
     token: String,
     polygon_token: Option<Token>,
 }
@@ -211,6 +215,7 @@ struct Links {
 /// Resolves tokens to geometry.
 struct Assembler<'a> {
     path: &'a Path,
+    points_left: &'a Budget,
     nodes: Index<[f64; 2]>,
     polygons: Index<&'a PolygonRow>,
     /// Tokens of the nodes of lines.
@@ -224,7 +229,7 @@ fn note(notes: &mut Vec<String>, count: usize, words: &str) {
 }
 
 impl<'a> Assembler<'a> {
-    fn new(file: &'a MapFile, path: &'a Path) -> Result<Self> {
+    fn new(file: &'a MapFile, path: &'a Path, points_left: &'a Budget) -> Result<Self> {
         if let Some(NodeRow { token, x, y }) =
             file.node.iter().find(|n| !(n.x.abs() < 1e6 && n.y.abs() < 1e6))
         {
@@ -234,6 +239,7 @@ impl<'a> Assembler<'a> {
         let twice = |what| move |token: Token| NuscenesError::duplicate(path, what, token);
         Ok(Self {
             path,
+            points_left,
             nodes: index(file.node.iter().map(|n| (n.token, [n.x, n.y]))).map_err(twice("node token"))?,
             polygons: index(file.polygon.iter().map(|p| (p.token, p))).map_err(twice("polygon token"))?,
             lines: index(file.line.iter().map(|l| (l.token, l.node_tokens.as_slice())))
@@ -245,8 +251,19 @@ impl<'a> Assembler<'a> {
         NuscenesError::dangling(self.path, token, field, got, table)
     }
 
+    /// Takes points from the budget.
+    fn take(&self, count: usize) -> Result<()> {
+        if self.points_left.covers(count) {
+            return Ok(());
+        }
+        let (path, most) = (self.path.to_owned(), MOST_POINTS);
+        let what = format!("lanes, polygons and lines have more than {most} points in the maps to load");
+        Err(NuscenesError::Data { path, what })
+    }
+
     /// The points of a list of node tokens, without repetitions.
     fn points(&self, owner: Token, tokens: &[Token]) -> Result<Vec<[f64; 2]>> {
+        self.take(tokens.len())?;
         let point = |token: &Token| {
             self.nodes.get(token).copied().ok_or_else(|| self.dangling(owner, "node_tokens", *token, "node"))
         };
@@ -320,8 +337,13 @@ impl<'a> Assembler<'a> {
     fn lane(&self, row: &AreaRow, kind: LaneKind, file: &MapFile) -> Result<GlobalLane> {
         let id = row.token.clone();
         let paths = file.arcline_path_3.get(&id).map_or(&[][..], Vec::as_slice);
-        let centreline = discretise(paths, CENTRELINE_SPACING_M)
-            .map_err(|(field, got, expected)| NuscenesError::value(self.path, &id, field, got, expected))?;
+        for path in paths {
+            path.check().map_err(|(field, got, expected)| {
+                NuscenesError::value(self.path, &id, field, got, expected)
+            })?;
+            self.take(path.num_pieces(CENTRELINE_SPACING_M) + 1)?;
+        }
+        let centreline = discretise(paths, CENTRELINE_SPACING_M);
         let polygon = self.polygon(&id, row.polygon_token)?;
         let (successors, predecessors) = (Vec::new(), Vec::new());
         Ok(GlobalLane { id, kind, centreline, polygon, successors, predecessors })

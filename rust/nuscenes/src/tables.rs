@@ -1,5 +1,6 @@
 //! The rows of the official tables, and the join of them to the logged facts of each scene.
 
+use crate::budget::name;
 use crate::error::{NuscenesError, Result};
 use crate::stream::read_table;
 use crate::token::{Index, Token, index};
@@ -84,7 +85,7 @@ pub(crate) struct LoggedScene {
 #[derive(Deserialize)]
 struct NamedRow {
     token: Token,
-    #[serde(alias = "location", alias = "channel")]
+    #[serde(alias = "location", alias = "channel", deserialize_with = "name")]
     name: String,
 }
 
@@ -335,7 +336,7 @@ impl Tables {
         ahead_m: f64,
     ) -> Result<Vec<(Vec<Key>, Option<String>)>> {
         let (channels, rows) = self.read_key_frame_data(samples)?;
-        let chosen = choose_channels(&rows, samples, channels.len(), num_scenes);
+        let chosen = choose_channels(&rows, samples, num_scenes);
         let mut wanted: Vec<(Token, u32)> = rows
             .iter()
             .filter(|r| samples.list[r.sample as usize].slot.and_then(|s| chosen[s]) == Some(r.channel))
@@ -391,15 +392,17 @@ impl Tables {
             "CAM_FRONT" => 1,
             _ => 2,
         };
+        let order = |a: &String, b: &String| (rank(a), a).cmp(&(rank(b), b));
         let mut channels: Vec<String> = sensors.values().cloned().collect();
-        channels.sort_by(|a, b| (rank(a), a).cmp(&(rank(b), b)));
+        channels.sort_by(order);
         channels.dedup();
         let calibrated =
             self.read("calibrated_sensor", |CalibratedSensorRow { token, sensor_token: of }| {
                 let channel = sensors.get(&of).ok_or_else(|| {
                     self.dangling(("calibrated_sensor", "sensor_token"), token, of, "sensor")
                 })?;
-                Ok(Some((token, channels.iter().position(|c| c == channel).unwrap_or(0) as u16)))
+                let place = channels.binary_search_by(|c| order(c, channel));
+                Ok(Some((token, place.unwrap_or_default() as u32)))
             })?;
         let calibrated = self.index("calibrated_sensor", calibrated)?;
         const TABLE: &str = "sample_data";
@@ -442,7 +445,7 @@ struct Samples {
 
 struct KeyFrameData {
     sample: u32,
-    channel: u16,
+    channel: u32,
     ego_pose: Token,
 }
 
@@ -490,23 +493,19 @@ fn median(rows: &[Annotation], group: &[u32], side: usize) -> f64 {
 }
 
 /// For each scene the channel that covers the most key frames; among equals the most wanted.
-fn choose_channels(
-    rows: &[KeyFrameData],
-    samples: &Samples,
-    num_channels: usize,
-    num_scenes: usize,
-) -> Vec<Option<u16>> {
-    let mut counts = vec![0_u32; num_scenes * num_channels];
-    for row in rows {
-        if let Some(slot) = samples.list[row.sample as usize].slot {
-            counts[slot * num_channels + row.channel as usize] += 1;
+fn choose_channels(rows: &[KeyFrameData], samples: &Samples, num_scenes: usize) -> Vec<Option<u32>> {
+    let slot = |row: &KeyFrameData| samples.list[row.sample as usize].slot;
+    let mut found: Vec<(usize, u32)> = rows.iter().filter_map(|r| Some((slot(r)?, r.channel))).collect();
+    found.par_sort_unstable();
+    let mut chosen = vec![None; num_scenes];
+    let mut most = vec![0; num_scenes];
+    for run in found.chunk_by(|a, b| a == b) {
+        let (slot, channel) = run[0];
+        if run.len() > most[slot] {
+            (most[slot], chosen[slot]) = (run.len(), Some(channel));
         }
     }
-    let best = |counts: &[u32]| {
-        let most = counts.iter().copied().max().filter(|m| *m > 0)?;
-        counts.iter().position(|c| *c == most).map(|c| c as u16)
-    };
-    (0..num_scenes).map(|s| best(&counts[s * num_channels..(s + 1) * num_channels])).collect()
+    chosen
 }
 
 /// Position and yaw of the point `ahead_m` along the x axis of a pose in three dimensions, checked. Yaw is the direction of

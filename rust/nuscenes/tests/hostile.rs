@@ -1,13 +1,17 @@
-//! Damaged data sets: each gives a typed error that names file, record, field and value; nothing panics.
+//! Damaged data sets: each gives a typed error that names file, record, field and value; nothing panics, and nothing takes
+//! much memory: the tests have 300 MB, and end where more is asked for.
 
 #![allow(clippy::unwrap_used, reason = "a set-up that fails fails the test")]
 
 mod common;
 
 use ccdiff_nuscenes::{LoadOptions, NuscenesError, load};
-use common::{DataSet, VERSION, damage, token};
+use common::{DataSet, NUM_KEY_FRAMES, VERSION, damage, token};
 use proptest::prelude::*;
 use serde_json::{Value, json};
+
+#[global_allocator]
+static ALLOCATOR: cap::Cap<std::alloc::System> = cap::Cap::new(std::alloc::System, 300_000_000);
 
 fn error_of(data: &DataSet) -> NuscenesError {
     load(&data.written().0, VERSION, &LoadOptions::default()).unwrap_err()
@@ -180,6 +184,101 @@ fn damaged_maps_are_refused() {
     assert_names(&words, &["town.json", "lane token", "twice"]);
     let words = with(&|m| *m = json!([]));
     assert_names(&words, &["town.json", "byte"]);
+}
+
+/// So many straight paths of 99 km, one behind the other.
+fn far_lane(count: usize) -> Value {
+    let path =
+        json!({"start_pose": [90, 200, 0], "shape": "SSS", "radius": 9, "segment_length": [99e3, 0, 0]});
+    json!(vec![path; count])
+}
+
+/// Adds a copy of the first record of a table with other fields.
+fn add(data: &mut DataSet, table: &'static str, fields: Value) {
+    let rows = data.tables.get_mut(table).unwrap();
+    let mut row = rows[0].clone();
+    row.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+    rows.push(row);
+}
+
+#[test]
+fn maps_of_kilobytes_that_make_gigabytes_are_refused() {
+    let rows = |row: Value| json!(vec![row; 4_000]);
+    for (layer, records) in [
+        ("arcline_path_3", json!({"a": far_lane(4_000)})),
+        ("walkway", rows(json!({"token": "w", "polygon_token": "wide"}))),
+        ("lane", rows(json!({"token": "a", "polygon_token": "wide"}))),
+        ("drivable_area", json!([{"token": "d", "polygon_tokens": vec!["wide"; 4_000]}])),
+        ("lane_divider", rows(json!({"token": "r", "line_token": "long"}))),
+    ] {
+        let mut data = DataSet::new();
+        let tokens: Vec<String> = (0..3_000).map(|i| format!("n{i}")).collect();
+        let nodes = tokens.iter().enumerate().map(|(i, token)| json!({"token": token, "x": i % 7, "y": i}));
+        data.map["node"].as_array_mut().unwrap().extend(nodes);
+        let hole = json!([{"node_tokens": tokens}]);
+        let polygon = json!({"token": "wide", "exterior_node_tokens": tokens[..99], "holes": hole});
+        data.map["polygon"].as_array_mut().unwrap().push(polygon);
+        data.map["line"].as_array_mut().unwrap().push(json!({"token": "long", "node_tokens": tokens}));
+        data.map[layer] = records;
+        assert_names(&error_of(&data).to_string(), &["town.json", "more than 5000000 points"]);
+    }
+}
+
+#[test]
+fn many_scenes_of_a_large_map_are_refused() {
+    let mut data = DataSet::new();
+    for i in 0..100 {
+        let (scene, sample) = (format!("s{i}"), format!("k{i}"));
+        add(&mut data, "scene", json!({"token": scene, "name": scene}));
+        add(&mut data, "sample", json!({"token": sample, "scene_token": scene}));
+        add(&mut data, "sample_data", json!({"sample_token": sample, "ego_pose_token": sample}));
+        add(&mut data, "ego_pose", json!({"token": sample}));
+    }
+    assert_eq!(load(&data.written().0, VERSION, &LoadOptions::default()).unwrap().scenes.len(), 102);
+    data.map["arcline_path_3"]["a"] = far_lane(1);
+    assert_names(&error_of(&data).to_string(), &["maps/expansion", "too many points"]);
+}
+
+#[test]
+fn tables_of_few_records_and_very_many_states_are_refused() {
+    let mut data = DataSet::new();
+    let last = data.tables["sample"][NUM_KEY_FRAMES - 1].clone();
+    for i in 1..2_000 {
+        let instance = json!(format!("i{i}"));
+        let timestamp = last["timestamp"].as_i64().unwrap() + 10_000_000 * i;
+        add(&mut data, "sample", json!({"token": format!("k{i}"), "timestamp": timestamp}));
+        add(&mut data, "instance", json!({"token": instance}));
+        for of in [&last["token"], &json!("k1")] {
+            let fields = json!({"token": format!("{i}{of}"), "sample_token": of, "instance_token": instance});
+            add(&mut data, "sample_annotation", fields);
+        }
+    }
+    assert_names(&error_of(&data).to_string(), &["sample_annotation.json", "states of agents"]);
+}
+
+#[test]
+fn scenes_and_channels_that_nobody_uses_cost_their_records() {
+    let mut data = DataSet::new();
+    for (i, channel) in ["Z", "Zz"].into_iter().enumerate() {
+        data.tables.get_mut("sensor").unwrap()[i]["channel"] = json!(channel);
+    }
+    for i in 0..66_000 {
+        add(&mut data, "sensor", json!({"token": format!("q{i}"), "channel": format!("A{i:06}")}));
+    }
+    for i in 0..6_000 {
+        add(&mut data, "scene", json!({"token": format!("x{i}"), "name": format!("y{i}")}));
+    }
+    let report = load(&data.written().0, VERSION, &LoadOptions::default()).unwrap().report;
+    assert_eq!((report.scenes.len(), report.empty.len()), (2, 6_000));
+    assert_eq!(report.scenes[0].ego_channel.as_deref(), Some("Z"));
+}
+
+#[test]
+fn texts_that_many_records_repeat_are_short() {
+    for (table, field) in [("category", "name"), ("log", "location"), ("sensor", "channel")] {
+        let message = error_with(table, 0, field, json!("x".repeat(1_000_000)));
+        assert_names(&message, &[&format!("{table}.json"), field, "a text of 1000000 bytes"]);
+    }
 }
 
 #[test]
