@@ -11,6 +11,7 @@ from array_scenes import rebuilt
 
 import ccdiff_env
 from ccdiff_env import errors
+from ccdiff_env.cli import main
 from ccdiff_env.scenes import Scene, SceneSet, cache_directory
 from ccdiff_env.scenes.embedded import VERSION as TOWN
 from ccdiff_env.scenes.embedded import unpack
@@ -229,3 +230,31 @@ def test_cache_goes_where_the_environment_says(root, tmp_path, monkeypatch):
     monkeypatch.delenv("CCDIFF_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/x")
     assert str(cache_directory()) == "/x/ccdiff_env"
+
+
+def test_a_user_without_a_home_has_no_cache(root, monkeypatch, capsys):
+    for name in ("CCDIFF_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", lambda uid: {}[uid])
+    assert cache_directory() is None
+    found = ccdiff_env.load_nuscenes(root, VERSION).report.cache
+    assert (found.directory, found.built) == (None, 2)
+    assert "you have no home" in found.notes[0]
+    assert not ccdiff_env.load_nuscenes(root, VERSION, cache=False).report.cache.notes
+    assert main(["doctor"]) == 0
+    assert "none, as you have no home" in capsys.readouterr().out
+
+
+def test_scenes_of_which_nobody_is_annotated_are_named(tmp_path, capsys):
+    rows = tables()
+    del rows["sample_annotation"][5:]
+    write(tmp_path, rows)
+    with pytest.warns(UserWarning, match=r"1 of 2 scenes have nobody but the ego \(scene-0001, "):
+        found = ccdiff_env.load_nuscenes(tmp_path, VERSION, cache=False)
+    notes = ["nobody but the ego: no annotations" in report.notes for report in found.report.scenes]
+    assert notes == [False, True]
+    write(tmp_path, rows | {"sample_annotation": []})
+    words = ["--scenes", f"nuscenes:{tmp_path}@{VERSION}", "--out", str(tmp_path / "out")]
+    with pytest.warns(UserWarning, match="2 of 2 scenes have nobody"):
+        assert main(["bench", "realism", *words]) == 2
+    assert "nobody but the ego is in any of the 2" in capsys.readouterr().err

@@ -126,6 +126,18 @@ def nuscenes(tmp_path):
     return tmp_path
 
 
+def test_folders_may_have_an_at_sign_in_their_names(tmp_path):
+    for name in ("me@lab", "set@2026-11", "a@b@c"):
+        (folder := tmp_path / name).mkdir()
+        for text, version, split in (
+            ("", None, None), ("/mini_val", None, "mini_val"), (f"@{MINI}", MINI, None),
+            (f"@{MINI}/mini_val", MINI, "mini_val"), ("/train+val", None, "train+val"),
+        ):  # fmt: skip
+            found = parse(f"nuscenes:{folder}{text}?limit=1")
+            assert (found.path, found.version, found.split) == (str(folder), version, split)
+            assert parse(str(found)) == found
+
+
 def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     place = settled(parse(f"nuscenes:{nuscenes}/val"))
     assert place.version == MINI  # the only one that is there

@@ -50,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
         except metadata.PackageNotFoundError:
             rows.append((name, f"not installed ({what})"))
     rows.append(("GPU", _gpu()))
-    rows.append(("cache", f"{cache_directory()} (CCDIFF_CACHE names another)"))
+    cache = cache_directory() or "none, as you have no home"
+    rows.append(("cache", f"{cache} (CCDIFF_CACHE names another)"))
     status = 0
     for name, check in (("networks", _networks), ("scenes", lambda: _scenes(args)),
                         ("a world", _speed)):  # fmt: skip

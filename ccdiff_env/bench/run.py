@@ -20,6 +20,7 @@ from ccdiff_env.bench.replays import Pages, make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.models import weight_files
+from ccdiff_env.scenes import is_lone_ego
 from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import reading, write_aside
@@ -47,7 +48,13 @@ class Run:
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
         place = place_from(args)
         self.source = str(place)  #: Text of the scenes, and how many of its split there are.
-        self.coverage = coverage(place, len(scenes_of(self.source)))
+        scenes = scenes_of(self.source)
+        if all(map(is_lone_ego, scenes)):
+            raise ConfigError(
+                f"scenes {self.source}: nobody but the ego is in any of the {len(scenes)}, where "
+                "every drive is safe; a test split has no annotations"
+            )
+        self.coverage = coverage(place, len(scenes))
         self.folder: Path = args.out
         files = weight_files()  #: SHA-256 of the shipped weights.
         self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))

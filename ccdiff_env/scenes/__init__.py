@@ -23,7 +23,8 @@ from ccdiff_env.scenes.scene_set import SceneSet
 
 __all__ = [
     "EgoReference", "LoadReport", "Scene", "SceneSet", "cache_directory", "cache_folder",
-    "load_nuscenes", "load_scenarionet", "of_kinds", "splits", "warn_without_road", "with_tracks",
+    "is_lone_ego", "load_nuscenes", "load_scenarionet", "of_kinds", "splits", "warn_of_lone_egos",
+    "warn_without_road", "with_tracks",
 ]  # fmt: skip
 
 _TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
@@ -83,6 +84,22 @@ def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
     return SceneSet(map(kept, scenes), lambda: scenes.report)
 
 
+def is_lone_ego(scene: Scene) -> bool:
+    """Return whether nobody but the ego is in a scene."""
+    return scene.num_agents == 1 and scene.agent_ids == ["ego"]
+
+
+def warn_of_lone_egos(scenes: SceneSet) -> None:
+    """Warn once of the scenes of a load that have nobody but the ego."""
+    if bare := [scene.name for scene in scenes if is_lone_ego(scene)]:
+        warnings.warn(
+            f"{len(bare)} of {len(scenes)} scenes have nobody but the ego ({bare[0]}, ...): no "
+            "annotations, as in a test split, or none of the kinds asked for; every drive is safe "
+            "there",
+            stacklevel=3,
+        )
+
+
 def warn_without_road(scenes: SceneSet) -> None:
     """Warn once of the scenes of a load that have no road."""
     without = [scene.name for scene in scenes if not scene.has_road]
@@ -107,20 +124,30 @@ def splits() -> dict[str, tuple[str, ...]]:
     return {name: tuple(names) for name, names in json.loads(text).items()}
 
 
-def cache_directory() -> Path:
-    """Return the folder of built scenes: ``CCDIFF_CACHE``, else ``~/.cache/ccdiff_env``."""
+def cache_directory() -> Path | None:
+    """Return the folder of built scenes: ``CCDIFF_CACHE``, else ``~/.cache/ccdiff_env``; ``None``
+    for a user without a home.
+    """
     chosen = os.environ.get("CCDIFF_CACHE")
     if chosen:
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "ccdiff_env"
-
-
-def cache_folder(cache: bool | str | os.PathLike[str]) -> str | None:
-    """Return the folder of built scenes that an argument ``cache`` names; ``None`` for none."""
-    if cache is False:
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "ccdiff_env"
+    except RuntimeError:
         return None
-    return os.fspath(cache_directory() if cache is True else cache)
+
+
+def cache_folder(cache: bool | str | os.PathLike[str]) -> tuple[str | None, tuple[str, ...]]:
+    """Return the folder of built scenes that an argument ``cache`` names, ``None`` for none, and
+    what the report of a load shall note of it.
+    """
+    if cache is False:
+        return None, ()
+    found = cache_directory() if cache is True else cache
+    if found is None:
+        return None, ("no cache: you have no home, and neither CCDIFF_CACHE nor XDG_CACHE_HOME",)
+    return os.fspath(found), ()
 
 
 def _names_of_split(split: str | Sequence[str] | None) -> list[str] | None:
@@ -177,8 +204,8 @@ def load_nuscenes(
         kinds: Agent types to keep: ``vehicle``, ``pedestrian``, ``cyclist``, ``motorcycle``,
             ``static``; all by default. The ego is always kept.
         map_margin: How far the map reaches beyond the tracks, metres.
-        cache: ``True`` keeps built scenes in :func:`cache_directory`, ``False`` does not, a path
-            names the folder.
+        cache: ``True`` keeps built scenes in :func:`cache_directory`, if there is one, ``False``
+            does not, a path names the folder.
 
     Returns:
         SceneSet: The scenes, in the order of the scene table (or of ``scenes``), and ``.report``.
@@ -196,6 +223,7 @@ def load_nuscenes(
     if isinstance(scenes, str):
         scenes = [scenes]
     names = list(scenes) if scenes is not None else _names_of_split(split)
+    folder, cache_notes = cache_folder(cache)
     loaded, report = _native.load_nuscenes(
         os.fspath(dataroot),
         version,
@@ -207,7 +235,7 @@ def load_nuscenes(
         ego_reference=ego_reference,
         kinds=None if kinds is None else list(kinds),
         map_margin=map_margin,
-        cache_directory=cache_folder(cache),
+        cache_directory=folder,
     )
     if '"missing_maps":[]' not in report:
         warnings.warn(
@@ -230,7 +258,9 @@ def load_nuscenes(
             + ("; its own splits are mini_train and mini_val" * (version == "v1.0-mini")),
             stacklevel=2,
         )
-    return SceneSet(loaded, partial(LoadReport.from_json, report))
+    found = SceneSet(loaded, partial(LoadReport.from_json, report, cache_notes))
+    warn_of_lone_egos(found)
+    return found
 
 
 def load_scenarionet(
@@ -269,4 +299,5 @@ def load_scenarionet(
 
     scenes = SceneSet(*read_scenarios(path, ego_reference))
     warn_without_road(scenes)
+    warn_of_lone_egos(scenes)
     return scenes

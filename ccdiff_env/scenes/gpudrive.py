@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError, UnknownNameError
-from ccdiff_env.scenes import SceneSet, cache_folder
+from ccdiff_env.scenes import SceneSet, cache_folder, warn_of_lone_egos
 from ccdiff_env.scenes.load_report import LoadReport
 
 __all__ = ["load_gpudrive", "scene_files"]
@@ -76,5 +76,8 @@ def load_gpudrive(
         if unknown := [name for name in names if name not in known]:
             raise UnknownNameError(f"no scene {unknown[0]!r} among {len(files)} files: {path}")
         files = [known[name] for name in names]
-    loaded, report = _native.load_gpudrive(files[:limit], cache_directory=cache_folder(cache))
-    return SceneSet(loaded, partial(LoadReport.from_json, report))
+    folder, notes = cache_folder(cache)
+    loaded, report = _native.load_gpudrive(files[:limit], cache_directory=folder)
+    scenes = SceneSet(loaded, partial(LoadReport.from_json, report, notes))
+    warn_of_lone_egos(scenes)
+    return scenes

@@ -36,7 +36,7 @@ class CacheReport:
     directory: str | None = None  #: Folder; ``None`` where the cache is off.
     hits: int = 0  #: Scenes taken from the cache.
     built: int = 0  #: Scenes built from files.
-    #: Damaged files that were built again, folders that could not be written.
+    #: Damaged files that were built again, folders that could not be written, or had.
     notes: tuple[str, ...] = ()
 
 
@@ -57,9 +57,10 @@ class LoadReport:
     seconds: float = 0.0  #: How long it took.
 
     @classmethod
-    def from_json(cls, text: str) -> LoadReport:
-        """Read what the native loader wrote."""
+    def from_json(cls, text: str, cache_notes: Iterable[str] = ()) -> LoadReport:
+        """Read what the native loader wrote, with more notes of the cache."""
         fields = json.loads(text)
+        fields["cache"]["notes"] += cache_notes
         fields["scenes"] = [SceneReport(**_frozen(scene)) for scene in fields["scenes"]]
         fields["cache"] = CacheReport(**_frozen(fields["cache"]))
         return cls(**_frozen(fields))

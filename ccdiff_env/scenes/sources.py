@@ -162,6 +162,7 @@ def parse(text: str) -> Place:
 
     A split of :data:`DEFAULT` may stand alone. The last part of a path is the split where it names
     one. A folder that is called as a split needs its version or split named as well.
+    Folders may have an ``@`` in their names.
 
     Raises:
         ConfigError: If it names no source, no split of it, or a part that the source does not have
@@ -178,8 +179,7 @@ def parse(text: str) -> Place:
     path: str | None = None
     version = split = None
     if rest.startswith(":") and SOURCES[name].path is not None:
-        path, version, split = _parts(SOURCES[name], rest[1:])
-        path = os.path.expanduser(path)
+        path, version, split = _parts(SOURCES[name], os.path.expanduser(rest[1:]))
     elif rest.startswith("/") and SOURCES[name].path is None:
         split = rest[1:]
     elif rest:
@@ -189,15 +189,15 @@ def parse(text: str) -> Place:
 
 
 def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
-    """Path, version and split of what follows the colon."""
-    path, at, tail = text.rpartition("@")
-    if source.versions and at and tail.count("/") <= 1 and not _is_there(text):
-        version, _, split = tail.partition("/")
-        return path, version, split or None
-    path, _, last = text.rpartition("/")
-    if path and all(part in split_names(source) for part in last.split("+")):
-        return path, None, last
-    return text, None, None
+    """Path, version and split of what follows the colon: the longest path that is there."""
+    folder, _, last = text.rpartition("/")
+    has_split = bool(folder) and all(part in split_names(source) for part in last.split("+"))
+    marks = [i for i, letter in enumerate(text) if letter == "@" and text.count("/", i) <= 1]
+    if source.versions and marks and not _is_there(folder if has_split else text):
+        at = max(marks, key=lambda i: (_is_there(text[:i]), i))
+        version, _, split = text[at + 1 :].partition("/")
+        return text[:at], version, split or None
+    return (folder, None, last) if has_split else (text, None, None)
 
 
 def split_names(source: Source) -> list[str]:
