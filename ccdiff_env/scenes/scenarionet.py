@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
-from ccdiff_env.scenes import is_lone_ego
 from ccdiff_env.scenes.load_report import CacheReport, LoadReport, SceneReport
 from ccdiff_env.scenes.scenario_fields import F64, Heights, ScenarioFields, ground
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
@@ -398,7 +397,7 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
         given, road = _assembled(source, name, dt, tracks)
         scene, (filled, absences), notes = given._mended()
         source.notes.extend(notes)
-        if is_lone_ego(scene):
+        if [track.id for track in tracks] == [_EGO_ID]:
             source.notes.append("nobody but the ego: no annotations")
     counts = Counter(track.category for track in tracks)
     report = SceneReport(
