@@ -3,9 +3,10 @@
 //! a = a_max · (1 − (v / v₀)^δ − (s* / gap)²),  s* = s₀ + max(0, v·T + v·Δv / (2·√(a_max·b))).
 //!
 //! The leader is the nearest agent on the route ahead, see [`leader`]. v₀ is the agent's own greatest logged speed, at most
-//! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked.
+//! the speed limit and what the curves ahead allow. Vehicles that never move in the log stay parked. While the log of one
+//! backs up, it goes with its log where it is at its logged place, else it waits.
 
-use super::{AgentMotion, DriverModel, Kind, PlanState, WorldView};
+use super::{AgentMotion, DriverModel, Kind, PlanState, Replay, WorldView};
 use crate::events::{ANTICIPATION_S, leader};
 use crate::geom::{Pose2, Real, Vector2, math};
 use crate::options;
@@ -44,6 +45,12 @@ options! {
 
 /// Desired speed of a vehicle whose log is slower than this, m/s.
 const MIN_DESIRED_MPS: Real = 4.0;
+
+/// Routes are this near to the places that they are made from, metres: a vehicle that is put on its route moves no farther
+/// beside its way in a step.
+const BESIDE_M: Real = 0.25;
+/// Tightest turn, rad/m.
+const TIGHTEST_RADPM: Real = 0.28;
 
 /// Follows the agent's route and keeps its distance.
 #[derive(Debug, Default)]
@@ -84,6 +91,9 @@ impl Idm {
     fn wanted_acceleration(&self, world: &WorldView<'_>, agent_idx: usize) -> Real {
         let (idm, route) = (&self.config, &world.scene.routes[agent_idx]);
         let speed = world.states.speed_mps[agent_idx].max(0.0);
+        if route.backs_up(world.step_idx) {
+            return braking(idm, speed, world.dt_s);
+        }
         let s = world.route_s_m[agent_idx];
         let desired = route
             .logged_speed_mps
@@ -94,6 +104,11 @@ impl Idm {
             leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
         idm_towards(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
     }
+}
+
+/// Acceleration that brings an agent to a stand, m/s².
+pub(crate) fn braking(idm: &IdmConfig, speed: Real, dt_s: Real) -> Real {
+    (-speed / dt_s).clamp(-idm.max_braking_mps2, idm.max_braking_mps2)
 }
 
 /// Acceleration with which the model, as the world has it, would drive an agent along its route, m/s².
@@ -112,6 +127,13 @@ impl DriverModel for Idm {
         if route.is_parked() {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
+        let log = &world.scene.log;
+        if route.backs_up(world.step_idx)
+            && log.has(agent_idx, world.step_idx + 1)
+            && log.position(agent_idx, world.step_idx) == Some(pose.position)
+        {
+            return Replay.act(world, None, agent_idx);
+        }
         let dt = world.dt_s;
         let speed = world.states.speed_mps[agent_idx].max(0.0);
         let s = world.route_s_m[agent_idx];
@@ -124,12 +146,16 @@ impl DriverModel for Idm {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
         let at = route.path.at(next_s);
-        let (dx, dy) = (at.position.x - pose.position.x, at.position.y - pose.position.y);
-        let moved = math::hypot(dx, dy);
+        let way = at.position - pose.position;
+        let (full, most) = (math::hypot(way.x, way.y), next_s - s + BESIDE_M);
+        let (moved, place) = match full > most {
+            true => (most, pose.position + way * (most / full)),
+            false => (full, at.position),
+        };
         // the heading turns towards the route's within a few metres: logs and lanes may disagree at the start
         let error = math::wrap_angle(math::atan2(at.sin, at.cos) - pose.heading_rad);
-        let turn = error * (moved / 2.0).min(1.0);
-        let next = Pose2::new(at.position.x, at.position.y, pose.heading_rad + turn);
+        let turn = (error * (moved / 2.0).min(1.0)).clamp(-TIGHTEST_RADPM * moved, TIGHTEST_RADPM * moved);
+        let next = Pose2::new(place.x, place.y, pose.heading_rad + turn);
         AgentMotion::Place(next, Vector2::new(next.cos * next_speed, next.sin * next_speed))
     }
 }

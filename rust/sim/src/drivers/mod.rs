@@ -15,7 +15,7 @@ mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
 pub use idm::{Idm, IdmConfig, idm_acceleration, idm_towards};
-pub(crate) use idm::{idm_with, share_of};
+pub(crate) use idm::{braking, idm_with, share_of};
 pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,
 };

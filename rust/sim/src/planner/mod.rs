@@ -6,7 +6,7 @@ mod network_of_ego;
 pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
 pub use network_of_ego::{NetworkOfEgo, Tensors};
 
-use crate::drivers::{IdmConfig, idm_towards};
+use crate::drivers::{IdmConfig, braking, idm_towards};
 use crate::dynamics::{Action, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};
 use crate::events::leader;
@@ -34,7 +34,7 @@ pub static PLANNERS: &[PlannerKind] = &[
 ];
 
 struct Asked<'a> {
-    scene: Scene<'a>,
+    scene: &'a Scene<'a>,
     idm: &'a IdmConfig,
 }
 
@@ -73,8 +73,12 @@ impl Planner {
         let prepared = world.prepared(status.scene_idx)?;
         let config = world.config();
         let scene = Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps);
-        let asked = Asked { scene, idm: &config.idm };
-        Ok(encoded(world, &asked.scene, (self.act)(&asked)))
+        // it waits while its log backs up
+        let wanted = match prepared.routes[ego].backs_up(status.step_idx) {
+            true => [braking(&config.idm, status.states.speed_mps[ego], config.dt_s), 0.0],
+            false => (self.act)(&Asked { scene: &scene, idm: &config.idm }),
+        };
+        Ok(encoded(world, &scene, wanted))
     }
 }
 
@@ -95,7 +99,7 @@ fn encoded(world: &VecWorld, scene: &Scene<'_>, [acceleration, yaw_rate]: [Real;
 }
 
 fn pdm(asked: &Asked<'_>) -> [Real; 2] {
-    let plan = plan(&asked.scene);
+    let plan = plan(asked.scene);
     [plan.acceleration_mps2, asked.scene.yaw_rate(plan.offset_m)]
 }
 

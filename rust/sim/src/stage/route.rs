@@ -1,8 +1,9 @@
 //! The path an agent is meant to drive: its log, then the lanes ahead, else straight on.
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
-use crate::scene::{LaneIndex, Map, Scene, follow};
+use crate::scene::{AgentKind, LaneIndex, Map, Scene, follow};
 use crate::state::Height;
+use std::ops::Range;
 
 /// Distance between samples of a route, metres.
 const SPACING_M: Real = 1.0;
@@ -10,6 +11,8 @@ const SPACING_M: Real = 1.0;
 const GRADE_M: Real = 5.0;
 /// Logged positions closer than this to the last kept one are jitter, metres.
 const MIN_STEP_M: Real = 0.5;
+/// A vehicle backs up where it is logged farther than this behind where it was, metres: boxes jitter.
+const BACK_M: Real = 1.0;
 /// How far a route goes on past the end of the log, metres.
 const EXTENSION_M: Real = 80.0;
 /// Lateral acceleration at which curves are taken, m/s².
@@ -36,6 +39,8 @@ pub struct Route {
     pub logged_speed_mps: Real,
     /// Greatest logged distance from the first logged position, metres.
     logged_reach_m: Real,
+    /// Steps of the log at which the vehicle backs up, or stands before it does.
+    backs: Vec<Range<usize>>,
     /// Whether the path follows map lanes past the end of the log (else it goes straight on).
     pub on_lanes: bool,
 }
@@ -46,16 +51,21 @@ impl Route {
         (0..scene.num_agents()).map(|a| Self::new(scene, a, lanes)).collect()
     }
 
-    /// Route of one agent of a scene.
+    /// Route of one agent of a scene. What a vehicle backs up is taken off its route again.
     pub fn new(scene: &Scene, agent_idx: usize, lanes: Option<&LaneIndex>) -> Self {
         let steps = (0..scene.num_steps).filter(|t| scene.is_valid(agent_idx, *t));
         let mut points: Vec<Point2> = Vec::new();
         let mut heights: Vec<Real> = Vec::new();
         let mut pose = Pose2::new(0.0, 0.0, 0.0);
+        let mut reversing = Reversing::default();
+        let drives = scene.agents[agent_idx].kind != AgentKind::Pedestrian;
         let (mut logged_speed_mps, mut logged_reach_m): (Real, Real) = (0.0, 0.0);
         for t in steps {
             let at = scene.at(agent_idx, t);
-            pose = scene.pose(agent_idx, t);
+            let before = std::mem::replace(&mut pose, scene.pose(agent_idx, t));
+            if drives && reversing.goes_to(t, before, pose) {
+                reversing.cut(&mut points, &mut heights);
+            }
             logged_speed_mps = logged_speed_mps.max(scene.tracks.velocity[at].norm());
             logged_reach_m = points.first().map_or(0.0, |p| logged_reach_m.max((pose.position - p).norm()));
             let goes_on = points.last().is_none_or(|last| {
@@ -63,10 +73,15 @@ impl Route {
                 // what is driven backwards is not part of the route
                 step.norm() >= MIN_STEP_M && step.x * pose.cos + step.y * pose.sin > 0.0
             });
-            if goes_on {
+            if goes_on && !reversing.now {
                 points.push(pose.position);
                 heights.extend(scene.tracks.elevation_m.get(at));
+                reversing.kept_m.push(reversing.along_m);
             }
+        }
+        if reversing.now {
+            reversing.cut(&mut points, &mut heights);
+            pose = reversing.low.1;
         }
         let level = heights.last().and_then(|z| LaneIndex::on_level(&scene.map, Some(*z)));
         let lanes = if scene.has_levels() { level.as_ref() } else { lanes };
@@ -75,7 +90,8 @@ impl Route {
         let straight = || Polyline::straight(&pose, EXTENSION_M);
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
-        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, on_lanes }
+        let backs = reversing.steps;
+        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, backs, on_lanes }
     }
 
     /// How high the route is at a position and how steep over the metres round it, in a scene with levels.
@@ -103,11 +119,77 @@ impl Route {
         self.logged_speed_mps <= PARKED_MPS || self.logged_reach_m <= PARKED_REACH_M
     }
 
+    /// Whether the vehicle backs up in the log at a step, or stands before it does.
+    pub fn backs_up(&self, step_idx: usize) -> bool {
+        self.backs.iter().any(|steps| steps.contains(&step_idx))
+    }
+
     /// Greatest speed the curves at and ahead of a position allow, m/s.
     #[inline]
     pub fn curve_speed_mps(&self, s_m: Real) -> Real {
         let i = (s_m.max(0.0) / SPACING_M) as usize;
         self.curve_speed_mps.get(i).or(self.curve_speed_mps.last()).copied().unwrap_or(Real::MAX)
+    }
+}
+
+/// Finds where a log backs up, and how much of its route it takes off.
+struct Reversing {
+    /// Way along the headings so far, and at each point of the route, metres.
+    along_m: Real,
+    kept_m: Vec<Real>,
+    /// The farthest of it since it last drove on, and the step of it; the least since it backs up, and where that was.
+    high: (Real, usize),
+    low: (Real, Pose2, usize),
+    now: bool,
+    steps: Vec<Range<usize>>,
+}
+
+impl Default for Reversing {
+    fn default() -> Self {
+        let low = (0.0, Pose2::new(0.0, 0.0, 0.0), 0);
+        Self { along_m: 0.0, kept_m: Vec::new(), high: (Real::MIN, 0), low, now: false, steps: Vec::new() }
+    }
+}
+
+impl Reversing {
+    /// Takes account of a step; tells whether the vehicle drives on since then, having backed up before.
+    fn goes_to(&mut self, step_idx: usize, before: Pose2, pose: Pose2) -> bool {
+        if self.high.0 > Real::MIN {
+            let moved = pose.position - before.position;
+            self.along_m += moved.x * pose.cos + moved.y * pose.sin;
+        }
+        if !self.now && self.along_m > self.high.0 {
+            self.high = (self.along_m, step_idx);
+        }
+        if !self.now && self.along_m < self.high.0 - BACK_M {
+            self.now = true;
+            self.low.0 = Real::MAX;
+            self.steps.push(self.high.1..usize::MAX);
+        }
+        if self.now && self.along_m < self.low.0 {
+            self.low = (self.along_m, pose, step_idx);
+        }
+        let drives_on = self.now && self.along_m > self.low.0 + BACK_M;
+        if drives_on {
+            self.now = false;
+            self.high = (self.along_m, step_idx);
+            if let Some(steps) = self.steps.last_mut() {
+                steps.end = self.low.2;
+            }
+        }
+        drives_on
+    }
+
+    /// Takes what was backed up off a route, which then goes on from where the vehicle turned.
+    fn cut(&mut self, points: &mut Vec<Point2>, heights: &mut Vec<Real>) {
+        let kept = self.kept_m.iter().take_while(|m| **m < self.low.0).count();
+        let height = heights.get(kept).copied();
+        points.truncate(kept);
+        heights.truncate(kept);
+        self.kept_m.truncate(kept);
+        points.push(self.low.1.position);
+        heights.extend(height);
+        self.kept_m.push(self.low.0);
     }
 }
 

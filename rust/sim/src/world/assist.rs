@@ -1,6 +1,6 @@
 //! From the action of assisted driving to that of the unicycle: IDM or PDM-Closed, and their ways come in here.
 
-use crate::drivers::{WorldView, idm_acceleration};
+use crate::drivers::{WorldView, braking, idm_acceleration};
 use crate::dynamics::{Action, AssistedBase, AssistedLimits, yaw_rate};
 use crate::events::limits::ACCELERATION_MPS2;
 use crate::geom::{Real, math};
@@ -9,7 +9,8 @@ use crate::pdm::{Scene, plan};
 /// The route's curvature is that over this way before and behind, metres.
 const CURVATURE_REACH_M: Real = 2.0;
 
-/// Acceleration and yaw rate for a change of acceleration and an offset; vehicles that never move in the log stay parked.
+/// Acceleration and yaw rate for a change of acceleration and an offset; vehicles that never move in the log stay parked,
+/// and those whose log backs up wait.
 pub(crate) fn assisted_action(
     limits: &AssistedLimits,
     view: &WorldView<'_>,
@@ -17,8 +18,12 @@ pub(crate) fn assisted_action(
     command: Action,
 ) -> Action {
     let states = view.states;
-    if view.scene.routes[agent_idx].is_parked() {
+    let route = &view.scene.routes[agent_idx];
+    if route.is_parked() {
         return [-states.speed_mps[agent_idx] / view.dt_s, 0.0, 0.0];
+    }
+    if route.backs_up(view.step_idx) {
+        return [braking(view.idm, states.speed_mps[agent_idx], view.dt_s), 0.0, 0.0];
     }
     let (base, yaw_rate) = match limits.base {
         AssistedBase::Idm => (idm_acceleration(view, agent_idx), beside_route(view, agent_idx, command[1])),
