@@ -157,6 +157,69 @@ def test_parts_of_a_track_that_are_the_other_way_round_are_turned(back):
     assert (walks.tracks()["heading"][1] == (heading + other_way).astype(np.float32)).all()
 
 
+def wrong_velocities():
+    """Of a car that drives to the north-east and speeds up, and the right ones [T, 2]."""
+    place, heading, right = line(4.0 + 0.5 * TIME, heading=0.7)
+    pace = np.linalg.norm(right, axis=1)
+    wrong = {
+        "turned": right[:, ::-1] * [-1.0, 1.0],
+        "none": 0.0 * right,
+        "of the body": np.stack([pace, 0.0 * pace], axis=1),
+        "other half": np.where(TIME[:, None] < 6.0, right, -right),
+    }
+    return (place, heading), right, wrong
+
+
+@pytest.mark.parametrize("name", wrong_velocities()[2])
+def test_velocities_that_contradict_the_positions_are_their_change(name):
+    path, right, wrong = wrong_velocities()
+    with pytest.warns(UserWarning, match="the velocities of 1 contradict its positions") as caught:
+        scene = made(line(8.0), (*path, wrong[name]))
+    assert len(caught) == 1
+    found = scene.tracks()["velocity"]
+    np.testing.assert_allclose(found[1], right, atol=0.05)
+    np.testing.assert_array_equal(found[0], np.float32(line(8.0)[2]))
+    kept = made(line(8.0), (*path, wrong[name]), mend=False).tracks()["velocity"][1]
+    np.testing.assert_array_equal(kept, np.float32(wrong[name]))
+
+
+def test_velocities_that_are_inexact_stay():
+    place, heading, right = line(8.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.05, place.shape)
+    late = np.roll(line(4.0 + 0.5 * TIME)[2], 5, axis=0)
+    late[:5] = late[5]
+    short = np.where((TIME[:, None] > 3) & (TIME[:, None] < 3.85), 0.0, right)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tracks = (place + noise, heading, right), (*line(4.0 + 0.5 * TIME)[:2], late)
+        found = made(*tracks, (place, heading, short)).tracks()["velocity"]
+    np.testing.assert_array_equal(found, np.float32([right, late, short]))
+
+
+def test_files_with_velocities_that_contradict_the_positions_say_so(tmp_path):
+    data = waymo_scene()
+    for velocity in data["objects"][1]["velocity"]:
+        velocity["x"], velocity["y"] = -velocity["y"], velocity["x"]
+    whole = ccdiff_env.load_gpudrive(save(tmp_path / "whole.json"))[0]
+    loaded = ccdiff_env.load_gpudrive(save(tmp_path / "turned.json", data), cache=False)
+    (note,) = [n for n in loaded.report.scenes[0].notes if "velocities" in n]
+    assert "contradict its positions" in note
+    found, right = (scene.tracks()["velocity"] for scene in (loaded[0], whole))
+    assert np.abs(found - right).max() < 0.5
+    data = scenario()
+    data["tracks"]["7"] = track("VEHICLE", 3000.4, velocity=np.zeros((11, 2)))
+    loaded = ccdiff_env.load_scenarionet(save_scenario(tmp_path, data))
+    assert any("velocities of ego contradict" in note for note in loaded.report.scenes[0].notes)
+    np.testing.assert_allclose(loaded[0].tracks()["velocity"][0], [[10.0, 0.0]] * 11, atol=0.01)
+
+
+@pytest.mark.nuscenes
+def test_no_velocity_of_nuscenes_contradicts_its_positions(data_root):
+    scenes = ccdiff_env.load(f"nuscenes:{data_root}/nuscenes@v1.0-trainval/val")
+    assert len(scenes) > 90
+    assert not [n for report in scenes.report.scenes for n in report.notes if "contradict" in n]
+
+
 def test_sizes_that_are_odd_are_noted():
     sizes = np.float32([[4.1, 1.7, 1.5], [1.7, 4.1, 1.5], [2.0, 2.5, 1.5], [12.0, 3.0, 3.0]])
     with pytest.warns(UserWarning, match=r"1 is 4.10 m wide and 1.70 m long") as caught:

@@ -1,4 +1,5 @@
-//! Repairs of a recorded log before it is played: short gaps are filled, boxes annotated backwards are turned.
+//! Repairs of a recorded log before it is played: short gaps are filled, boxes annotated backwards are turned, velocities
+//! that contradict the positions are made from these.
 
 use super::{AgentKind, Scene, Tracks};
 use crate::geom::{Real, Vector2, math};
@@ -27,6 +28,10 @@ const LEAST_BACK_SHARE: Real = 0.8;
 /// and fast for as long as this, seconds. Of 4,707 vehicles of nuScenes none that reverses does so as fast.
 const LEAST_FAST_S: Real = 1.0;
 
+/// Velocities that differ from the change of place by more than the first for as long as the second contradict it: m/s, s.
+const CONTRADICTING_MPS: Real = 2.0;
+const CONTRADICTING_S: Real = 1.0;
+
 /// Vehicles wider than this and wider than long are noted, metres.
 const WIDEST_M: Real = 2.6;
 
@@ -44,11 +49,13 @@ pub struct Mended {
 }
 
 impl Scene {
-    /// Fills gaps of up to two seconds and turns boxes that were annotated backwards, all along or in a part of a track.
+    /// Fills gaps of up to two seconds and turns boxes that were annotated backwards, all along or in a part of a track;
+    /// velocities that contradict the positions for a second become the change of place, all along the track.
     pub fn mend(&mut self) -> Mended {
         let mut mended = Mended::default();
         for agent in 0..self.agents.len() {
             mended.notes.extend(self.undo_flips(agent));
+            mended.notes.extend(self.mend_velocities(agent));
             self.fill_gaps(agent, &mut mended);
             if self.runs_backwards(agent) {
                 self.turn(agent);
@@ -93,6 +100,34 @@ impl Scene {
             self.agents[agent].id,
             odd.len()
         ))
+    }
+
+    fn mend_velocities(&mut self, agent: usize) -> Option<String> {
+        let steps = self.at(agent, 0)..self.at(agent + 1, 0);
+        let tracks = &self.tracks;
+        let change = |at: usize| {
+            let near = |k: usize| steps.contains(&k) && tracks.valid[k];
+            let from = if near(at.wrapping_sub(1)) { at - 1 } else { at };
+            let to = if near(at + 1) { at + 1 } else { at };
+            let time_s = (to - from) as Real * self.dt_s;
+            let change = (tracks.position[to] - tracks.position[from]) / time_s;
+            (tracks.valid[at] && to > from && change.norm() <= FASTEST_MPS).then_some(change)
+        };
+        let mut contradicting = 0;
+        let contradicts = |at: usize| {
+            let is_off = |change: Vector2| (tracks.velocity[at] - change).norm() > CONTRADICTING_MPS;
+            contradicting = if change(at).is_some_and(is_off) { contradicting + 1 } else { 0 };
+            contradicting as Real * self.dt_s >= CONTRADICTING_S
+        };
+        if !steps.clone().any(contradicts) {
+            return None;
+        }
+        let changes: Vec<_> = steps.clone().map(change).collect();
+        for (at, change) in steps.zip(changes) {
+            self.tracks.velocity[at] = change.unwrap_or(self.tracks.velocity[at]);
+        }
+        let id = &self.agents[agent].id;
+        Some(format!("the velocities of {id} contradict its positions and were replaced by their change"))
     }
 
     fn fill_gaps(&mut self, agent: usize, mended: &mut Mended) {
