@@ -63,7 +63,7 @@ class Scene:
     @staticmethod
     def from_arrays(
         name: str, *, agent_ids: Sequence[str], agent_types: Sequence[str], sizes: F32,
-        position: F32, heading: F32, velocity: F32, valid: Bool, dt: float = 0.1,
+        position: F32 | F64, heading: F32, velocity: F32, valid: Bool, dt: float = 0.1,
         agent_categories: Sequence[str] | None = None, token: str = "", location: str = "",
         source: str = "", origin: tuple[float, float] = ..., map_layers: MapLayers | None = None,
         elevation_m: F32 | None = None, mend: bool = True,
@@ -74,7 +74,12 @@ class Scene:
         and so are lanes and roads whose elevations ``map_layers`` tells.
 
         ``mend`` does what the loaders do: gaps of up to two seconds are filled, vehicles that run
-        against their heading are turned by half a turn, with a warning.
+        against their heading are turned by half a turn, and velocities that contradict the change
+        of place for a second are replaced by it, with a warning.
+
+        Where the first place is more than 5 km away, positions and map are moved to it by whole
+        metres, which ``origin`` then has in addition. Give such positions and points in float64:
+        single precision has centimetres there, of which a warning tells.
         """
 
     def _mended(self) -> tuple[Scene, list[int], list[str]]: ...

@@ -7,10 +7,10 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from array_scenes import rebuilt
+from array_scenes import TIMES_S, played, rebuilt
 
 import ccdiff_env
-from ccdiff_env import errors
+from ccdiff_env import EgoEnv, errors
 from ccdiff_env.cli import main
 from ccdiff_env.scenes import Scene, SceneSet, cache_directory
 from ccdiff_env.scenes.embedded import VERSION as TOWN
@@ -258,3 +258,43 @@ def test_scenes_of_which_nobody_is_annotated_are_named(tmp_path, capsys):
     with pytest.warns(UserWarning, match="2 of 2 scenes have nobody"):
         assert main(["bench", "realism", *words]) == 2
     assert "nobody but the ego is in any of the 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("at", [(4e5, 1.5e5), (-6e5, 9e5), (5e5, 4.4e6)])
+def test_a_drive_does_not_depend_on_where_its_scene_lies(at):
+    line = np.stack([np.arange(-100.0, 401.0), np.zeros(501)], axis=1)
+    area = np.array([[-200.0, -20.0], [500.0, -20.0], [500.0, 20.0], [-200.0, 20.0]])
+
+    def drive(x, y, kind):
+        there = np.array([x, y])
+        lane = {"id": "a", "kind": "lane", "centreline": (line + there).astype(kind)}
+        place = np.zeros((2, 160, 2)) + there
+        place[:, :, 0] += 3.0 * TIMES_S + [[0.0], [60.0]]
+        scene = Scene.from_arrays(
+            "far",
+            agent_ids=["ego", "b"],
+            agent_types=["vehicle"] * 2,
+            sizes=np.tile(np.float32([4.5, 2.0, 1.6]), (2, 1)),
+            position=place.astype(kind),
+            heading=np.zeros((2, 160), np.float32),
+            velocity=np.tile(np.float32([3.0, 0.0]), (2, 160, 1)),
+            valid=np.ones((2, 160), bool),
+            origin=(7.0, 0.5),
+            map_layers={
+                "drivable_area": [{"exterior": (area + there).astype(kind), "holes": []}],
+                "lanes": [lane],
+            },
+        )
+        origin = np.array(scene.origin) - [7.0, 0.5]
+        # global places come back
+        back = scene.tracks()["position"] + origin
+        np.testing.assert_allclose(back, place.astype(kind), rtol=0, atol=1e-3)
+        back = scene.map_layers()["lanes"][0]["centreline"] + origin
+        np.testing.assert_allclose(back, lane["centreline"], rtol=0, atol=1e-3)
+        env = EgoEnv(scenes=[scene], traffic="idm", driver="idm")
+        return np.array([s["position"].copy() for _, s, _ in played(env)]) + origin - there
+
+    near = drive(0.0, 0.0, np.float64)
+    np.testing.assert_allclose(drive(*at, np.float64), near, rtol=0, atol=0.01)
+    with pytest.warns(UserWarning, match="single precision"):
+        drive(*at, np.float32)

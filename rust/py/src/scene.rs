@@ -64,6 +64,23 @@ fn kind(name: &str) -> PyResult<AgentKind> {
     })
 }
 
+/// Positions of agents, in single or double precision.
+#[derive(FromPyObject)]
+enum Positions<'py> {
+    Single(PyReadonlyArray3<'py, f32>),
+    Double(PyReadonlyArray3<'py, f64>),
+}
+
+/// Places farther from the origin than this get a nearer one, metres: single precision has 0.5 mm there.
+const FAR_M: f64 = 5000.0;
+
+/// The whole metres to a frame in which the first valid place is near, in f64 [A, T, 2]; zero where it is.
+fn shift_of(position: &ndarray::Array3<f64>, valid: &[bool]) -> [f64; 2] {
+    let first = position.rows().into_iter().zip(valid).find_map(|(p, ok)| ok.then(|| [p[0], p[1]]));
+    let first = first.filter(|p| p.iter().all(|x| x.is_finite()) && p.iter().any(|x| x.abs() > FAR_M));
+    first.map_or([0.0; 2], |p| p.map(f64::round))
+}
+
 fn expect_shape(what: &str, got: &[usize], expected: &[usize]) -> PyResult<()> {
     if got == expected {
         return Ok(());
@@ -73,7 +90,7 @@ fn expect_shape(what: &str, got: &[usize], expected: &[usize]) -> PyResult<()> {
 
 #[pymethods]
 impl PyScene {
-    /// Builds a scene from arrays in the scene frame; `mend` as the loaders mend theirs.
+    /// Builds a scene from arrays in the scene frame, far ones in one that is near; `mend` as the loaders mend theirs.
     #[staticmethod]
     #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
         agent_categories=None, token=Text::default(), location=Text::default(), source=Text::default(),
@@ -87,7 +104,7 @@ impl PyScene {
         agent_ids: Vec<Text>,
         agent_types: Vec<Text>,
         sizes: PyReadonlyArray2<'_, f32>,
-        position: PyReadonlyArray3<'_, f32>,
+        position: Positions<'_>,
         heading: PyReadonlyArray2<'_, f32>,
         velocity: PyReadonlyArray3<'_, f32>,
         valid: PyReadonlyArray2<'_, bool>,
@@ -111,6 +128,11 @@ impl PyScene {
             expect_shape(what, &[list.len()], &[num_agents])?;
         }
         expect_shape("sizes", sizes.shape(), &[num_agents, 3])?;
+        let is_single = matches!(position, Positions::Single(_));
+        let position = match position {
+            Positions::Single(array) => array.as_array().mapv(f64::from),
+            Positions::Double(array) => array.as_array().to_owned(),
+        };
         expect_shape("position", position.shape(), &[num_agents, num_steps, 2])?;
         expect_shape("heading", heading.shape(), &[num_agents, num_steps])?;
         expect_shape("velocity", velocity.shape(), &[num_agents, num_steps, 2])?;
@@ -132,12 +154,19 @@ impl PyScene {
         };
         let axis =
             |array: &PyReadonlyArray3<'_, f32>, i| masked(array.as_array().index_axis(ndarray::Axis(2), i));
+        let shift = shift_of(&position, &shown);
+        if is_single && shift != [0.0; 2] {
+            let text = format!(
+                "scene {:?}: positions near ({}, {}) in single precision are rounded to centimetres; give float64",
+                name.0, shift[0], shift[1]
+            );
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(text).unwrap_or_default(), 1)?;
+        }
+        let near = |(p, ok): (ndarray::ArrayView1<'_, f64>, &bool)| {
+            if *ok { [0, 1].map(|i| (p[i] - shift[i]) as f32).into() } else { Point2::origin() }
+        };
         let tracks = Tracks {
-            position: axis(&position, 0)
-                .into_iter()
-                .zip(axis(&position, 1))
-                .map(|(x, y)| Point2::new(x, y))
-                .collect(),
+            position: position.rows().into_iter().zip(&shown).map(near).collect(),
             heading_rad: masked(heading.as_array()),
             velocity: axis(&velocity, 0)
                 .into_iter()
@@ -147,13 +176,14 @@ impl PyScene {
             elevation_m: elevation_m.map(|array| masked(array.as_array())).unwrap_or_default(),
             valid: shown.clone(),
         };
-        let map = map_layers.map(scene_map::from_dict).transpose()?.unwrap_or_default();
+        let map =
+            map_layers.map(|layers| scene_map::from_dict(layers, shift)).transpose()?.unwrap_or_default();
         let scene = Scene {
             name: name.0,
             token: token.0,
             location: location.0,
             source: source.0,
-            origin: [origin.0, origin.1],
+            origin: [origin.0 + shift[0], origin.1 + shift[1]],
             dt_s: dt,
             num_steps,
             agents,

@@ -11,6 +11,9 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
+/// The origin of a frame that stays.
+const HERE: [f64; 2] = [0.0; 2];
+
 type Points<'py> = Bound<'py, PyArray2<f32>>;
 
 fn points<'py>(py: Python<'py>, points: &[Point2]) -> PyResult<Points<'py>> {
@@ -93,7 +96,7 @@ fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
         let Some((_, ranges)) = ranges else {
             return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}")));
         };
-        *ranges = read_points(&value, &what)?
+        *ranges = read_points(&value, &what, HERE)?
             .iter()
             .map(|p| if p.x > p.y { [p.y, p.x] } else { [p.x, p.y] })
             .collect();
@@ -101,33 +104,41 @@ fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
     Ok(elevations)
 }
 
-fn read_points(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<Point2>> {
-    let array: PyReadonlyArray2<'_, f32> = value
-        .extract()
-        .map_err(|_| py::ShapeError::new_err(format!("{what}: expected a float32 array of shape [P, 2]")))?;
+/// Points of single or double precision, relative to an origin.
+fn read_points(value: &Bound<'_, PyAny>, what: &str, origin: [f64; 2]) -> PyResult<Vec<Point2>> {
+    let array = match value.extract::<PyReadonlyArray2<'_, f64>>() {
+        Ok(double) => double.as_array().to_owned(),
+        Err(_) => {
+            let single = value.extract::<PyReadonlyArray2<'_, f32>>().map_err(|_| {
+                py::ShapeError::new_err(format!("{what}: expected a float32 array of shape [P, 2]"))
+            })?;
+            single.as_array().mapv(f64::from)
+        }
+    };
     if array.shape()[1] != 2 {
         let message = format!("{what} has shape {:?}, expected [P, 2]", array.shape());
         return Err(py::ShapeError::new_err(message));
     }
-    Ok(array.as_array().rows().into_iter().map(|row| Point2::new(row[0], row[1])).collect())
+    let near = |p: ndarray::ArrayView1<'_, f64>| [0, 1].map(|i| (p[i] - origin[i]) as f32).into();
+    Ok(array.rows().into_iter().map(near).collect())
 }
 
 fn item<'py>(dict: &Bound<'py, PyDict>, key: &str, what: &str) -> PyResult<Bound<'py, PyAny>> {
     dict.get_item(key)?.ok_or_else(|| py::DatasetError::new_err(format!("{what}: no entry {key:?}")))
 }
 
-fn read_polygon(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Polygon> {
+fn read_polygon(value: &Bound<'_, PyAny>, what: &str, origin: [f64; 2]) -> PyResult<Polygon> {
     let dict = value.cast::<PyDict>()?;
     let mut holes = Vec::new();
     if let Some(list) = dict.get_item("holes")? {
         for hole in list.try_iter()? {
-            holes.push(read_points(&hole?, what)?);
+            holes.push(read_points(&hole?, what, origin)?);
         }
     }
-    Ok(Polygon { exterior: read_points(&item(dict, "exterior", what)?, what)?, holes })
+    Ok(Polygon { exterior: read_points(&item(dict, "exterior", what)?, what, origin)?, holes })
 }
 
-fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
+fn read_lane(value: &Bound<'_, PyAny>, origin: [f64; 2]) -> PyResult<Lane> {
     let dict = value.cast::<PyDict>()?;
     let Text(id) = item(dict, "id", "lane")?.extract()?;
     let what = format!("lane {id:?}");
@@ -140,8 +151,11 @@ fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
     let optional = |key| dict.get_item(key).map(|v| v.filter(|v| !v.is_none()));
     Ok(Lane {
         kind,
-        centreline: read_points(&item(dict, "centreline", &what)?, &what)?,
-        polygon: optional("polygon")?.map(|p| read_polygon(&p, &what)).transpose()?.unwrap_or_default(),
+        centreline: read_points(&item(dict, "centreline", &what)?, &what, origin)?,
+        polygon: optional("polygon")?
+            .map(|p| read_polygon(&p, &what, origin))
+            .transpose()?
+            .unwrap_or_default(),
         successors: optional("successors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
         predecessors: optional("predecessors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
         speed_limit_mps: optional("speed_limit_mps")?.map(|s| s.extract()).transpose()?,
@@ -153,8 +167,9 @@ fn read_lane(value: &Bound<'_, PyAny>) -> PyResult<Lane> {
     })
 }
 
-/// The map of a dictionary as [`to_dict`] gives it; layers that are left out are empty, unknown ones refused.
-pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
+/// The map of a dictionary as [`to_dict`] gives it, relative to an origin; layers that are left out are empty, unknown ones
+/// refused.
+pub(crate) fn from_dict(layers: &Bound<'_, PyDict>, origin: [f64; 2]) -> PyResult<Map> {
     let mut map = Map::default();
     for (name, value) in layers {
         let Text(name) = name.extract()?;
@@ -165,7 +180,7 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
             "stop_lines" => &mut map.stop_lines,
             "carpark_areas" => &mut map.carpark_areas,
             "road_dividers" | "lane_dividers" => {
-                let lines = read_list(&value, |line| read_points(line, &name))?;
+                let lines = read_list(&value, |line| read_points(line, &name, origin))?;
                 match name.as_str() {
                     "road_dividers" => map.road_dividers = lines,
                     _ => map.lane_dividers = lines,
@@ -177,12 +192,12 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>) -> PyResult<Map> {
                 continue;
             }
             "lanes" => {
-                map.lanes = read_list(&value, read_lane)?;
+                map.lanes = read_list(&value, |lane| read_lane(lane, origin))?;
                 continue;
             }
             _ => return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}"))),
         };
-        *polygons = read_list(&value, |p| read_polygon(p, &name))?;
+        *polygons = read_list(&value, |p| read_polygon(p, &name, origin))?;
     }
     Ok(map)
 }
@@ -205,10 +220,10 @@ pub(crate) fn complete_map<'py>(
     tracks: Option<PyReadonlyArray2<'py, f32>>,
     heights: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<(Bound<'py, PyDict>, &'static str, Vec<f32>)> {
-    let mut map = from_dict(layers)?;
-    let edges = read_list(edges, |line| read_points(line, "edges"))?;
-    let surfaces = read_list(surfaces, |p| read_polygon(p, "surfaces"))?;
-    let seeds = read_points(seeds, "seeds")?;
+    let mut map = from_dict(layers, HERE)?;
+    let edges = read_list(edges, |line| read_points(line, "edges", HERE))?;
+    let surfaces = read_list(surfaces, |p| read_polygon(p, "surfaces", HERE))?;
+    let seeds = read_points(seeds, "seeds", HERE)?;
     let rings = |polygons: &[Polygon]| polygons.iter().map(|p| p.exterior.len()).collect::<Vec<_>>();
     let points = |lines: &[Vec<Point2>]| lines.iter().map(Vec::len).collect::<Vec<_>>();
     let heights = heights.map(|heights| {
