@@ -88,3 +88,28 @@ def played(env, action=None, seed=0, **reset):
         done = terminated or truncated
         ends = {"reward": reward, "terminated": terminated, "truncated": truncated}
         yield native.status(0).step_idx, native.states(0), {**info, **ends}
+
+
+def driven(scene, path, **options):
+    """Infos of an episode whose ego goes along a path [T, 3] of the scene, step by step."""
+    env = EgoEnv(scenes=[scene], **{"dynamics": "delta_pose", "on_collision": "ignore", **options})
+    env.reset(seed=0)
+    native, infos = env.worlds.native, []
+    low, high = (np.array(bound) for bound in list(zip(*native.action_bounds, strict=True))[1:])
+    done = False
+    while not done:
+        k, states = native.status(0).step_idx, native.states(0)
+        (x, y), h = states["position"][0], states["heading"][0]
+        dx, dy = path[k + 1, 0] - x, path[k + 1, 1] - y
+        cos, sin = np.cos(h), np.sin(h)
+        local = np.array([dx * cos + dy * sin, dy * cos - dx * sin, path[k + 1, 2] - h])
+        act = np.where(local >= 0, local / high, -local / low).astype(np.float32)
+        _, reward, terminated, truncated, info = env.step(act)
+        done = terminated or truncated
+        infos.append({**info, "reward": reward, "at": native.states(0)["position"][0].copy()})
+        infos[-1]["active"] = native.states(0)["active"][0]
+    return env, infos
+
+
+def line(x, y=0.0, heading=0.0):
+    return np.stack(np.broadcast_arrays(x, y, heading), -1).astype(float)

@@ -345,15 +345,3 @@ def test_an_info_column_says_by_how_much_the_limit_is_exceeded(scenes):
     speeding, rewards = np.array(found).T
     np.testing.assert_allclose(speeding, rewards / RewardConfig().speed_limit, rtol=1e-5)
     assert speeding.min() == 0.0 < speeding.max()
-
-
-def test_an_option_decides_how_much_of_the_route_is_a_success(scenes):
-    def success(share):
-        options = {"success_completion": share, "horizon_steps": 20, "on_off_road": "ignore"}
-        *_, (_, _, info) = played(EgoEnv(scenes=scenes, **options), BRAKES)
-        return float(info["is_success"]), float(info["route_completion"])
-
-    _, reached = success(0.5)
-    assert 0.0 < reached < 1.0
-    assert success(reached * 0.9)[0] == 1.0
-    assert success(min(1.0, reached * 1.1))[0] == 0.0

@@ -99,7 +99,6 @@ class Idle:
     [
         ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.3 fixes at 100"),
         ({"speed_limit_mps": 100.0}, "speed_limit_mps"),
-        ({"success_completion": 0.1}, "success_completion"),
         ({"traffic": "idm"}, "traffic"),
         ({"dt_s": 0.05}, "dt_s"),
         ({"config": ccdiff_env.WorldConfig(terminate_at_goal=False)}, "terminate_at_goal"),

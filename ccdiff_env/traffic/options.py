@@ -300,8 +300,6 @@ class WorldOptions(Options):
     #: Share of the rewards for its own road departures and discomfort that an adversary also gets
     #: (in [-1000000, 1000000]).
     adversary_shaping: float = 0.0
-    #: Share of the route to the goal that makes an episode without accident a success (in [0, 1]).
-    success_completion: float = 0.95
     speed_limit_mps: float = 15.0  #: Speed limit where the map has none (m/s, in (0, 100]).
     action: ActionConfig = field(default_factory=ActionConfig)  #: Actions.
     observation: ObservationConfig = field(default_factory=ObservationConfig)  #: Observations.

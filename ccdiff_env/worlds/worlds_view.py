@@ -16,7 +16,7 @@ _SCENE = dict.fromkeys(("dt", "location", "agent_types", "agent_categories", "si
 _CONFIG = dict.fromkeys((
     "action", "decision_steps", "dt_s", "history_steps", "horizon_steps", "num_slots",
     "observation", "on_collision", "on_off_road", "reward", "speed_limit_mps", "style",
-    "success_completion", "terminate_at_goal",
+    "terminate_at_goal",
 ))  # fmt: skip
 _STATUS = dict.fromkeys(("scene_idx", "step_idx", "elapsed_steps", "ego_idx"))
 _NATIVE: dict[str, Any] = {

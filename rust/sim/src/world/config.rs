@@ -206,8 +206,6 @@ options! {
         num_adversaries: usize = 0, range within(0.0, 511.0);
         /// Share of the rewards for its own road departures and discomfort that an adversary also gets.
         adversary_shaping: Real = 0.0, range WEIGHT;
-        /// Share of the route to the goal that makes an episode without accident a success.
-        success_completion: Real = 0.95, range within(0.0, 1.0);
         /// Speed limit where the map has none.
         speed_limit_mps: Real = 15.0, unit "m/s", range POSITIVE_MOTION;
         /// Actions.

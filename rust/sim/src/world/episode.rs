@@ -50,6 +50,8 @@ pub struct Slot {
     pub(crate) in_contact: bool,
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
+    /// Whether it has reached its goal, without a collision or a step off the road up to then: a success.
+    pub(crate) arrived_unharmed: bool,
     /// Whether the agent has been on the road; before that, it is not counted as off the road.
     pub(crate) has_been_on_road: bool,
     // what the last step found out, for reward and observation

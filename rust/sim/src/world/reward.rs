@@ -38,13 +38,14 @@ pub(crate) fn score(
     slot.acceleration_mps2 = acceleration;
     slot.ever_collided |= facts.contact.is_some();
     slot.ever_off_road |= slot.off_road;
+    slot.arrived_unharmed |= facts.reached && !slot.ever_collided && !slot.ever_off_road;
     let mut step = Step {
         contact_counts: facts.contact.is_some(),
         worth: 1.0,
         soft: 1.0,
         travelled_m: slot.progress.travelled_m(),
         completion: slot.progress.completion(),
-        success: (facts.terminated || facts.timed_out) && is_success(slot, facts.route_s_m, config),
+        success: (facts.terminated || facts.timed_out) && slot.arrived_unharmed,
         off_road: slot.off_road,
         off_road_centroid: slot.off_road_centroid,
         place: slot.place,
@@ -69,11 +70,4 @@ pub(crate) fn score(
         step.soft = 0.0;
     }
     reward_columns::fill(&step, &config.reward, &slot.drawn.style, columns)
-}
-
-/// Whether an episode that ends now, at a place along the route, was a success.
-fn is_success(slot: &Slot, route_s_m: Real, config: &WorldConfig) -> bool {
-    let arrives =
-        slot.progress.completion() >= config.success_completion && !slot.progress.has_missed(route_s_m);
-    !slot.ever_collided && !slot.ever_off_road && arrives
 }

@@ -42,7 +42,6 @@ pub(crate) struct StepFacts {
     /// New progress.
     pub(crate) progress_m: Real,
     pub(crate) reached: bool,
-    pub(crate) route_s_m: Real,
     /// What happened in this step ends the episode.
     pub(crate) terminated: bool,
     /// The horizon or the log ends the episode in this step.
@@ -221,7 +220,7 @@ columns! {
             |s| s.place.route_distance_m;
         Progress, "progress", "m", "farthest position along the route since the start",
             |s| s.travelled_m;
-        RouteCompletion, "route_completion", "", "progress over the distance to the goal, 0 to 1",
+        RouteCompletion, "route_completion", "", "share of the way to the goal, 0 to 1; 1 where the goal is reached",
             |s| s.completion;
         Speed, "speed", "m/s", "speed along the heading",
             |s| s.speed_mps;
@@ -235,7 +234,7 @@ columns! {
             |s| s.facts.ttc_s;
         LogDistance, "log_distance", "m", "distance from the agent's own log, 0 where the log has ended",
             |s| s.facts.log_distance_m;
-        Success, "is_success", "", "1 at the end of an episode with enough of the route (`success_completion`), no collision and no step off the road",
+        Success, "is_success", "", "1 at the end of an episode that reached its goal, without a collision or a step off the road up to then",
             |s| Real::from(s.success);
         TimeLimit, "time_limit", "", "1 at the step at which the horizon or the log ends the episode",
             |s| Real::from(s.facts.timed_out);

@@ -50,7 +50,7 @@ impl World {
             let slot = &mut e.slots[c];
             let had_reached = slot.progress.reached;
             let from_route_m = self.scratch.from_route_m[c];
-            let progress_m = slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s);
+            let progress_m = slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s, at_end);
             let (contact, reached) = (self.scratch.contacts[c], slot.progress.reached && !had_reached);
             let outcome = Outcome::of(contact.is_some(), slot.off_road, reached, config);
             out.terminated[c] = outcome.ends;
@@ -62,7 +62,6 @@ impl World {
                 log_distance_m,
                 progress_m,
                 reached,
-                route_s_m: s_m,
                 terminated: out.terminated[c],
                 timed_out: out.truncated[c],
             };
