@@ -17,7 +17,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, unknown, unknown_option
 from ccdiff_env.system.files import parsed_object
-from ccdiff_env.system.named_objects import named_instance
+from ccdiff_env.system.named_objects import named_instance, object_name
 from ccdiff_env.traffic import (
     KINDS,
     NETWORKS,
@@ -362,7 +362,12 @@ def _plain_field(name: str, value: Any) -> Any:
 def _plain(value: Any) -> Any:
     """Form of a value in JSON."""
     if isinstance(value, Mapping):
-        return {name: _plain(entry) for name, entry in value.items()}
+        return {
+            name: object_name(entry, name)
+            if isinstance(entry, types.FunctionType)
+            else _plain(entry)
+            for name, entry in value.items()
+        }
     if isinstance(value, tuple):
         return [_plain(entry) for entry in value]
     if not dataclasses.is_dataclass(value):

@@ -87,7 +87,8 @@ def _row(scene, collided, off_road, fde, histogram):
     return {
         "scene": scene, "scr": collided, "scr_new": collided, "scr_controlled": False,
         "collision_rate": 0.5 * collided, "orr": off_road, "fde": fde, "fde_controlled": None,
-        "sor": False, "comfort": histogram, "comfort_reference_impl": histogram,
+        "sor": False, "comfort": histogram, "comfort_end_bins": histogram,
+        "comfort_reference_impl": histogram,
     }  # fmt: skip
 
 

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from ccdiff_env.bench.intervals import mean_interval
-from ccdiff_env.bench.traffic_report import Condition, comparison, difference, summarise
+from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.traffic_report import (
+    Condition,
+    at_equal_scr,
+    comparison,
+    difference,
+    summarise,
+)
 from ccdiff_env.system.table import document
 
 HISTOGRAM = np.full((3, 20), 0.05).tolist()
@@ -14,7 +21,7 @@ def episodes(collided, fde):
     """Scenes that collide or not, with a final displacement each."""
     return [
         {"scr": bool(hit), "scr_controlled": bool(hit), "orr": 0.0, "fde": metres,
-         "comfort": HISTOGRAM, "comfort_reference_impl": HISTOGRAM}
+         "comfort": HISTOGRAM, "comfort_end_bins": HISTOGRAM, "comfort_reference_impl": HISTOGRAM}
         for hit, metres in zip(collided, fde, strict=True)
     ]  # fmt: skip
 
@@ -56,3 +63,32 @@ def test_the_page_holds_differences_to_ccdiff():
     assert "| CCDiff, equal training | 0.00 | 0.83 | 0.17 |" in text
     assert "| CTG | 1.00 | 0.67 | 0.00 |" in text
     assert comparison({}, {}) == ["One method alone."]
+
+
+def test_at_equal_scr_figures_lie_between_two_criticalities():
+    """Collisions and metres grow with the criticality, those of one method by half as much."""
+    order = np.random.default_rng(2).permutation(40)
+    played = {Condition("replay", "0", 0.5): LOG}
+    for method, slope in (("ccdiff_equal", 10.0), ("ctg", 5.0)):
+        for strength in (0.0, 0.5, 1.0):
+            hits = np.isin(np.arange(40), order[: int(20 * strength)])
+            rows = episodes(hits, np.full(40, slope * strength))
+            played[Condition(f"{method}-{strength:g}", "5", 0.5)] = rows
+    found = at_equal_scr(played, [0.125, 0.4, 0.9])
+    fde = [column.name for column in found.columns].index("fde")
+    figures = {(row[0], row[1], row[4]): row[fde] for row in found.rows}
+    # 20 of 40 scenes at criticality 1: no method reaches 0.9
+    assert {scr for scr, *_ in figures} == {"0.125", "0.4"}
+    # a quarter and four fifths of the way to criticality 1
+    assert figures["0.125", "ccdiff_equal", ""][0] == pytest.approx(2.5)
+    assert figures["0.4", "ctg", ""][0] == pytest.approx(4.0)
+    value, low, high = figures["0.4", "ctg", "ccdiff_equal"]
+    assert value == pytest.approx(-4.0)
+    assert low < value < high
+
+
+def test_a_guided_method_has_a_name_at_every_criticality():
+    assert METHODS["ctg-0.3"].ccdiff == {**METHODS["ctg"].ccdiff, "criticality": 0.3}
+    assert METHODS["ccdiff-2"].label == "CCDiff, criticality 2"
+    assert "idm-0.5" not in METHODS
+    assert "ccdiff-high" not in METHODS

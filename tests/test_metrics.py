@@ -121,6 +121,43 @@ def test_contacts_are_those_of_shapely_and_variants_filter_them(seed):
         assert got.agent_rate[variant] == pytest.approx(hit.sum() / valid.any(1).sum())
 
 
+def test_who_comes_faster_at_the_first_contact_brings_it_about():
+    """A car at 10 m/s runs into the rear of one at 4 m/s; a third one is touched from the start."""
+    t = np.arange(0.0, 3.0, 0.1)
+    x = np.stack([10.0 * t, 12.0 + 4.0 * t, np.full_like(t, 12.0)])
+    y = np.stack([0.0 * t, 0.0 * t, np.full_like(t, 1.9)])
+    motion = Motion(np.stack([x, y], axis=-1), np.zeros_like(x), [[4.0, 2.0]] * 3)
+    for driven, brings in ((0, True), (1, False)):
+        found = motion.collisions(controlled=np.arange(3) == driven)
+        assert found.any("controlled_new")
+        assert found.any("by_controlled") == brings
+    at = np.flatnonzero((found.contacts[:, 1:] == (0, 1)).all(axis=1))[0]
+    assert found.approach_mps[at] == pytest.approx([10.0, -4.0], abs=1e-3)
+    # both driven: one of them it was
+    assert motion.collisions(controlled=[True, True, False]).any("by_controlled")
+    assert not motion.collisions(controlled=[False, False, True]).any("by_controlled")
+
+
+def test_harsh_motion_is_beyond_nuplans_limits():
+    t = np.arange(0.0, 5.05, 0.1)
+    for acceleration, hard in ((2.2, 0.0), (2.6, 1.0), (-3.9, 0.0), (-4.3, 1.0)):
+        x = 30.0 * t + 0.5 * acceleration * t * t
+        motion = Motion(np.stack([x, 0 * x], axis=-1)[None], 0 * x[None], [[4.0, 2.0]])
+        assert motion.harsh() == pytest.approx((hard, 0.0))
+    # acceleration of 0 and 3 m/s2 in turns, every half second: ramps of three steps of 10 m/s3
+    acceleration = np.where(np.arange(len(t)) // 5 % 2, 3.0, 0.0)
+    x = np.cumsum(10.0 + np.cumsum(acceleration) * 0.1) * 0.1
+    both = np.stack([np.stack([x, 0 * x], -1), np.stack([20 * t, 0 * t], -1)])
+    motion = Motion(both, np.zeros((2, len(t))), [[4.0, 2.0]] * 2)
+    speed = np.diff(x) / 0.1
+    smooth = np.convolve(np.diff(speed) / 0.1, np.ones(3) / 3, "valid")
+    jerk = np.diff(smooth) / 0.1
+    want = ((smooth > 2.4).mean(), (np.abs(jerk) > 8.37).sum() / len(smooth))
+    assert motion.harsh(counted=[True, False]) == pytest.approx(want, abs=0.05)
+    assert motion.harsh(counted=[False, True]) == (0.0, 0.0)
+    assert np.isnan(motion.harsh(counted=[False, False])).all()
+
+
 def test_boxes_that_touch_or_hold_each_other_collide():
     position = np.array([[[0, 0]], [[4, 0]], [[50, 0]], [[50, 0]]], float)
     size = [[4, 2], [4, 2], [8, 4], [1, 1]]
@@ -228,8 +265,8 @@ def test_comfort_distance_is_scipys_earth_movers_distance(seed):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "reference_impl"]))
-def test_comfort_histograms_are_those_of_numpy(seed, axes):
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["body", "reference_impl"]), st.booleans())
+def test_comfort_histograms_are_those_of_numpy(seed, axes, end_bins):
     rng = np.random.default_rng(seed)
     agents, steps = 4, 61
     acceleration = rng.normal(0, 0.6, (agents, steps, 2)).cumsum(1) * 0.05
@@ -259,10 +296,12 @@ def test_comfort_histograms_are_those_of_numpy(seed, axes):
         else:
             rows = (size * cos, size * sin, jerk)
         for k, (row, limit) in enumerate(zip(rows, (2, 2, 1), strict=True)):
+            row = np.clip(row, -limit, limit) if end_bins else row
             counts[k] += np.histogram(row, 20, (-limit, limit))[0]
     total = counts.sum(1, keepdims=True)
     want = np.divide(counts, total, where=total > 0, out=np.zeros_like(counts))
-    got = Motion(position, heading, [[4.5, 2]] * agents, valid).comfort(axes=axes)
+    motion = Motion(position, heading, [[4.5, 2]] * agents, valid)
+    got = motion.comfort(axes=axes, end_bins=end_bins)
     # a value within rounding of an edge may fall on either side
     np.testing.assert_allclose(got, want, atol=2.1 / max(total.min(), 1))
     assert np.abs(got - want).sum() < 0.2

@@ -104,7 +104,17 @@ def test_the_shift_of_guidance_grows_where_its_cost_saturates(scenes, steps):
 
 @pytest.mark.parametrize(
     "ranking",
-    ["cliques", "greedy", "distance_cliques", "first", "random", "gradient", "ttc", "list"],
+    [
+        "cliques",
+        "greedy",
+        "distance_cliques",
+        "first",
+        "random",
+        "gradient",
+        "ttc",
+        "reach",
+        "list",
+    ],
 )
 def test_every_ranking_orders_the_vehicles_that_may_be_guided(scenes, ranking):
     scene = scenes[0]

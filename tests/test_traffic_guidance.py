@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from traffic_play import Play
 
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError, PolicyError, UnknownNameError
 from ccdiff_env.models import shipped_weights
 
 
@@ -164,3 +164,68 @@ def test_commands_choose_who_is_guided_and_how_hard(scenes):
         play.native.override_plan(0, guided=[10_000], criticality=None)
     with pytest.raises(ConfigError, match="criticality"):
         play.native.override_plan(0, guided=None, criticality=-1.0)
+
+
+def over_speed(states, batch):
+    """The formula of rust/nets/src/guidance/objective/over_speed.rs at 4 m/s, in torch."""
+    assert states.shape[1:] == (len(batch["pose"]), 52, 4)
+    return (states[..., 2].abs() - 4.0).clamp(min=0.0).mean(dim=-1)
+
+
+def over_speed_by_hand(states, batch):
+    """The same with its gradient, in numpy."""
+    speed = states[..., 2]
+    over = np.maximum(np.abs(speed) - 4.0, 0.0)
+    gradient = np.zeros_like(states)
+    gradient[..., 2] = np.sign(speed) * (over > 0.0) / speed.shape[-1]
+    return over.mean(axis=-1), gradient
+
+
+def without_a_row(states, batch):
+    return states[:, 1:, :, 2].mean(dim=-1)
+
+
+def _guided(scenes, objective, **guidance):
+    """Poses of the first guided plans, two samples each."""
+    guidance = {"target": "finished", "gradient_steps": 2, "objectives": [objective], **guidance}
+    ccdiff = {"criticality": 4.0, "num_samples": 2, "guidance": guidance}
+    play = Play(scenes[:2], ccdiff=ccdiff)
+    play.step()
+    plans = [play.native.explain(w) for w in range(2)]
+    assert all(plan["guided"].any() for plan in plans)
+    return plans
+
+
+def test_a_cost_in_python_moves_plans_as_the_same_formula_in_rust(scenes):
+    pytest.importorskip("torch")
+    free = _guided(scenes, {"kind": "over_speed", "weight": 0.0})
+    want = _guided(scenes, {"kind": "over_speed", "weight": 2.0, "limit_mps": 4.0})
+    for cost in ({"call": over_speed}, {"call": over_speed_by_hand, "own_gradient": True}):
+        found = _guided(scenes, {"kind": "python", "weight": 2.0, **cost})
+        for plan, other, unmoved in zip(found, want, free, strict=True):
+            np.testing.assert_allclose(plan["samples"], other["samples"], atol=2e-3)
+            np.testing.assert_allclose(plan["losses"], other["losses"], atol=1e-4)
+            assert plan["moved_m"][plan["guided"]].max() > 1.0
+            assert np.abs(plan["samples"] - unmoved["samples"]).max() > 1.0
+
+
+def test_a_cost_that_cannot_be_had_is_refused(scenes):
+    pytest.importorskip("torch")
+    with pytest.raises(ConfigError, match="expected what can be imported, as module:name"):
+        _guided(scenes, {"kind": "python", "call": lambda states, batch: 0})
+    for call, message in (
+        ("test_traffic_guidance:nothing", "no 'nothing' in module"),
+        (without_a_row, "losses has shape"),
+    ):
+        with pytest.raises(PolicyError, match=message):
+            _guided(scenes, {"kind": "python", "call": call})
+
+
+def test_finished_plans_are_moved_by_metres_at_most(scenes):
+    objective = {"kind": "approach", "weight": -10.0}
+    free, bound = _guided(scenes, objective), _guided(scenes, objective, bound_m=0.5)
+    for plan, held in zip(free, bound, strict=True):
+        guided = plan["guided"]
+        assert plan["moved_m"][guided].max() > 1.0
+        assert 0.0 < held["moved_m"][guided].max() <= 0.5
+        assert (held["moved_m"][~guided] == 0.0).all()

@@ -61,7 +61,9 @@ def plan_of(made_at: int, agents: list[int], samples: np.ndarray, **fields) -> T
         "shift_sigmas": np.full(m, np.nan, np.float32),
         "objectives": (),
     }
-    optional = ("attention", "gradient_cosine", "realism_cosine", "conflict_share")
+    optional = (
+        "attention", "gradient_cosine", "realism_cosine", "conflict_share", "moved_m",
+    )  # fmt: skip
     return TrafficPlan(
         made_at=made_at,
         agents=np.array(agents, np.int64),

@@ -234,7 +234,7 @@ def _shown(entry: Mapping[str, Any], table: Table) -> str:
     if isinstance(value, dict) and len(value) == 1:
         value = next(iter(value))
     if isinstance(value, list) and value and isinstance(value[0], dict):
-        value = [term["kind"] for term in value]
+        value = [{"kind": term["kind"]} for term in value]
     return f"`{json.dumps(value) if value is not None else None}`"
 
 

@@ -200,6 +200,27 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         {**_GUIDED, "CS": Column("cs"), "RS": Column("rs")},
     ),
+    "matched": Made(
+        "bench traffic --k 5 --match 0.3,0.5,0.7 --methods "
+        "ccdiff_equal,simnet,trafficsim,strive,bits,ctg,ctgpp",
+        ("at_scr", "method"),
+        {
+            "FDE m": Column("fde", digits=1),
+            "CFD": Column("cfd", digits=1),
+            "CFD, end bins": Column("cfd_end_bins", digits=1),
+            "hard accel. %": Column("hard_acceleration", digits=1, interval=False),
+            "hard jerk %": Column("hard_jerk", digits=1, interval=False),
+            "off road %": Column("orr_box"),
+        },
+        where={"less": ""},
+        file="matched.csv",
+    ),
+    "samples": Made(
+        "bench traffic --k 1,2,3,4,5,10,Full --methods simnet_unguided,trafficsim_samples,"
+        "strive_one_sample,bits_samples,ctg,ccdiff_equal",
+        ("method", "K", "replan_s"),
+        {"SCR": _SCR, "CS": Column("cs"), "RS": Column("rs")},
+    ),
     "ablation": Made(
         "bench traffic --k 1,2,3,4,5 --methods "
         "ccdiff,ccdiff_no_enc,ccdiff_distance,ccdiff_first,ccdiff_random",

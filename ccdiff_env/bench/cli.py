@@ -119,6 +119,16 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         metavar="K",
         help="K for which every --t is run; others only with the first (default: every K)",
     )
+    parser.add_argument(
+        "--match",
+        metavar="SCR",
+        help="compare guided methods at these SCR, comma-separated, between --strengths",
+    )
+    parser.add_argument(
+        "--strengths",
+        default="0,0.125,0.25,0.5,1",
+        help="with --match: criticalities of guided methods (default: %(default)s)",
+    )
     add_weights(parser)
     parser.set_defaults(run=_traffic)
 
@@ -128,6 +138,8 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.traffic import traffic_jobs
 
     methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
+    match = _listed("--match", args.match, float, "rates") if args.match else []
+    strengths = _listed("--strengths", args.strengths, float, "criticalities") if match else []
     run = Run(args, "traffic")
     jobs = traffic_jobs(
         run.source,
@@ -137,18 +149,24 @@ def _traffic(args: argparse.Namespace) -> int:
         replan_controlled=None if args.t_at is None else counts(args.t_at),
         weights=run.own_weights,
         seed=args.seed,
+        strengths=strengths,
     )
     episodes = run.episodes(jobs, "method", "replan_steps", k="num_controlled")
     played = report.conditions(episodes)
     found = report.summarise(played)
+    matched = report.at_equal_scr(played, match)
     return run.report(
         "Traffic",
         {
             "Figures": report.tables(played, found),
             "Methods against one another": report.comparison(played, found),
+            **({"Methods at equal SCR (new, controlled)": [matched]} if match else {}),
         },
         episodes,
-        {"figures.csv": report.figures_table(played, found)},
+        {
+            "figures.csv": report.figures_table(played, found),
+            **({"matched.csv": matched} if match else {}),
+        },
     )
 
 

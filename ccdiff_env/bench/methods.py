@@ -58,7 +58,7 @@ def on_device(drivers: _T, device: str) -> _T:
 
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
 
-OWN_RANKINGS = ("greedy", "gradient")  #: Rankings that only a planning network can make.
+OWN_RANKINGS = ("greedy", "gradient", "reach")  #: Rankings that only a planning network can make.
 
 
 class NamedDrivers(dict[str, _T]):
@@ -85,6 +85,31 @@ class NamedDrivers(dict[str, _T]):
             {getattr(entry, "label", "") for entry in self.values()},
         )
         return self._kind(name if own in taken else own, name)
+
+
+class _Methods(NamedDrivers[Method]):
+    """The methods by name; ``NAME-C`` is the guided method of a name at criticality C."""
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or self.strength(str(name)) is not None
+
+    def __missing__(self, name: str) -> Method:
+        strength = self.strength(name)
+        if strength is None:
+            return super().__missing__(name)
+        old = self[name.rpartition("-")[0]]
+        label = f"{old.label}, criticality {strength:g}"
+        return replace(old, label=label, ccdiff={**old.ccdiff, "criticality": strength})
+
+    def strength(self, name: str) -> float | None:
+        """Return the criticality that a name ends in; ``None`` without one."""
+        stem, _, number = name.rpartition("-")
+        if not (dict.__contains__(self, stem) and "criticality" in self[stem].ccdiff):
+            return None
+        try:
+            return float(number)
+        except ValueError:
+            return None
 
 
 #: What a name's middle adds to the title and the options of a network,
@@ -142,7 +167,7 @@ def _network(
 
 
 #: The methods by name. More may be added: a driver is all that one needs.
-METHODS: dict[str, Method] = NamedDrivers(
+METHODS = _Methods(
     "method",
     Method,
     {
@@ -156,9 +181,6 @@ METHODS: dict[str, Method] = NamedDrivers(
 )
 METHODS |= _network("ccdiff_no_enc", "CCDiff, no causal graph", graph="full")
 METHODS |= _network("ccdiff_released", "CCDiff, released guidance", guidance="released")
-# the same guidance, less and more of it: ``ccdiff`` has criticality 1
-for _x in (0.25, 0.5, 0.75, 1.5, 2.0):
-    METHODS |= _network(f"ccdiff-{_x:g}", f"CCDiff, criticality {_x:g}", criticality=_x)
 # classifier-free guidance by the causal graph, from the paper's range of weights
 for _x in (1.3, 1.6, 1.9):
     METHODS |= _network(f"ccdiff_cfg-{_x:g}", f"CCDiff, w = {_x:g}", ends=_TWO, cfg_weight=_x)
@@ -186,6 +208,7 @@ for _end, _title, _ranking in (
     ("random", "random ranking", "random"),
     ("greedy", "greedy cliques on G", "greedy"),
     ("gradient", "aligned gradients", "gradient"),
+    ("reach", "ranking by reach", "reach"),
 ):
     _variant("ccdiff", _end, _title, ranking=_ranking)
 #: Gradient steps as the authors have them (docs/rivals.md), of which those that do not denoise make
@@ -201,6 +224,21 @@ for _name, _settings in _AUTHORS.items():
 # who published a choice among samples without the signs of the weights
 for _name in ("strive", "ctg", "ctgpp", "ccdiff_equal"):
     _variant(_name, "published", "published filter", guidance={"filter_weights": "unweighted"})
+
+# the finished plan is moved, which nothing denoises away
+for _name in ("ctg", "ctgpp", "ccdiff_equal", "ccdiff"):
+    _own = {**METHODS[_name].ccdiff, "guidance": "finished"}
+    _variant(_name, "finished", "finished plan", ccdiff=_own)
+# as the paper most likely ran its rivals (docs/rivals.md): SimNet's one plan and STRIVE's first are
+# ``simnet_unguided`` and ``strive_one_sample``
+for _name in ("trafficsim", "strive", "bits"):
+    _variant(
+        _name,
+        "samples",
+        "choice among samples",
+        ccdiff={**_GUIDED, "guidance": "released"},
+        guidance={"gradient_steps": 0},
+    )
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(

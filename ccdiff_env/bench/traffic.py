@@ -51,8 +51,11 @@ def traffic_jobs(
     replan_controlled: Sequence[int | None] | None = None,
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
+    strengths: Sequence[float] = (),
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
+
+    With ``strengths``, guided methods are played at those criticalities, not at their own.
 
     The floor, K = 0, is always among them; K = ``None`` is all vehicles. All periods are played at
     the K of ``replan_controlled`` (all by default), the first one alone at the others. What cannot
@@ -60,6 +63,12 @@ def traffic_jobs(
     another ranking than that of ``ccdiff``, where that one is asked for.
     """
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
+    guided = {name for name in methods if strengths and METHODS[name].ccdiff.get("criticality")}
+    methods = [
+        own
+        for name in methods
+        for own in ([f"{name}-{x:g}" for x in strengths] if name in guided else [name])
+    ]
     for method in (m for m in methods if m != "replay"):
         for k in num_controlled:
             if k is None and method in REORDERED and "ccdiff" in methods:
@@ -298,6 +307,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     displacement = motion.displacement(log)
     ade, fde = displacement.mean()
     fde_controlled = displacement.mean(controlled)[1] if controlled.any() else np.nan
+    hard, jerky = motion.harsh(counted=controlled)
     tracks = episode.scene.tracks()
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
@@ -309,6 +319,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "scr": found.any(),
         "scr_new": found.any("new"),
         "scr_controlled": found.any("controlled_new"),
+        "scr_by_controlled": found.any("by_controlled"),
         "collision_rate": found.agent_rate["new"],
         "orr": road and 100.0 * road.centroid_rate,
         "orr_box": road and 100.0 * road.box_rate,
@@ -317,7 +328,10 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
         "fde": _number(fde),
         "fde_controlled": _number(fde_controlled),
         "comfort": motion.comfort().tolist(),
+        "comfort_end_bins": motion.comfort(end_bins=True).tolist(),
         "comfort_reference_impl": motion.comfort(axes="reference_impl").tolist(),
+        "hard_acceleration": _number(100.0 * hard),
+        "hard_jerk": _number(100.0 * jerky),
         "sor": known and bool(motion.over_speed(limit, counted=controlled).any()),
         "min_ttc_s": _number(motion.min_ttc().min() if len(episode.agents) else np.nan),
         **guidance_cost(episode.plans),
@@ -328,12 +342,13 @@ def guidance_cost(plans: Sequence[TrafficPlan]) -> dict[str, float | None]:
     """Return what guidance cost, means over the guided plans of vehicles; ``None`` without any.
 
     ``realism_cost``: total variation, the paper's C(tau); ``shift_sigmas``: the same in standard
-    deviations.
+    deviations; ``moved_m``: by 2 s, metres.
     """
     guided = [plan for plan in plans if plan.guided.any()]
     found: dict[str, float | None] = {}
-    for name in ("realism_cost", "shift_sigmas"):
-        values = [getattr(plan, name)[plan.guided] for plan in guided]
+    for name in ("realism_cost", "shift_sigmas", "moved_m"):
+        arrays = [(plan, getattr(plan, name)) for plan in guided]
+        values = [array[plan.guided] for plan, array in arrays if array is not None]
         found[name] = _number(np.concatenate(values).mean() if values else np.nan)
     return found
 

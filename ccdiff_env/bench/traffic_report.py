@@ -25,11 +25,16 @@ from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 Rows = Sequence[Mapping[str, Any]]
 #: Figures of an episode whose means over scenes are reported; docs/evaluation.md defines them.
 _MEANS = (
-    "scr", "scr_new", "scr_controlled", "collision_rate", "orr", "orr_box", "orr_reference_impl",
-    "fde", "fde_controlled", "sor", "realism_cost", "shift_sigmas",
+    "scr", "scr_new", "scr_controlled", "scr_by_controlled", "collision_rate", "orr", "orr_box",
+    "orr_reference_impl", "fde", "fde_controlled", "hard_acceleration", "hard_jerk", "sor",
+    "realism_cost", "shift_sigmas", "moved_m",
 )  # fmt: skip
 #: Comfort distances, of histograms that are summed over scenes, x 100.
-_COMFORT = {"cfd": "comfort", "cfd_reference_impl": "comfort_reference_impl"}
+_COMFORT = {
+    "cfd": "comfort",
+    "cfd_end_bins": "comfort_end_bins",
+    "cfd_reference_impl": "comfort_reference_impl",
+}
 FIGURES = (*_MEANS, *_COMFORT)  #: Figures of a condition.
 #: Figures that scenes without a road do not have.
 NEED_ROAD = ("orr", "orr_box", "orr_reference_impl")
@@ -92,11 +97,10 @@ def _cfd(rows: Rows, log: Rows, name: str) -> npt.NDArray[np.float64]:
     stacked, reference = (_histograms(part, _COMFORT[name]) for part in (rows, log))
     scenes = [scene for scene in stacked if scene in reference]
     count = len(scenes)
-    drawn = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
     of = [np.array([by_scene[scene] for scene in scenes]) for by_scene in (stacked, reference)]
     found = [
         comfort_distance(*(part[chosen].mean(axis=0) for part in of)).cfd
-        for chosen in (np.arange(count), *drawn)
+        for chosen in _draws(count)
     ]
     return 100.0 * np.array(found)
 
@@ -105,6 +109,12 @@ def _histograms(rows: Rows, name: str) -> dict[Any, npt.NDArray[np.float64]]:
     """Histograms of each scene, means over its rows."""
     by_scene = grouped([{"scene": i, **row} for i, row in enumerate(rows)], "scene")
     return {scene: np.mean([row[name] for row in of], axis=0) for (scene,), of in by_scene.items()}
+
+
+def _draws(count: int) -> npt.NDArray[np.int64]:
+    """All scenes of so many, then resamples of them, [1 + resamples, count]."""
+    drawn = np.random.default_rng(0).integers(count, size=(RESAMPLES, count))
+    return np.concatenate([np.arange(count)[None], drawn])
 
 
 def _with_interval(draws: npt.NDArray[np.float64], rows: Rows) -> Figure:
@@ -143,12 +153,15 @@ def figures_table(played: Played, found: Found) -> Table:
 _SHOWN = (
     Column("scr", "SCR"),
     Column("scr_controlled", "SCR new, controlled"),
+    Column("scr_by_controlled", "SCR by controlled"),
     Column("orr", "ORR", "%"),
     Column("fde", "FDE", "m"),
     Column("cfd", "CFD"),
+    Column("cfd_end_bins", "CFD, end bins"),
+    Column("hard_acceleration", "hard accel.", "%"),
+    Column("hard_jerk", "hard jerk", "%"),
     Column("sor", "SOR"),
-    Column("realism_cost", "C(tau)"),
-    Column("shift_sigmas", "shift sigmas"),
+    Column("moved_m", "moved at 2 s", "m"),
 )
 
 
@@ -175,7 +188,7 @@ def tables(played: Played, found: Found) -> list[Block]:
 # methods against one another
 
 #: Figures that are compared.
-COMPARED = [replace(c, sign="+") for c in _SHOWN if c.name not in ("sor", "shift_sigmas")]
+COMPARED = [replace(c, sign="+") for c in _SHOWN if c.name not in ("sor", "moved_m")]
 
 
 def difference(one: Rows, other: Rows, log: Rows, name: str) -> Figure:
@@ -221,6 +234,85 @@ def _against(played: Played, base: str) -> list[Block]:
         f"Means over scenes, same scenes and vehicles. {brackets(played.values())} "
         "Methods without guidance: less the same without guidance.",
     ]
+
+
+# methods at equal SCR
+
+#: Figures at equal SCR.
+_MATCHED = tuple(
+    replace(column, interval=True)
+    for column in (
+        *_SHOWN,
+        Column("orr_box", "ORR of boxes", "%"),
+        Column("fde_controlled", "FDE of controlled", "m"),
+    )
+    if column.name not in ("scr", "scr_controlled", "orr", "sor")
+)
+
+
+def at_equal_scr(played: Played, targets: Sequence[float]) -> Table:
+    """Return figures of methods at the same SCR (new, controlled), each also less the first one's.
+
+    Methods were played at several criticalities: figures lie on the line between the first two of
+    them whose SCR enclose the target, in every resample anew. A method without such two has no row.
+    """
+    log, sweeps = floor(played), dict[Condition, list[tuple[float, Condition]]]()
+    for c in played:
+        strength = METHODS.strength(c.method)
+        if strength is not None:
+            stem = c.method.rpartition("-")[0]
+            sweeps.setdefault(c._replace(method=stem), []).append((strength, c))
+    names = ("scr_controlled", *(column.name for column in _MATCHED))
+    drawn = {
+        c: {n: np.array([_resampled(played[o], log, n) for _, o in sorted(of)]) for n in names}
+        for c, of in sweeps.items()
+    }
+    base = next((c.method for c in drawn), "")
+    rows: TableRows = []
+    for target in targets:
+        at = {c: _crossing(figures, target) for c, figures in drawn.items()}
+        for c, figures in at.items():
+            other = at.get(c._replace(method=base)) if c.method != base else None
+            for less, of in (("", {}), (base, other)):
+                if of is not None and np.isfinite(figures["fde"][0]):
+                    less_by = [figures[m.name] - of.get(m.name, 0.0) for m in _MATCHED]
+                    rows.append([f"{target:g}", *c, less, *map(_ends, less_by)])
+    return Table(("at_scr", "method", "K", "replan_s", "less", *_MATCHED), rows)
+
+
+def _resampled(rows: Rows, log: Rows, name: str) -> npt.NDArray[np.float64]:
+    """A figure of all scenes, then of the resamples, [1 + resamples]."""
+    if name in _COMFORT:
+        return _cfd(rows, log, name)
+    means, scenes = scene_means(rows, name), _histograms(rows, "comfort")
+    values = np.array([means.get(scene, np.nan) for scene in scenes])[_draws(len(scenes))]
+    known = np.isfinite(values)
+    counts = known.sum(axis=1)
+    sums = np.where(known, values, 0.0).sum(axis=1)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+
+def _crossing(
+    figures: Mapping[str, npt.NDArray[np.float64]], target: float
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Figures [criticalities, draws] where SCR first passes a target, by draw; NaN where it never
+    does.
+    """
+    scr = figures["scr_controlled"]
+    low, high = scr[:-1], scr[1:]
+    encloses = (low <= target) & (target <= high) & (low < high)
+    at, column = encloses.argmax(axis=0), np.arange(scr.shape[1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (target - low[at, column]) / (high - low)[at, column]
+        found = {
+            name: values[at, column] + share * (values[at + 1, column] - values[at, column])
+            for name, values in figures.items()
+        }
+    return {name: np.where(encloses.any(axis=0), values, np.nan) for name, values in found.items()}
+
+
+def _ends(draws: npt.NDArray[np.float64]) -> Figure:
+    return (float(draws[0]), *intervals.interval(draws[1:]))
 
 
 def _distances(found: Found) -> list[Block]:

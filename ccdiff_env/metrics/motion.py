@@ -12,11 +12,12 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import SceneError, ShapeError, expect_shape
 
-Variant = Literal["all", "controlled", "new", "controlled_new"]
+Variant = Literal["all", "controlled", "new", "controlled_new", "by_controlled"]
 
 #: What a collision rate can count: every contact; those that involve a controlled agent; those of
-#: pairs that touch neither at the first step nor in the log at the same step; both.
-VARIANTS: tuple[Variant, ...] = ("all", "controlled", "new", "controlled_new")
+#: pairs that touch neither at the first step nor in the log at the same step; both; of these the
+#: ones that a controlled agent brings about.
+VARIANTS: tuple[Variant, ...] = ("all", "controlled", "new", "controlled_new", "by_controlled")
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class Collisions:
     controlled: npt.NDArray[np.bool_]  #: [N]: whether the contact involves a controlled agent.
     #: [N]: whether the pair touches neither at the first step nor in the log at this step.
     new: npt.NDArray[np.bool_]
+    #: [N, 2]: speed of each of the two towards the other, across the edge at which they overlap
+    #: least, m/s. Who comes faster at a pair's first new contact brings it about.
+    approach_mps: npt.NDArray[np.float32]
     #: Side on which every agent is hit at its first contact: "front", "rear" or "side".
     first_kind: list[str | None]
     #: [A] per variant: whether an agent is ever in a contact that counts.
@@ -170,22 +174,29 @@ class Motion:
             log: the recorded traffic of the same agents and steps, for the variants "new".
         """
         numbers = np.array([self.num_agents**2, self.num_agents, 1])
-        found, first_kind = self._native.contacts()
+        found, approach_mps, first_kind = self._native.contacts()
         rows = found.astype(np.int64)
-        driven = self._mask("controlled", controlled, False)[rows[:, 1:]].any(axis=1)
+        drives = self._mask("controlled", controlled, False)[rows[:, 1:]]
+        driven = drives.any(axis=1)
         pairs = rows[:, 1:] @ numbers[1:]
         new = ~np.isin(pairs, pairs[rows[:, 0] == 0])
         if log is not None:
             self._check_same(log)
             new &= ~np.isin(rows @ numbers, log._native.contacts()[0] @ numbers)
+        # the first new contact of a pair says who ran into whom
+        first = np.flatnonzero(new)[np.unique(pairs[new], return_index=True)[1]]
+        mine, theirs = (np.where(of, approach_mps, 0.0).max(axis=1) for of in (drives, ~drives))
+        ran_into = (mine > 0.0) & (mine >= theirs)
+        by_driven = new & np.isin(pairs, pairs[first[ran_into[first]]])
         everyone, present = np.arange(self.num_agents), max(self.valid.any(axis=1).sum(), 1)
-        counts = (np.ones(len(rows), dtype=bool), driven, new, driven & new)
+        counts = (np.ones(len(rows), dtype=bool), driven, new, driven & new, by_driven)
         agents = [np.isin(everyone, rows[mask, 1:]) for mask in counts]
         rates = [float(hit.sum() / present) for hit in agents]
         return Collisions(
             contacts=rows,
             controlled=driven,
             new=new,
+            approach_mps=approach_mps,
             first_kind=first_kind,
             agents=dict(zip(VARIANTS, agents, strict=True)),
             agent_rate=dict(zip(VARIANTS, rates, strict=True)),
@@ -253,7 +264,11 @@ class Motion:
         return Displacement(ade=np.where(steps, total / np.maximum(steps, 1), np.nan), fde=last)
 
     def comfort(
-        self, *, axes: Literal["body", "reference_impl"] = "body", stride: int = 5
+        self,
+        *,
+        axes: Literal["body", "reference_impl"] = "body",
+        stride: int = 5,
+        end_bins: bool = False,
     ) -> npt.NDArray[np.float64]:
         """Return histograms [3, 20] of longitudinal and lateral acceleration and jerk of moving
         agents.
@@ -266,9 +281,25 @@ class Motion:
                 of the acceleration by cosine and sine of the heading in the world, as the release
                 does.
             stride: steps between entries; 5 steps of 0.1 s as the release.
+            end_bins: count what lies beyond the bins in the first and the last one; the release
+                drops it.
         """
-        histograms: npt.NDArray[np.float64] = self._native.comfort(axes, stride)
+        histograms: npt.NDArray[np.float64] = self._native.comfort(axes, end_bins, stride)
         return histograms
+
+    def harsh(self, *, counted: npt.ArrayLike | None = None) -> tuple[float, float]:
+        """Return the shares of accelerations outside of -4.05 to 2.40 m/s2 and of jerks beyond 8.37
+        m/s3, nuPlan's limits; NaN where nobody is there for long enough.
+
+        Accelerations along the heading are means of three steps, jerks their differences.
+
+        Args:
+            counted: bool [A], agents asked for; all if absent.
+        """
+        mask = self._mask("counted", counted, True)
+        accelerations, hard, jerks = self._native.harsh_motion()[mask].astype(np.int64).sum(axis=0)
+        known = max(int(accelerations), 1) if accelerations else np.nan
+        return float(hard / known), float(jerks / known)
 
     def min_ttc(self) -> npt.NDArray[np.float32]:
         """Return each agent's least time to contact with any other [A], seconds, capped at 20."""

@@ -36,12 +36,14 @@ class ScenePlan:
     #: Sample that guidance selected for each vehicle, ``[M]``; 0 without guidance.
     selected_sample: npt.NDArray[np.int64]
     #: With guidance ``losses [J, N, M]`` of the objectives, ``realism_cost [M]`` (C(τ), total
-    #: variation in [0, 1]) and ``shift_sigmas [M]`` (the same in standard deviations).
+    #: variation in [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and
+    #: ``moved_m [M]`` (by 2 s, metres; NaN where plans are moved before they are finished).
     guidance: dict[str, npt.NDArray[np.float32]] | None
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
-    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``.
+    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``,
+    ``"finished"``.
 
     docs/method.md says what they mean; every one of them may be changed.
     """

@@ -42,6 +42,17 @@ def named_object(text: str, what: str) -> Any:
     )
 
 
+def object_name(found: Any, what: str) -> str:
+    """Return the ``module:name`` by which an object is imported.
+
+    One that has none, such as a lambda or a function within another, is a :class:`ConfigError`.
+    """
+    text = f"{getattr(found, '__module__', '')}:{getattr(found, '__qualname__', '')}"
+    if "<" in text or named_object(text, what) is not found:
+        raise ConfigError(f"{what} {text}: expected what can be imported, as module:name")
+    return text
+
+
 def named_instance(text: str, what: str) -> Any:
     """Import what a text names; of a class make an object, without other arguments: one that needs
     options which are not given is a :class:`ConfigError`.

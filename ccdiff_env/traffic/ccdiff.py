@@ -59,6 +59,9 @@ class TrafficPlan:
     #: as the realism cost, which is erf(shift / sqrt(8)), but it does not saturate. NaN where it
     #: was not recorded. [M].
     shift_sigmas: npt.NDArray[np.float32]
+    #: How far guidance moved the plan by 2 s, metres; 0 for agents that are not guided, NaN where
+    #: the plan was moved before it was finished. Not kept without guidance. [M].
+    moved_m: npt.NDArray[np.float32] | None
     #: Mean cosine of the gradients of two objectives over guided agents. Not kept unless
     #: ``explain`` is set. [J, J].
     gradient_cosine: npt.NDArray[np.float32] | None

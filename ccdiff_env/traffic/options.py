@@ -343,7 +343,7 @@ GraphMode: TypeAlias = Literal["causal", "full"]
 
 #: How the vehicles to be guided are chosen.
 Ranking: TypeAlias = (
-    Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient"]
+    Literal["cliques", "greedy", "distance_cliques", "ttc", "first", "random", "gradient", "reach"]
     | Mapping[str, tuple[str, ...]]
 )
 

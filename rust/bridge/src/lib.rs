@@ -5,10 +5,12 @@
 //! from one to the other, which would end the process: drivers are handed over [`contained`].
 
 mod contained;
+mod cost;
 pub mod errors;
 mod handed;
 mod networks;
 
 pub use contained::contained;
+pub use cost::call_cost;
 pub use handed::{BoxedDriver, Handed, check_build, driver_capsule, scene_capsule, taken_driver};
 pub use networks::{AskedDriver, PyTrajectoryModel, path_of};

@@ -7,7 +7,7 @@ mod common;
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
     AgentCollision, Approach, Clip, FilterWeights, Guidance, GuidanceConfig, GuidanceContext, GuidanceStep,
-    MapCollision, Objective, OverSpeed, Rollout, WorldGuidance, choose_samples,
+    MapCollision, Objective, OverSpeed, PythonCost, Rollout, Target, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
@@ -113,6 +113,63 @@ fn a_move_stays_within_sigma_and_its_cost_is_the_total_variation_of_the_gaussian
     let same = after.clone();
     guide.adjust(&mut after, GuidanceStep { sigma: 0.0, gain: 1.0, score: None });
     assert_eq!(after, same);
+}
+
+#[test]
+fn a_finished_plan_moves_by_no_more_than_its_bound_and_tells_how_far() {
+    let toy = toy(&NEAR_MISS, ModelConfig::fast());
+    let who = [true, false, false];
+    let of = |bound_m: Option<f32>| {
+        let config = GuidanceConfig { target: Target::Finished, bound_m, ..config(vec![approach(-10.0)]) };
+        let context = toy.context(&WorldGuidance::new(&who), &config);
+        let (start, mut knots) = (toy.roll_knots(&context, &toy.still()), toy.still());
+        let mut guide = Guidance::new(&config, &toy.model, vec![Some(context.clone())], &[3], 1, false);
+        guide.adjust_finished(&mut knots);
+        let report = guide.report(&knots).remove(0).unwrap();
+        let end = toy.roll_knots(&context, &knots);
+        // 2 s are 20 steps of 0.1 s
+        let moved_m = (end.x_m[19] - start.x_m[19]).hypot(end.y_m[19] - start.y_m[19]);
+        assert!((report.moved_m[0] - moved_m).abs() < 1e-4, "{} and {moved_m}", report.moved_m[0]);
+        assert_eq!(report.moved_m[1..], [0.0, 0.0]);
+        (moved_m, report.shift_sigmas[0])
+    };
+    let (free_m, free) = of(None);
+    let (bounded_m, bounded) = of(Some(0.25 * free_m));
+    assert!(bounded_m <= 0.25 * free_m && bounded_m > 0.24 * free_m, "{bounded_m} of {free_m}");
+    assert!(bounded < free && bounded > 0.0);
+    assert_eq!(of(Some(2.0 * free_m)), (free_m, free));
+}
+
+#[test]
+fn who_is_planned_to_stand_is_not_run_into() {
+    let toy = toy(&NEAR_MISS, ModelConfig::fast());
+    let who = [true, false, false];
+    let moved = |least_target_mps: f32| {
+        let config = GuidanceConfig { least_target_mps, ..config(vec![collision(-50.0), approach(-10.0)]) };
+        guided(&toy, &WorldGuidance::new(&who), &config, 2) != toy.still()
+    };
+    let fastest = {
+        let config = config(Vec::new());
+        let context = toy.context(&WorldGuidance::new(&who), &config);
+        let plan = toy.roll_knots(&context, &toy.still());
+        plan.speed_mps.iter().fold(0.0f32, |most, v| most.max(v.abs()))
+    };
+    assert!(moved(0.0) && moved(0.5 * fastest));
+    assert!(!moved(fastest + 1.0));
+}
+
+#[test]
+fn a_loss_in_python_without_python_is_an_error_and_moves_nothing() {
+    let toy = toy(&NEAR_MISS, ModelConfig::fast());
+    let who = [true, false, false];
+    let cost = PythonCost { call: "module:cost".into(), ..PythonCost::default() };
+    let config = config(vec![Objective::Python(cost)]);
+    let context = toy.context(&WorldGuidance::new(&who), &config);
+    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false);
+    let mut knots = toy.still();
+    guide.adjust_finished(&mut knots);
+    assert_eq!(knots, toy.still());
+    assert_eq!(guide.failure(), Some("module:cost: Python is not there"));
 }
 
 #[test]

@@ -10,6 +10,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _models(m: &Bound<'_, PyModule>) -> PyResult<()> {
     ccdiff_bridge::check_build(&m.py().import("ccdiff_env._native")?)?;
+    ccdiff_models::guidance::connect(ccdiff_bridge::call_cost);
     models::register(m)?;
     traffic::register(m)
 }

@@ -62,6 +62,7 @@ mod _native {
 
     #[pymodule_init]
     fn constants(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        ccdiff_nets::guidance::connect(ccdiff_bridge::call_cost);
         let GraphThresholds { ttc_s, distance_m } = GraphThresholds::PAPER;
         module.add("GRAPH_THRESHOLDS", (ttc_s, distance_m))?;
         module.add("EGO_AXLE_TO_CENTRE_M", EGO_AXLE_TO_CENTRE_M)?;

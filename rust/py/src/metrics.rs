@@ -21,7 +21,7 @@ pub(crate) struct NativeMotion {
 }
 
 /// Contacts [N, 3] of step and agents, and the name of the first kind per agent.
-type Contacts<'py> = (Bound<'py, PyArray2<u32>>, Vec<Option<&'static str>>);
+type Contacts<'py> = (Bound<'py, PyArray2<u32>>, Bound<'py, PyArray2<f32>>, Vec<Option<&'static str>>);
 
 /// Flags [A, T] of centre and box.
 type OffRoadFlags<'py> = (Bound<'py, PyArray2<bool>>, Bound<'py, PyArray2<bool>>);
@@ -51,9 +51,12 @@ impl NativeMotion {
 
     fn contacts<'py>(&self, py: Python<'py>) -> PyResult<Contacts<'py>> {
         let (rows, kinds) = py.detach(|| self.motion.contacts());
-        let shape = [rows.len(), 3];
+        let (rows, approach_mps): (Vec<_>, Vec<_>) = rows.into_iter().unzip();
+        let (shape, both) = ([rows.len(), 3], [rows.len(), 2]);
         let rows = PyArray1::from_vec(py, rows.into_iter().flatten().collect()).reshape(shape)?;
-        Ok((rows, kinds.iter().map(|kind| kind.map(|k| k.name())).collect()))
+        let approach_mps = PyArray1::from_vec(py, approach_mps.into_iter().flatten().collect());
+        let kinds = kinds.iter().map(|kind| kind.map(|k| k.name())).collect();
+        Ok((rows, approach_mps.reshape(both)?, kinds))
     }
 
     fn off_road<'py>(
@@ -86,14 +89,21 @@ impl NativeMotion {
         &self,
         py: Python<'py>,
         axes: &str,
+        end_bins: bool,
         stride: usize,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let axes = ComfortAxes::ALL.into_iter().find(|known| known.name() == axes).ok_or_else(|| {
             let text = format!("unknown comfort axes {axes:?}, expected \"body\" or \"reference_impl\"");
             UnknownNameError::new_err(text)
         })?;
-        let rows = self.motion.comfort(axes, stride).map_err(from_sim)?;
+        let rows = self.motion.comfort(axes, end_bins, stride).map_err(from_sim)?;
         PyArray1::from_vec(py, rows.as_flattened().to_vec()).reshape([3, HISTOGRAM_BINS])
+    }
+
+    /// Accelerations, harsh ones, and harsh jerks of every agent, [A, 3].
+    fn harsh_motion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+        let counts = py.detach(|| self.motion.harsh_motion());
+        PyArray1::from_vec(py, counts.as_flattened().to_vec()).reshape([counts.len(), 3])
     }
 
     fn min_ttc(&self, py: Python<'_>) -> Vec<f32> {

@@ -44,7 +44,7 @@ impl Toy {
         guide: &WorldGuidance<'a>,
         config: &GuidanceConfig,
     ) -> GuidanceContext<'a> {
-        let steps = (config.discount, config.seen_steps);
+        let steps = (config.discount, config.seen_steps, config.least_target_mps);
         GuidanceContext::new(guide, &self.window, &self.features, &self.model, steps)
     }
 
@@ -82,8 +82,8 @@ pub(crate) fn evaluate(o: &Objective, s: &GuidanceContext<'_>, plan: &Rollout) -
     let wanted = vec![true; m];
     o.evaluate(
         s,
-        plan,
-        &mut Evaluation { losses: &mut losses, gradient: &mut gradient, wanted: &wanted, scale: 1.0 },
+        &[plan],
+        &mut [Evaluation { losses: &mut losses, gradient: &mut gradient, wanted: &wanted, scale: 1.0 }],
     );
     (losses, gradient)
 }

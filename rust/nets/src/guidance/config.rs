@@ -1,6 +1,6 @@
 //! What guidance seeks and how hard it pulls.
 
-use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed};
+use super::objective::{AgentCollision, Approach, MapCollision, Objective, OverSpeed, PythonCost};
 use crate::error::{ModelError, Result, require};
 use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
@@ -25,6 +25,8 @@ choices! {
         /// The predicted clean plan, from which the step's mean is then formed. Losses see no noise, which suits few
         /// steps.
         X0 = "x0",
+        /// The finished plan, once: nothing denoises the move away. What networks that do not denoise are guided on in any case.
+        Finished = "finished",
     }
 }
 
@@ -47,6 +49,7 @@ pub const TABLES: &[&Table] = &[
     &MapCollision::TABLE,
     &OverSpeed::TABLE,
     &Approach::TABLE,
+    &PythonCost::TABLE,
 ];
 
 options! {
@@ -74,6 +77,10 @@ options! {
         clip_limit: f32 = 1.0, range within(0.0, 1e6).open_below();
         /// What guidance moves.
         target: Target = Target::Mu;
+        /// Greatest distance of a guided finished plan from the plan that it was, after 2 s; `None`: any.
+        bound_m: Option<f32> = None, unit "m", range within(0.0, 1000.0).open_below();
+        /// Contacts do not count at steps at which the target is planned to be slower than this: who stands is not rammed.
+        least_target_mps: f32 = 0.0, unit "m/s", range within(0.0, 100.0);
         /// Leading actions of the plan that may be moved; `None`: all. With knots several steps apart, a knot may be moved
         /// where the first step nearest to it is one of these.
         executed_steps: Option<usize> = None, range within(1.0, 1000.0);
@@ -122,16 +129,17 @@ impl GuidanceConfig {
     /// A preset by name.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for another name than `paper`, `released` and `rl`.
+    /// [`ModelError::Config`] for another name than `paper`, `released`, `rl` and `finished`, which is `rl` on the finished plan.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
             "released" => Ok(Self::released()),
             "rl" => Ok(Self::rl()),
+            "finished" => Ok(Self { target: Target::Finished, ..Self::rl() }),
             _ => Err(ModelError::Config {
                 field: "guidance.preset",
                 got: format!("{name:?}"),
-                expected: "\"paper\", \"released\" or \"rl\"",
+                expected: "\"finished\", \"paper\", \"released\" or \"rl\"",
             }),
         }
     }
@@ -154,7 +162,7 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_survive_json() {
-        for name in ["paper", "released", "rl"] {
+        for name in ["paper", "released", "rl", "finished"] {
             let config = GuidanceConfig::preset(name).unwrap().validated().unwrap();
             let text = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<GuidanceConfig>(&text).unwrap(), config);

@@ -3,6 +3,7 @@
 use crate::config::ModelConfig;
 use crate::inputs::features::{SceneFeatures, Window};
 use ccdiff_sim::geom::{Pose2, Region};
+use std::sync::{Arc, OnceLock};
 
 /// Agents at or below this speed now take no part in collision losses and are not moved by them (as released).
 pub const MOVING_MPS: f32 = 0.5;
@@ -72,16 +73,20 @@ pub struct GuidanceContext<'a> {
     pub speed_limit_mps: Option<f32>,
     /// γ^t over their sum, [T].
     pub step_weights: Vec<f32>,
+    /// Speed below which the target of a guided agent does not count at a step.
+    pub least_target_mps: f32,
+    /// What went wrong first in a loss of the user's own.
+    pub failure: Arc<OnceLock<String>>,
 }
 
 impl<'a> GuidanceContext<'a> {
-    /// The agents of a scene's features; the guidance's discount, and the steps that its losses look at.
+    /// The agents of a scene's features; the guidance's discount, the steps that its losses look at, and the speed of targets.
     pub fn new(
         guide: &WorldGuidance<'a>,
         window: &Window,
         features: &SceneFeatures,
         model: &ModelConfig,
-        (discount, seen_steps): (f32, Option<usize>),
+        (discount, seen_steps, least_target_mps): (f32, Option<usize>, f32),
     ) -> Self {
         let rows = &features.agents;
         Self {
@@ -99,12 +104,29 @@ impl<'a> GuidanceContext<'a> {
             apart: window.apart_of(rows),
             speed_limit_mps: guide.speed_limit_mps,
             step_weights: step_weights(discount, model.horizon_steps, seen_steps),
+            least_target_mps,
+            failure: Arc::default(),
         }
+    }
+
+    /// Keeps what went wrong, unless something did before.
+    pub fn fail(&self, what: String) {
+        self.failure.get_or_init(|| what);
     }
 
     /// Number of agents M.
     pub fn num_agents(&self) -> usize {
         self.poses.len()
+    }
+
+    /// Whether a guided agent has the other one of a pair as a target at a step of plans with speeds [M, T], or nobody asks for
+    /// its speed.
+    pub fn counts(&self, speed_mps: &[f32], (i, j): (usize, usize), t: usize) -> bool {
+        let is_aimed_at = |by: usize, target: usize| {
+            let target_mps = speed_mps[target * self.num_steps + t].abs();
+            self.guided[by] && self.partner[target] && target_mps >= self.least_target_mps
+        };
+        self.least_target_mps <= 0.0 || is_aimed_at(i, j) || is_aimed_at(j, i)
     }
 
     /// Whether two agents are on different levels.

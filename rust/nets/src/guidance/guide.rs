@@ -1,6 +1,6 @@
 //! Moving the plans of a batch down the guidance loss, in every denoising step.
 
-use super::config::{Clip, GuidanceConfig};
+use super::config::{Clip, GuidanceConfig, Target};
 use super::context::GuidanceContext;
 use super::descent::Descent;
 use super::knots::KnotMap;
@@ -8,7 +8,13 @@ use super::objective::{Evaluation, Objective};
 use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
 use super::rollout::{Rollout, StateGradient};
 use crate::config::ModelConfig;
+use ccdiff_sim::geom::Point2;
 use rayon::prelude::*;
+
+/// Time at which the move of a finished plan is measured and bounded, seconds.
+const MEASURED_S: f32 = 2.0;
+/// Halvings by which a move is brought within its bound.
+const HALVINGS: usize = 12;
 
 /// Jobs (one sample of one world) from which on the pool is used.
 const PARALLEL_JOBS: usize = 4;
@@ -26,6 +32,8 @@ pub struct Guidance<'a> {
     num_samples: usize,
     /// Σ ‖δ‖²/σ² so far, [N · R].
     shift_sq: Vec<f64>,
+    /// How far finished plans were moved by [`MEASURED_S`], metres, [N · R].
+    moved_m: Vec<f32>,
     /// Gradient statistics so far, sample by sample, if asked for.
     sums: Option<Vec<GradientSums>>,
     /// Predicted knots of all rows [R, knots, 2], against which each agent's sample is selected for itself.
@@ -50,6 +58,7 @@ pub struct GuidanceStep<'s> {
 
 /// One sample of one world.
 struct Job<'j, 'a> {
+    world: usize,
     context: &'j GuidanceContext<'a>,
     knots: &'j mut [f32],
     shift_sq: &'j mut [f64],
@@ -99,8 +108,8 @@ impl<'s, 'a> Scratch<'s, 'a> {
 
     /// Adds an objective's losses, and its gradient times a scale.
     fn evaluate(&mut self, of: &Objective, wanted: &[bool], scale: f32) {
-        let (losses, gradient) = (&mut self.losses, &mut self.of_states);
-        of.evaluate(self.context, &self.plan, &mut Evaluation { losses, gradient, wanted, scale });
+        let (losses, gradient) = (self.losses.as_mut_slice(), &mut self.of_states);
+        of.evaluate(self.context, &[&self.plan], &mut [Evaluation { losses, gradient, wanted, scale }]);
     }
 
     fn vjp(&mut self, agent: usize) {
@@ -108,46 +117,34 @@ impl<'s, 'a> Scratch<'s, 'a> {
         self.map.vjp(&self.of_actions, &mut self.of_knots);
     }
 
-    /// Moves the guided rows of one sample.
-    fn adjust(&mut self, mask: &[f32], knots: &mut [f32], shift_sq: &mut [f64], step: GuidanceStep<'_>) {
-        let (config, context, width) = (self.config, self.context, self.map.width());
-        let m = context.num_agents();
-        let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
-        if rows.is_empty() || config.gradient_steps == 0 {
-            return;
-        }
-        let limit = match config.clip {
-            Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
-            Clip::Norm => f64::from(config.clip_limit),
+    /// Place of an agent at [`MEASURED_S`] by its part of the knots.
+    fn place(&mut self, agent: usize, knots: &[f32]) -> Point2 {
+        self.map.actions(knots, &mut self.actions);
+        self.plan.roll(self.context, agent, &self.actions);
+        let step = (MEASURED_S / self.context.dt_s).round().max(1.0) as usize;
+        let at = agent * self.plan.num_steps + step.min(self.plan.num_steps) - 1;
+        Point2::new(self.plan.x_m[at], self.plan.y_m[at])
+    }
+
+    /// Brings the move of a guided agent within the bound; returns the share of it that is left, and its metres.
+    fn bound(&mut self, agent: usize, before: &[f32], knots: &mut [f32]) -> (f32, f32) {
+        let start = self.place(agent, before);
+        let whole = knots.to_vec();
+        let mut moved_m = (self.place(agent, knots) - start).norm();
+        let (mut low, mut high) = (0.0, 1.0);
+        let Some(bound_m) = self.config.bound_m.filter(|bound_m| moved_m > *bound_m) else {
+            return (high, moved_m);
         };
-        let before = knots.to_vec();
-        let part = |a: usize| a * width..(a + 1) * width;
-        let mut descents: Vec<Descent<'_>> =
-            rows.iter().map(|a| Descent::new(config, &before[part(*a)], limit as f32)).collect();
-        self.roll_all(knots);
-        for turn in 0..config.gradient_steps {
-            if turn > 0 {
-                rows.iter().for_each(|a| self.roll(*a, knots));
-            }
-            self.of_states.clear();
-            for objective in &config.objectives {
-                self.evaluate(objective, &context.guided, objective.weight() / m as f32);
-            }
-            for (a, descent) in rows.iter().zip(&mut descents) {
-                self.vjp(*a);
-                self.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
-                descent.step(&self.of_knots, &mut knots[part(*a)]);
-            }
+        for _ in 0..HALVINGS {
+            let share = 0.5 * (low + high);
+            let of = knots.iter_mut().zip(&whole).zip(before);
+            of.for_each(|((x, whole), start)| *x = start + share * (whole - start));
+            moved_m = (self.place(agent, knots) - start).norm();
+            (low, high) = if moved_m > bound_m { (low, share) } else { (share, high) };
         }
-        for a in rows {
-            if context.guidance_scale != 1.0 {
-                let moved = knots[part(a)].iter_mut().zip(&before[part(a)]);
-                moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
-            }
-            let moved = knots[part(a)].iter().zip(&before[part(a)]);
-            let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
-            shift_sq[a] += squared * (step.gain / step.sigma).powi(2);
-        }
+        let of = knots.iter_mut().zip(&whole).zip(before);
+        of.for_each(|((x, whole), start)| *x = start + low * (whole - start));
+        (low, (self.place(agent, knots) - start).norm())
     }
 
     /// Weighted gradients of the objectives, [J][M, knots, 2].
@@ -165,6 +162,69 @@ impl<'s, 'a> Scratch<'s, 'a> {
             (0..m).flat_map(of_agent).collect()
         };
         config.objectives.iter().map(&mut of).collect()
+    }
+}
+
+/// A sample of a world, its plans and what it cost to move them.
+type Part<'p, 's, 'a> = (Scratch<'s, 'a>, &'p mut [f32], &'p mut [f64]);
+
+/// Moves the guided rows of samples of one world, side by side: a loss of the user's own is asked once for all of them.
+fn adjust(parts: &mut [Part<'_, '_, '_>], mask: &[f32], step: GuidanceStep<'_>) {
+    let Some((Scratch { config, context, map, .. }, ..)) = parts.first() else { return };
+    let (config, context, width) = (*config, *context, map.width());
+    let m = context.num_agents();
+    let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
+    if rows.is_empty() || config.gradient_steps == 0 {
+        return;
+    }
+    let limit = match config.clip {
+        Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
+        Clip::Norm => f64::from(config.clip_limit),
+    };
+    let part = |a: usize| a * width..(a + 1) * width;
+    let before: Vec<Vec<f32>> = parts.iter().map(|(_, knots, _)| knots.to_vec()).collect();
+    let start = |knots: &Vec<f32>| -> Vec<Descent<'_>> {
+        rows.iter().map(|a| Descent::new(config, &knots[part(*a)], limit as f32)).collect()
+    };
+    let mut descents: Vec<_> = before.iter().map(start).collect();
+    for (scratch, knots, _) in &mut *parts {
+        scratch.roll_all(knots);
+    }
+    for turn in 0..config.gradient_steps {
+        for (scratch, knots, _) in &mut *parts {
+            if turn > 0 {
+                rows.iter().for_each(|a| scratch.roll(*a, knots));
+            }
+            scratch.of_states.clear();
+        }
+        for objective in &config.objectives {
+            let scale = objective.weight() / m as f32;
+            let (plans, mut out): (Vec<_>, Vec<_>) = parts
+                .iter_mut()
+                .map(|(Scratch { plan, losses, of_states: gradient, .. }, ..)| {
+                    (&*plan, Evaluation { losses, gradient, wanted: &context.guided, scale })
+                })
+                .unzip();
+            objective.evaluate(context, &plans, &mut out);
+        }
+        for ((scratch, knots, _), descents) in parts.iter_mut().zip(&mut descents) {
+            for (a, descent) in rows.iter().zip(descents) {
+                scratch.vjp(*a);
+                scratch.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
+                descent.step(&scratch.of_knots, &mut knots[part(*a)]);
+            }
+        }
+    }
+    for ((_, knots, shift_sq), before) in parts.iter_mut().zip(&before) {
+        for a in &rows {
+            if context.guidance_scale != 1.0 {
+                let moved = knots[part(*a)].iter_mut().zip(&before[part(*a)]);
+                moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
+            }
+            let moved = knots[part(*a)].iter().zip(&before[part(*a)]);
+            let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
+            shift_sq[*a] += squared * (step.gain / step.sigma).powi(2);
+        }
     }
 }
 
@@ -193,6 +253,7 @@ impl<'a> Guidance<'a> {
             sizes: sizes.to_vec(),
             num_samples,
             shift_sq: vec![0.0; num_samples * rows],
+            moved_m: vec![0.0; num_samples * rows],
             sums,
             predicted: None,
             draws: None,
@@ -212,6 +273,11 @@ impl<'a> Guidance<'a> {
                 || (self.config.gradient_steps > 0 && self.worlds.iter().flatten().any(guides)))
     }
 
+    /// What went wrong in a loss of the user's own.
+    pub fn failure(&self) -> Option<&str> {
+        self.worlds.iter().flatten().find_map(|world| world.failure.get()).map(String::as_str)
+    }
+
     /// Whether the gradient statistics were asked for.
     pub fn wants_score(&self) -> bool {
         self.sums.is_some()
@@ -220,6 +286,15 @@ impl<'a> Guidance<'a> {
     /// Moves normalised knots [N · R, knots, 2] (sample by sample), each world and sample for itself. Rows that are not
     /// guided and knots that are not executed keep their bits.
     pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) {
+        self.visit(knots, step, true);
+    }
+
+    /// Looks at a denoising step without moving it: for the gradient statistics.
+    pub fn watch(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) {
+        self.visit(knots, step, false);
+    }
+
+    fn visit(&mut self, knots: &mut [f32], step: GuidanceStep<'_>, moves: bool) {
         let width = self.knots.width();
         if !(step.sigma > 0.0 && step.gain > 0.0) {
             return;
@@ -228,25 +303,42 @@ impl<'a> Guidance<'a> {
         let (mut knots, mut shifts, mut at) = (knots, self.shift_sq.as_mut_slice(), 0);
         let mut sums = self.sums.as_mut().map(|s| s.iter_mut());
         for _ in 0..self.num_samples {
-            for (context, size) in self.worlds.iter().zip(&self.sizes) {
+            for (world, (context, size)) in self.worlds.iter().zip(&self.sizes).enumerate() {
                 let (part, rest) = knots.split_at_mut(size * width);
                 let (shift_sq, other) = shifts.split_at_mut(*size);
                 let score = step.score.map(|s| &s[at * width..(at + size) * width]);
                 let sums = sums.as_mut().and_then(Iterator::next);
                 (knots, shifts, at) = (rest, other, at + size);
                 if let Some(context) = context {
-                    jobs.push(Job { context, knots: part, shift_sq, watch: sums.zip(score) });
+                    jobs.push(Job { world, context, knots: part, shift_sq, watch: sums.zip(score) });
                 }
             }
         }
         let (config, map, mask) = (self.config, &self.knots, self.mask.as_slice());
-        let run = |job: Job<'_, '_>| {
-            let mut scratch = Scratch::new(config, map, job.context);
-            if let Some((sums, score)) = job.watch {
-                sums.add(&scratch.gradients(job.knots), score, width);
+        let run = |jobs: Vec<Job<'_, '_>>| {
+            let mut parts = Vec::with_capacity(jobs.len());
+            for job in jobs {
+                let mut scratch = Scratch::new(config, map, job.context);
+                if let Some((sums, score)) = job.watch {
+                    sums.add(&scratch.gradients(job.knots), score, width);
+                }
+                parts.push((scratch, job.knots, job.shift_sq));
             }
-            scratch.adjust(mask, job.knots, job.shift_sq, step);
+            if moves {
+                adjust(&mut parts, mask, step);
+            }
         };
+        // of samples that are asked about together, the worlds' jobs follow on each other
+        let together = config.objectives.iter().any(|o| matches!(o, Objective::Python(_)));
+        if together {
+            jobs.sort_by_key(|job| job.world);
+        }
+        let size = if together { self.num_samples } else { 1 };
+        let mut left = jobs.into_iter();
+        let jobs: Vec<Vec<Job<'_, '_>>> = std::iter::from_fn(|| {
+            Some(left.by_ref().take(size).collect::<Vec<_>>()).filter(|j| !j.is_empty())
+        })
+        .collect();
         if jobs.len() < PARALLEL_JOBS {
             jobs.into_iter().for_each(run);
         } else {
@@ -257,7 +349,28 @@ impl<'a> Guidance<'a> {
     /// Moves the knots of finished plans, all steps at once.
     pub fn adjust_finished(&mut self, knots: &mut [f32]) {
         if self.is_active() {
+            let before = knots.to_vec();
             self.adjust(knots, GuidanceStep { sigma: 1.0, gain: 1.0, score: None });
+            self.bound(&before, knots);
+        }
+    }
+
+    /// Brings the moves of finished plans, which were `before`, within the bound, and measures them.
+    pub fn bound(&mut self, before: &[f32], knots: &mut [f32]) {
+        let (width, rows) = (self.knots.width(), self.sizes.iter().sum::<usize>());
+        let offsets = crate::inputs::features::row_offsets(&self.sizes);
+        for ((context, size), offset) in self.worlds.iter().zip(&self.sizes).zip(offsets) {
+            let Some(context) = context else { continue };
+            let mut scratch = Scratch::new(self.config, &self.knots, context);
+            for sample in 0..self.num_samples {
+                for agent in (0..*size).filter(|a| context.guided[*a]) {
+                    let row = sample * rows + offset + agent;
+                    let part = row * width..(row + 1) * width;
+                    let (share, moved_m) = scratch.bound(agent, &before[part.clone()], &mut knots[part]);
+                    self.shift_sq[row] *= f64::from(share).powi(2);
+                    self.moved_m[row] = moved_m;
+                }
+            }
         }
     }
 
@@ -362,6 +475,10 @@ impl<'a> Guidance<'a> {
                 choose_samples(self.config, &losses, n, m)
             };
             let shift = |a: usize| self.shift_sq[selected_sample[a] * rows + offsets[world] + a].sqrt();
+            let moved = |a: usize| match self.config.target {
+                Target::Mu | Target::X0 if context.guided[a] => f32::NAN,
+                _ => self.moved_m[selected_sample[a] * rows + offsets[world] + a],
+            };
             let sums = self
                 .sums
                 .as_ref()
@@ -369,6 +486,7 @@ impl<'a> Guidance<'a> {
             Some(GuidanceReport {
                 realism_cost: (0..m).map(|a| total_variation(shift(a)) as f32).collect(),
                 shift_sigmas: (0..m).map(|a| shift(a) as f32).collect(),
+                moved_m: (0..m).map(moved).collect(),
                 conflict: sums.and_then(|s| GradientSums::statistics(&s)),
                 losses,
                 selected_sample,

@@ -26,6 +26,9 @@ pub use config::{Clip, FilterWeights, GuidanceConfig, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, GuidanceStep, Guide};
 pub use knots::KnotMap;
-pub use objective::{AgentCollision, Approach, Evaluation, MapCollision, Objective, OverSpeed};
+pub use objective::{
+    AgentCollision, Approach, Called, Caller, Evaluation, MapCollision, Objective, OverSpeed, PythonCost,
+    connect,
+};
 pub use report::{GradientStatistics, GuidanceReport, choose_samples};
 pub use rollout::{Rollout, StateGradient};

@@ -17,6 +17,9 @@ pub struct GuidanceReport {
     /// √(Σ ‖δ‖²/σ²) of each agent's selected sample, [M]: the same in standard deviations, which does not saturate.
     /// NaN likewise.
     pub shift_sigmas: Vec<f32>,
+    /// How far guidance moved each agent's selected plan by 2 s, metres, [M]; NaN for guided agents whose plans it moved
+    /// before they were finished, since those have no plan without it.
+    pub moved_m: Vec<f32>,
     /// Gradient statistics, if asked for.
     pub conflict: Option<GradientStatistics>,
 }

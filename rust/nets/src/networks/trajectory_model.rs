@@ -4,7 +4,7 @@ pub use crate::networks::planner::{Drawn, PlanOptions, PlanSampler};
 
 use crate::compute::weights::File;
 use crate::config::ModelConfig;
-use crate::error::{Result, require};
+use crate::error::{ModelError, Result, require};
 use crate::guidance::{Guidance, GuidanceContext, GuidanceReport, WorldGuidance};
 use crate::inputs::features::{SceneFeatures, Window, row_offsets};
 use crate::inputs::segments::MapLines;
@@ -58,7 +58,8 @@ impl Plan {
         let slots = self.attention.as_ref()?;
         let mut matrix = vec![0.0; m * m];
         for (at, weight) in slots.iter().enumerate().filter(|(at, _)| self.features.is_edge[*at]) {
-            matrix[at / k * m + self.features.neighbours[at]] = *weight;
+            let (row, of) = (at / k, self.features.neighbours[at]);
+            matrix[row * m + of] = if self.features.graph.contains(row, of) { *weight } else { 0.0 };
         }
         Some(matrix)
     }
@@ -178,6 +179,10 @@ impl TrajectoryModel {
             Some(guide) => guide.report(&drawn.knots),
             None => vec![None; worlds.len()],
         };
+        if let Some(failure) = guide.as_ref().and_then(Guidance::failure) {
+            let (got, expected) = (failure.to_string(), "losses and a gradient");
+            return Err(ModelError::Config { field: "guidance.objectives.call", got, expected });
+        }
         if !self.network.denoises {
             for report in reports.iter_mut().flatten() {
                 report.realism_cost.fill(f32::NAN);
@@ -218,7 +223,7 @@ fn guide_of<'a>(
     sizes: &[usize],
 ) -> Option<Guidance<'a>> {
     let config = options.guidance.as_ref().filter(|_| worlds.iter().any(|w| w.guide.is_some()))?;
-    let steps = (config.discount, config.seen_steps);
+    let steps = (config.discount, config.seen_steps, config.least_target_mps);
     let context = |(world, features): (&PlanInput<'a>, &SceneFeatures)| {
         world.guide.map(|g| GuidanceContext::new(&g, world.window, features, model, steps))
     };

@@ -99,8 +99,8 @@ fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
     x.iter().zip(y).map(|(x, y)| x * a + y * b).collect()
 }
 
-/// Draws clean normalised knots [N · R, knots, 2], sample by sample; `guide` moves plans in every step but the last, whose
-/// standard deviation is zero (as released, reference.md#sampling), or in the only one. `predict` makes clean plans of noisy ones at a
+/// Draws clean normalised knots [N · R, knots, 2], sample by sample; `guide` moves the finished ones, or plans in every step but
+/// the last, whose standard deviation is zero (as released, reference.md#sampling). `predict` makes clean plans of noisy ones at a
 /// diffusion step, with G = identity if it is told so.
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
@@ -143,12 +143,15 @@ pub fn sample(
             for (i, &k) in ks.iter().enumerate() {
                 let mut step = schedule.ddim(k, ks.get(i + 1).copied());
                 if steps == 1 {
-                    // the plan of a single step is guided against the spread of the noise that it is made of
+                    // the gradient of a single step is compared against the spread of the noise that its plan is made of
                     step.sigma = 1.0;
                 }
                 x = mean(&x, k, &step);
             }
         }
+    }
+    if let Some(guide) = guide.filter(|g| g.config().target == Target::Finished) {
+        guide.adjust_finished(&mut x);
     }
     x
 }
@@ -174,6 +177,12 @@ fn guided_mean(
         }
         Target::X0 => {
             guide.adjust(&mut x0, moved(step.from_x0));
+            joined(&x0, step.from_x0, x, step.from_xk)
+        }
+        Target::Finished => {
+            if score.is_some() {
+                guide.watch(&mut x0, moved(step.from_x0));
+            }
             joined(&x0, step.from_x0, x, step.from_xk)
         }
     }

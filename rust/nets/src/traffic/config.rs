@@ -2,7 +2,7 @@
 
 use crate::config::ModelConfig;
 use crate::error::{Result, require};
-use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
+use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective, Target};
 use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
 use crate::networks::planner::PlanOptions;
@@ -52,6 +52,8 @@ choices! {
         Random = "random",
         /// Alignment of the gradients of realism and guidance (the paper's ideal definition).
         Gradient = "gradient",
+        /// How near a vehicle comes to `collision_targets` that go on as they do, mean over manoeuvres that it can make (ours).
+        Reach = "reach",
         /// Agent ids by scene name, most important first; scenes without a list are filled by nearness.
         List(BTreeMap<String, Vec<String>>) = "list",
     }
@@ -242,15 +244,23 @@ impl CcdiffConfig {
 
     /// Share of each move, or of the draws of tokens, that a criticality makes.
     ///
-    /// Differs from the paper: a single step moves its finished plan, with nothing denoised after it, and makes [`ONE_STEP_SHARE`]
-    /// of its moves.
+    /// Differs from the paper: finished plans are moved with nothing denoised after it, and make [`ONE_STEP_SHARE`] of their moves.
     pub(crate) fn guidance_scale(&self, tokens: bool, criticality: Real) -> Real {
         if tokens {
             return criticality * criticality / (GUIDED_DRAWS - 1) as Real;
         }
-        let one_step = if self.denoising_steps == Some(1) { ONE_STEP_SHARE } else { 1.0 };
+        let guidance = self.guidance_config();
+        let at_once = self.denoising_steps == Some(1) || guidance.is_ok_and(|g| g.target == Target::Finished);
+        let one_step = if at_once { ONE_STEP_SHARE } else { 1.0 };
         let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
         criticality * one_step * routes
+    }
+
+    fn guidance_config(&self) -> Result<GuidanceConfig> {
+        match &self.guidance {
+            GuidanceChoice::Preset(name) => GuidanceConfig::preset(name),
+            GuidanceChoice::Settings(settings) => Ok((**settings).clone()),
+        }
     }
 
     /// How the plans of worlds with guidance are drawn. Those of tokens are the best of as many draws as the criticality asks for.
@@ -258,17 +268,13 @@ impl CcdiffConfig {
     /// # Errors
     /// [`crate::ModelError::Config`] for an unknown preset or settings of another form.
     pub fn guided(&self, network: &NetworkKind) -> Result<PlanOptions> {
-        let guidance = match &self.guidance {
-            GuidanceChoice::Preset(name) => GuidanceConfig::preset(name)?,
-            GuidanceChoice::Settings(settings) => (**settings).clone(),
-        };
         Ok(PlanOptions {
             sampling: if network.samples_tokens {
                 self.sampling(self.num_samples.max(1 + self.criticality.max(2.0).powi(2).ceil() as usize))
             } else {
                 self.sampling(self.num_samples)
             },
-            guidance: Some(guidance),
+            guidance: Some(self.guidance_config()?),
             attention: self.explain,
             gradient_statistics: self.explain,
         })
@@ -319,7 +325,7 @@ impl CcdiffConfig {
             Ranking::Greedy => Ranker::Greedy,
             Ranking::First => Ranker::FirstK,
             Ranking::Random => Ranker::Random { seed },
-            Ranking::Ttc | Ranking::Gradient => Ranker::Scores,
+            Ranking::Ttc | Ranking::Gradient | Ranking::Reach => Ranker::Scores,
             Ranking::List(lists) => {
                 let listed = lists.get(scene).into_iter().flatten();
                 Ranker::Listed(listed.filter_map(|id| ids.iter().position(|i| i == id)).collect())

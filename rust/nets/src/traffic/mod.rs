@@ -12,6 +12,7 @@ pub(crate) mod config;
 mod memory;
 mod planned_agents;
 mod planning;
+mod reach;
 pub mod swift;
 mod way_out;
 

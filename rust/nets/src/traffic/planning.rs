@@ -2,6 +2,7 @@
 
 use super::config::{BackgroundDriver, CollisionTargets, Ranking};
 use super::planned_agents::{self, PlannedAgents, RankingInputs, select_guided};
+use super::reach;
 use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic, side_by_side};
 use crate::error::Result;
@@ -157,6 +158,9 @@ impl PlannedTraffic {
             if ranks && config.ranking == Ranking::Ttc {
                 inputs.scores = Some(d.planned.contact_scores(&d.collision_targets));
             }
+            if ranks && config.ranking == Ranking::Reach {
+                inputs.scores = Some(reach::scores(&d.planned.window, &d.collision_targets));
+            }
             d.ranking = if ranks {
                 d.planned.ranking(&d.request.world, config, &inputs)?
             } else {
@@ -292,6 +296,7 @@ impl PlannedTraffic {
             losses: report.map(|r| r.losses.clone()).unwrap_or_default(),
             realism_cost: cost(|r| &r.realism_cost),
             shift_sigmas: cost(|r| &r.shift_sigmas),
+            moved_m: report.map(|r| r.moved_m.clone()).unwrap_or_default(),
             gradient_cosine: kept(|g| &g.objective_cosine),
             realism_cosine: kept(|g| &g.cosine),
             conflict_share: kept(|g| &g.conflict_share),

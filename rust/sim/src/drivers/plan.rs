@@ -204,6 +204,9 @@ plan_record! { $
     /// Move of the guidance over all denoising steps in standard deviations of the process: the same as the realism
     /// cost, which is erf(shift / sqrt(8)), but it does not saturate. NaN where it was not recorded.
     shift_sigmas: Vec<Real>, [Agents];
+    /// How far guidance moved the plan by 2 s, metres; 0 for agents that are not guided, NaN where the plan was moved before it
+    /// was finished. Not kept without guidance.
+    moved_m: Vec<Real>, [Agents], optional;
     /// Mean cosine of the gradients of two objectives over guided agents. Not kept unless `explain` is set.
     gradient_cosine: Vec<Real>, [Objectives, Objectives], optional;
     /// Mean cosine of the gradients of realism and guidance; 0 for an agent without a gradient. Not kept without

@@ -100,12 +100,12 @@ impl Trajectories {
         self.states.len()
     }
 
-    /// All contacts: step and the two agents, the smaller index first, in this order; and the side on which every agent is
-    /// hit at its first contact.
+    /// All contacts: step and the two agents, the smaller index first, in this order; the speed of each of the two towards the
+    /// other along the direction in which they overlap least, m/s; and the side on which every agent is hit at its first contact.
     ///
     /// # Reference
     /// reference.md#collisions.
-    pub fn contacts(&self) -> (Vec<[u32; 3]>, Vec<Option<ContactKind>>) {
+    pub fn contacts(&self) -> (Vec<([u32; 3], [Real; 2])>, Vec<Option<ContactKind>>) {
         let kinds = vec![AgentKind::Vehicle; self.num_agents()];
         let mut found = Collisions::new();
         let (mut contacts, mut first_kind) = (Vec::new(), vec![None; self.num_agents()]);
@@ -116,10 +116,14 @@ impl Trajectories {
                     let kind = || Contact::between(states, &self.footprints, agent, partner, || false).kind;
                     first_kind[agent].get_or_insert_with(kind);
                 }
-                contacts.push([step_idx as u32, a.min(b), a.max(b)]);
+                let (one, other) = (a.min(b) as usize, a.max(b) as usize);
+                let body = |agent: usize| states.oriented_box(agent, &self.footprints[agent]);
+                let normal = body(one).contact_normal(&body(other));
+                let approach_mps = [states.velocity(one).dot(&normal), -states.velocity(other).dot(&normal)];
+                contacts.push(([step_idx as u32, one as u32, other as u32], approach_mps));
             }
         }
-        contacts.sort_unstable();
+        contacts.sort_unstable_by_key(|(row, _)| *row);
         (contacts, first_kind)
     }
 

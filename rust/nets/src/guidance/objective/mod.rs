@@ -6,11 +6,13 @@ mod approach;
 mod disks;
 mod map_collision;
 mod over_speed;
+mod python;
 
 pub use agent_collision::AgentCollision;
 pub use approach::Approach;
 pub use map_collision::MapCollision;
 pub use over_speed::OverSpeed;
+pub use python::{Called, Caller, PythonCost, connect};
 
 use super::context::GuidanceContext;
 use super::rollout::{Rollout, StateGradient};
@@ -19,7 +21,7 @@ use ccdiff_sim::choices;
 choices! {
     /// One term of the guidance loss. Its signed weight w enters total = Σ w · mean loss, which is minimised: a negative
     /// weight on a collision loss seeks collisions.
-    #[derive(Clone, Copy)]
+    #[derive(Clone)]
     #[serde(tag = "kind")]
     pub enum Objective {
         /// Overlap of the vehicles' disks.
@@ -30,6 +32,8 @@ choices! {
         OverSpeed(OverSpeed) = "over_speed",
         /// Closeness of vehicles, with a gradient before contact (ours).
         Approach(Approach) = "approach",
+        /// A loss of one's own.
+        Python(PythonCost) = "python",
     }
 }
 
@@ -41,12 +45,13 @@ impl Objective {
             Self::MapCollision(o) => o.weight,
             Self::OverSpeed(o) => o.weight,
             Self::Approach(o) => o.weight,
+            Self::Python(o) => o.weight,
         }
     }
 
     /// Whether the loss of an agent depends on where the others go.
     pub fn is_joint(&self) -> bool {
-        matches!(self, Self::AgentCollision(_) | Self::Approach(_))
+        matches!(self, Self::AgentCollision(_) | Self::Approach(_) | Self::Python(_))
     }
 }
 
@@ -64,13 +69,19 @@ pub struct Evaluation<'e> {
 }
 
 impl Objective {
-    /// Adds losses and gradients of all agents of a world.
-    pub fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        match self {
-            Self::AgentCollision(o) => o.evaluate(context, plan, out),
-            Self::MapCollision(o) => o.evaluate(context, plan, out),
-            Self::OverSpeed(o) => o.evaluate(context, plan, out),
-            Self::Approach(o) => o.evaluate(context, plan, out),
+    /// Adds losses and gradients of all agents of a world, in each of its samples.
+    pub fn evaluate(&self, context: &GuidanceContext<'_>, plans: &[&Rollout], out: &mut [Evaluation<'_>]) {
+        if let Self::Python(o) = self {
+            return o.evaluate(context, plans, out);
+        }
+        for (plan, out) in plans.iter().zip(out) {
+            match self {
+                Self::AgentCollision(o) => o.evaluate(context, plan, out),
+                Self::MapCollision(o) => o.evaluate(context, plan, out),
+                Self::OverSpeed(o) => o.evaluate(context, plan, out),
+                Self::Approach(o) => o.evaluate(context, plan, out),
+                Self::Python(_) => {}
+            }
         }
     }
 }

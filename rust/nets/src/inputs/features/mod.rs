@@ -45,17 +45,19 @@ pub fn build(window: &Window, map: Option<&MapLines>, config: &ModelConfig) -> R
     let history = histories(window, &agents, &poses);
     let ttc_now = ttc_at(window, &agents, now);
     let distance_m = distance_at(window, &agents, now);
-    let (graph, order) = match config.neighbour_order {
+    let graph_of = |times_s: &[f32]| graph_of_edges(times_s, &distance_m, agents.len(), config);
+    let (graph, (num_slots, neighbours, is_edge)) = match config.neighbour_order {
         NeighbourOrder::Urgency => {
-            let edge_time_s = urgency(window, &agents, now, &ttc_now, config);
-            (graph_of_edges(&edge_time_s, &distance_m, agents.len(), config)?, edge_time_s)
+            let [seen_s, told_s] =
+                [true, false].map(|oncoming| urgency(window, &agents, now, &ttc_now, config, oncoming));
+            (graph_of(&told_s)?, slots(&graph_of(&seen_s)?, &seen_s, config.max_neighbours))
         }
         NeighbourOrder::Distance => {
-            let at_once = vec![0.0; distance_m.len()];
-            (graph_of_edges(&at_once, &distance_m, agents.len(), config)?, distance_m)
+            let graph = graph_of(&vec![0.0; distance_m.len()])?;
+            let slots = slots(&graph, &distance_m, config.max_neighbours);
+            (graph, slots)
         }
     };
-    let (num_slots, neighbours, is_edge) = slots(&graph, &order, config.max_neighbours);
     let token_steps = config.history_token_steps();
     let mut edges = vec![0.0; agents.len() * num_slots * token_steps.len() * EDGE_FEATURES];
     for (token, step) in token_steps.iter().enumerate() {
@@ -145,16 +147,24 @@ fn graph_of_edges(
 ///
 /// Differs from the paper: with [`ModelConfig::headway_threshold_s`] above 0, i is also joined with j where j is ahead
 /// in its corridor and i needs at most so long to where j's rear is now. By time to contact alone a car that follows at
-/// equal speed does not see its leader.
-fn urgency(window: &Window, agents: &[usize], step: usize, ttc_s: &[f32], config: &ModelConfig) -> Vec<f32> {
+/// equal speed does not see its leader. With `oncoming`, as the networks were trained, those that come towards i count as
+/// well, whose time to contact says whether they ever touch it.
+fn urgency(
+    window: &Window,
+    agents: &[usize],
+    step: usize,
+    ttc_s: &[f32],
+    config: &ModelConfig,
+    oncoming: bool,
+) -> Vec<f32> {
     let (m, limit_s) = (agents.len(), config.headway_threshold_s);
     let mut edge_time_s = ttc_s.to_vec();
     if limit_s <= 0.0 {
         return edge_time_s;
     }
     for (i, j) in (0..m * m).map(|k| (k / m, k % m)).filter(|(i, j)| i != j) {
-        let headway_s = headway_s(window, (agents[i], agents[j]), step);
-        if headway_s <= limit_s {
+        let (headway_s, cos) = headway_s(window, (agents[i], agents[j]), step);
+        if headway_s <= limit_s && (oncoming || cos > 0.0) {
             let entry = &mut edge_time_s[i * m + j];
             *entry = entry.min(headway_s * (config.ttc_threshold_s / limit_s).min(1.0));
         }
@@ -163,8 +173,8 @@ fn urgency(window: &Window, agents: &[usize], step: usize, ttc_s: &[f32], config
 }
 
 /// Time i needs to where the rear of j is now, seconds; infinite where j is not ahead in i's corridor, which is i's
-/// width and [`CORRIDOR_MARGIN_M`] on either side, straight on.
-fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> f32 {
+/// width and [`CORRIDOR_MARGIN_M`] on either side, straight on; and the cosine of j's heading in i's.
+fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> (f32, f32) {
     let (pose_i, pose_j) = (window.pose(i, step), window.pose(j, step));
     let offset = pose_i.to_local(pose_j.position);
     let heading = pose_i.rotate_inverse(Vector2::new(pose_j.cos, pose_j.sin));
@@ -172,10 +182,10 @@ fn headway_s(window: &Window, (i, j): (usize, usize), step: usize) -> f32 {
     let half_length = 0.5 * (window.length_m[i] + cos * window.length_m[j] + sin * window.width_m[j]);
     let half_width = 0.5 * (window.width_m[i] + sin * window.length_m[j] + cos * window.width_m[j]);
     if offset.x <= 0.0 || offset.y.abs() > half_width + CORRIDOR_MARGIN_M || window.is_apart(i, j) {
-        return f32::INFINITY;
+        return (f32::INFINITY, heading.x);
     }
     let speed = window.speed_mps[i * window.num_steps + step];
-    (offset.x - half_length).max(0.0) / speed.max(HEADWAY_SPEED_MPS)
+    ((offset.x - half_length).max(0.0) / speed.max(HEADWAY_SPEED_MPS), heading.x)
 }
 
 /// Slot table of a graph: itself, then the joined agents in rising `order` [M, M].

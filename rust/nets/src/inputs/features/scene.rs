@@ -19,7 +19,8 @@ pub struct SceneFeatures {
     pub num_slots: usize,
     /// Agent (0..M) in each slot, [M, K]; unused slots hold the agent itself.
     pub neighbours: Vec<usize>,
-    /// Whether a slot is an edge of the decision causal graph G to another agent, [M, K]; false for slot 0.
+    /// Whether a slot is an edge to another agent, [M, K]; false for slot 0. Edges are those of G, and those to oncoming agents in
+    /// one's corridor, with which the networks were trained.
     pub is_edge: Vec<bool>,
     /// Edges at the history tokens' steps, [M, K, tokens, 9], see [`super::EDGE_FEATURES`].
     pub edges: Vec<f32>,

@@ -36,6 +36,22 @@ fn a_follower_sees_its_leader_by_headway_alone() {
 }
 
 #[test]
+fn the_graph_leaves_out_who_passes_by_in_the_next_lane() {
+    let config = ModelConfig { map: None, ..ModelConfig::fast() };
+    let of = |other: [f32; 4]| {
+        let cars = [[0.0, 0.0, 0.0, 10.0], other];
+        let features = build(&window(&cars, &config), None, &config).unwrap();
+        (features.graph.contains(0, 1), features.is_edge.contains(&true))
+    };
+    let turned_rad = std::f32::consts::PI;
+    // bodies miss each other by half a metre: no contact, though the networks were trained with the edge
+    assert_eq!(of([25.0, 2.5, turned_rad, 10.0]), (false, true));
+    assert_eq!(of([25.0, 2.5, 0.0, 10.0]), (true, true));
+    // head on, in 1.05 s
+    assert_eq!(of([25.0, 1.5, turned_rad, 10.0]), (true, true));
+}
+
+#[test]
 fn by_distance_the_eight_nearest_take_the_slots_and_nobody_beyond_fifty_metres() {
     // rivals.md#ctg: eleven in a row, in any order
     let config = ModelConfig { map: None, ..ModelConfig::of("ctgpp", "fast").unwrap() };

@@ -196,7 +196,11 @@ impl<B: Pulls> Proposes<B> for Cvae<B> {
                     |(z, g): (&[f32], &[f32])| B::pulled(&self.decoder, &self.back, &seen, &placed(z), g);
                 samples.zip(of_knots).flat_map(of).collect()
             };
+            let before = decode(&z);
             z = descended(&z, latent, likely, guide, decode, pulled);
+            let mut knots = decode(&z);
+            guide.bound(&before, &mut knots);
+            return Ok((knots, None));
         }
         Ok((decode(&z), None))
     }
