@@ -75,8 +75,9 @@ def test_at_equal_scr_figures_lie_between_two_criticalities():
             rows = episodes(hits, np.full(40, slope * strength))
             played[Condition(f"{method}-{strength:g}", "5", 0.5)] = rows
     found = at_equal_scr(played, [0.125, 0.4, 0.9])
-    fde = [column.name for column in found.columns].index("fde")
-    figures = {(row[0], row[1], row[4]): row[fde] for row in found.rows}
+    names = [column.name for column in found.columns]
+    at = [names.index(name) for name in ("at_scr", "method", "less", "fde")]
+    figures = {tuple(row[i] for i in at[:3]): row[at[3]] for row in found.rows}
     # 20 of 40 scenes at criticality 1: no method reaches 0.9
     assert {scr for scr, *_ in figures} == {"0.125", "0.4"}
     # a quarter and four fifths of the way to criticality 1

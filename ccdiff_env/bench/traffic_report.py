@@ -277,7 +277,7 @@ def at_equal_scr(played: Played, targets: Sequence[float]) -> Table:
                 if of is not None and np.isfinite(figures["fde"][0]):
                     less_by = [figures[m.name] - of.get(m.name, 0.0) for m in _MATCHED]
                     rows.append([f"{target:g}", *c, less, *map(_ends, less_by)])
-    return Table(("at_scr", "method", "K", "replan_s", "less", *_MATCHED), rows)
+    return Table(("at_scr", "method", "K", "replan_s", "own_weights", "less", *_MATCHED), rows)
 
 
 def _resampled(rows: Rows, log: Rows, name: str) -> npt.NDArray[np.float64]:
