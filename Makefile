@@ -10,7 +10,7 @@ RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Carg
 
 export OMP_WAIT_POLICY ?= PASSIVE
 
-.PHONY: help setup lock demo test test-rust test-py test-learners lint wheel docs site playground bench clean
+.PHONY: help setup lock demo test test-rust test-py test-learners test-py123d lint wheel docs site playground bench clean
 
 help:  ## list the verbs
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -51,6 +51,12 @@ test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install 
 	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
+test-py123d: $(SO)  ## the source py123d, in an environment of its own, where it installs
+	if $(UV) venv -q --allow-existing --python $(BIN)/python .py123d \
+	&& $(UV) pip install -q --python .py123d/bin/python -r pyproject.toml --extra py123d pytest; \
+	then PYTHONPATH=$(CURDIR) .py123d/bin/python -m pytest tests/test_scenes_py123d.py; \
+	else echo "py123d did not install: its tests are not run"; fi
+
 lint: $(SO)  ## rustfmt, clippy, ruff, mypy, the extension against its stub
 	cargo fmt --check
 	cargo clippy --locked --release --workspace --all-targets -- -D warnings
@@ -86,4 +92,4 @@ bench: $(SO)  ## speed of the world and of networks (DATAROOT= VERSION=: of load
 	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made
-	rm -rf $(VENV) .libtorch target dist build docs/site runs *.egg-info $(SO)
+	rm -rf $(VENV) .py123d .libtorch target dist build docs/site runs *.egg-info $(SO)

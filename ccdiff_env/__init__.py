@@ -36,6 +36,7 @@ from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene, SceneSet, load_nuscenes, load_scenarionet, map_queries
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.gpudrive import load_gpudrive
+from ccdiff_env.scenes.py123d import load_py123d
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.version import __version__
 from ccdiff_env.view import notebook as notebook
@@ -45,6 +46,6 @@ __all__ = [
     "EgoEnv", "EgoVectorEnv", "Recorder", "Rollout", "RolloutEvent", "Scene", "SceneSet",
     "WorldConfig", "__version__", "aec_env", "causal", "config", "counterfactual",
     "embedded_scenes", "errors", "load", "load_bank", "load_gpudrive", "load_nuscenes",
-    "load_scenarionet", "make_vec", "map_queries", "metrics", "parallel_env", "record_bank",
-    "replay",
+    "load_py123d", "load_scenarionet", "make_vec", "map_queries", "metrics", "parallel_env",
+    "record_bank", "replay",
 ]  # fmt: skip

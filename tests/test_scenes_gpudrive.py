@@ -48,6 +48,36 @@ def test_a_file_becomes_a_scene(loaded):
     assert [lane["predecessors"] for lane in lanes] == [[], [0], []]
 
 
+def test_lights_of_a_file(tmp_path):
+    """States of Waymo's names at the steps where the light is seen; from the cache, too."""
+    data, names = scene(), ["stop", "arrow_caution", "go", "flashing_stop", "unknown"]
+    seen = list(range(10, 60))
+    place = data["roads"][1]["geometry"][0]
+    data["tl_states"] = {
+        lane: {
+            "state": [names[i % 5] for i in seen],
+            "time_index": seen,
+            **{axis: [place[axis]] * len(seen) for axis in "xyz"},
+        }
+        for lane in ("1", "3")
+    }
+    save(tmp_path / "waymo_1.json", data)
+    for _ in range(2):
+        loaded = ccdiff_env.load_gpudrive(tmp_path, cache=tmp_path / "cache")
+        (light,) = loaded[0].map_layers()["lights"]
+        codes = [3, 2, 1, 3, 0]
+        assert light["states"].tolist() == [codes[i % 5] if i in seen else 0 for i in range(STEPS)]
+        assert light["lane"] == 1
+        middle = light["stop_line"].mean(axis=0) + loaded[0].origin
+        assert np.allclose(middle, [place["x"], place["y"]], atol=0.01)
+        assert any("a light of lane 3" in note for note in loaded.report.scenes[0].notes)
+    assert loaded.report.cache.hits == 1
+    data["tl_states"]["1"]["time_index"][0] = STEPS
+    save(tmp_path / "waymo_1.json", data)
+    with pytest.raises(errors.DatasetError, match="time_index"):
+        ccdiff_env.load_gpudrive(tmp_path, cache=False)
+
+
 def test_edges_bound_the_road(loaded):
     waymo = loaded[0]
     assert waymo.has_road

@@ -1,6 +1,7 @@
 """Data sources: texts, the argument block, coverage, and what scenes without a road do not have."""
 
 import argparse
+import csv
 import json
 import pickle
 import re
@@ -43,6 +44,7 @@ PLANNERS = ["bench", "planners", "--planners", "idm", "--traffic", "replay", "--
         ("nuscenes:/a@b/c/all?limit=2", ("nuscenes", "/a@b/c", None, "all", 2)),
         ("nuscenes:/data/val/val", ("nuscenes", "/data/val", None, "val", None)),
         ("scenarionet:/data/val", ("scenarionet", "/data/val", None, None, None)),
+        ("embedded/val?window_s=8&limit=2", ("embedded", None, None, "val", 2)),
         ("scenarionet:a@b/c.pkl", ("scenarionet", "a@b/c.pkl", None, None, None)),
     ],
 )
@@ -76,6 +78,10 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("nuscenes:/nowhere/mini_vla", "neither a folder nor a split 'mini_vla' (did you mean"),
         ("embedded?limit=0", "limit is 0, expected at least 1"),
         ("embedded/val?limit=-1", "no split 'val?limit=-1'"),
+        ("embedded?window_s=8&window_s=9", "an option twice"),
+        ("embedded?window_s=0", "window_s is 0.0, expected seconds"),
+        ("embedded?window_s=8&stride_s=no", "could not convert string to float: 'no'; expected"),
+        ("embedded?stride_s=2", "expected window_s in seconds, and stride_s"),
         ("embedded/val?limit=two", "limit is 'two', expected a whole number"),
     ],
 )
@@ -103,6 +109,44 @@ def test_embedded_scenes_are_those_of_their_splits():
         ccdiff_env.load("embedded", limit=0)
     env = ccdiff_env.EgoEnv(scenes="embedded/val?limit=1")
     assert env.reset(seed=0)[1]["scene"] == splits["val"][0]
+
+
+def test_windows_are_parts_of_the_log():
+    """Against slices of its arrays: first steps, lengths, agents, names."""
+    scene = ccdiff_env.load("embedded/val", limit=1)[0]
+    text = "embedded/val?window_s=4&stride_s=2&history_s=1"
+    found = ccdiff_env.load(text)
+    first = [window for window in found if window.name.startswith(f"{scene.name}@")]
+    steps = range(0, scene.num_steps - 50, 20)
+    assert [w.name for w in first] == [f"{scene.name}@{start // 10}" for start in steps]
+    for start, window in zip(steps, first, strict=True):
+        rows = [scene.agent_ids.index(ident) for ident in window.agent_ids]
+        there = scene.tracks()["valid"][:, start : start + 51].any(axis=1)
+        assert rows == list(np.flatnonzero(there))
+        for name, values in window.tracks().items():
+            assert np.array_equal(values, scene.tracks()[name][rows, start : start + 51])
+        assert window.origin == scene.origin
+    last = tuple(w.name for w in first[:-3:-1])
+    assert ccdiff_env.load(text, limit=2, names=[w.name for w in first[::-1]]).names == last
+    options = {"window_s": 4, "stride_s": 2, "history_s": 1}
+    assert ccdiff_env.load("embedded/val", **options) == found
+    whole = ccdiff_env.load("embedded/val", limit=1, window_s=15, history_s=3)[0]
+    assert (whole, whole.hash) == (scene, scene.hash)  # it has 18 s
+    with pytest.raises(ConfigError, match="no scene has the 931 steps of a window"):
+        ccdiff_env.load("embedded/val?window_s=90")
+    env = ccdiff_env.EgoEnv(scenes="embedded/val?window_s=4&limit=3")
+    assert env.reset(seed=0, options={"scene": f"{scene.name}@4"})[1]["scene"].endswith("@4")
+
+
+def test_a_benchmark_drives_windows(tmp_path, capsys):
+    scenes = "embedded/val?window_s=2&stride_s=6&history_s=1&limit=6"
+    assert main([*PLANNERS, "--seeds", "0", "--scenes", scenes, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "20 steps after 10" in said
+    assert "6 windows of 2 logs" in said
+    with (tmp_path / "episodes.csv").open(newline="") as file:
+        driven = {row["scene"] for row in csv.DictReader(file)}
+    assert driven == set(ccdiff_env.load(scenes).names)
 
 
 def test_agents_of_some_kinds_stay_with_their_tracks():
@@ -144,7 +188,7 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
         scenes = ccdiff_env.load(place)
     assert len(scenes.report.missing) == 149
-    said = coverage(place, len(scenes))
+    said = coverage(place, scenes.names)
     assert said == "1 of 150 scenes of val"
     assert title(place, said) == f"nuScenes {MINI}, 1 of 150 scenes of val"
     out = tmp_path / "run"
@@ -160,9 +204,12 @@ def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
         assert ccdiff_env.load(f"nuscenes:{nuscenes}", names=["scene-0003"]).names == (
             "scene-0003",
         )
-    assert coverage(parse("embedded/val"), 12) == "12 of 12 scenes of val"
-    assert coverage(parse("embedded/train+val"), 3) == "3 of 41 scenes of train+val"
-    assert coverage(parse("embedded"), 41) == "41 scenes"
+    names = list("abc")
+    assert coverage(parse("embedded/val"), 4 * names) == "12 of 12 scenes of val"
+    assert coverage(parse("embedded/train+val"), names) == "3 of 41 scenes of train+val"
+    assert coverage(parse("embedded"), names) == "3 scenes"
+    cut = parse("embedded?window_s=8")
+    assert coverage(cut, ["a@0", "a@8", "b"]) == "3 windows of 2 logs"
 
 
 def arguments(words, use="test"):

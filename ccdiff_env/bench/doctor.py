@@ -84,7 +84,7 @@ def _networks() -> str:
 
 def _scenes(args: argparse.Namespace) -> str:
     place = place_from(args)
-    return f"{place}: {coverage(place, len(load(place)))}"
+    return f"{place}: {coverage(place, load(place).names)}"
 
 
 def _speed() -> str:

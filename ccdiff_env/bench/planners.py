@@ -20,7 +20,7 @@ from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import Judge
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import source_digest
-from ccdiff_env.bench.scenes import scenes_of
+from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import Ego, ego_driver
@@ -113,6 +113,7 @@ def window_of(
 
     By default they are those of the protocol (3 s and 10 s), for which ``None`` is returned; where
     a scene is too short for these, but has the 9.1 s of Waymo's, all scenes have 1 s and 8 s.
+    Windows of logs have what they were cut for.
 
     Raises:
         ConfigError: If a scene is shorter than that, or than what is asked for; names it.
@@ -120,6 +121,8 @@ def window_of(
     usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
     shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
     window = dict(usual if shortest.num_steps > sum(usual.values()) else SHORT_WINDOW)
+    if (cut := place_of(source).window) is not None:
+        window = dict(zip(window, cut.steps(shortest.dt), strict=True))
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
     window |= {name: steps for name, steps in asked.items() if steps is not None}
     if min(window.values()) < 1:

@@ -158,7 +158,7 @@ class Record:
             "weights": None if level else made.get("weights"),
             "made": made.get("version") if level else [made.get("version"), made.get("package")],
         }
-        count = coverage(place_of(first.source), len(scenes))
+        count = coverage(place_of(first.source), scenes)
         weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
         heading = level or f"{source_title(first.source, count)}, {weights}"
         heading += "" if level else f", seed {', '.join(map(str, seeds))}"

@@ -54,7 +54,9 @@ class Run:
                 f"scenes {self.source}: nobody but the ego is in any of the {len(scenes)}, where "
                 "every drive is safe; a test split has no annotations"
             )
-        self.coverage = coverage(place, len(scenes))
+        self.coverage = coverage(place, scenes.names)
+        if place.window is not None:
+            print(self.coverage)
         self.folder: Path = args.out
         files = weight_files()  #: SHA-256 of the shipped weights.
         self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))

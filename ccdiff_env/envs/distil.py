@@ -173,7 +173,7 @@ def run(args: argparse.Namespace) -> int:
     place = place_from(args)
     notes = {
         "teacher": settings["teacher"],
-        "data": title(place, coverage(place, len(scenes))),
+        "data": title(place, coverage(place, scenes.names)),
         "labels": [len(rows) for rows in rounds],
         "nats": [nats for nats, _ in networks],
         "collisions": rates,

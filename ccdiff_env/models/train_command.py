@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         start=args.start,
         network=network,
         settings={key: value for key, value in settings.items() if value is not None},
-        notes={"data": title(place, coverage(place, len(loaded)))},
+        notes={"data": title(place, coverage(place, loaded.names))},
         progress=not args.quiet,
     )
     print(weights)

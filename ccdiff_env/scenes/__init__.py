@@ -40,6 +40,7 @@ def with_tracks(
     name: str | None = None,
     source: str | None = None,
     sizes: npt.NDArray[np.float32] | None = None,
+    first: int = 0,
 ) -> Scene:
     """Return a scene with other tracks of its agents.
 
@@ -52,8 +53,14 @@ def with_tracks(
             ``None``.
         name, source: What the scene is called and where it comes from; as before for ``None``.
         sizes: Lengths, widths and heights [A, 3] of all agents, metres; as before for ``None``.
+        first: Step of the scene at which the tracks begin: what lights show is that from there on,
+            the last state where the log has ended.
     """
     kept = np.arange(scene.num_agents) if agents is None else agents
+    layers, num_steps = scene.map_layers(), tracks["valid"].shape[1]
+    for light in layers.get("lights", ()):
+        shown = light["states"][first : first + num_steps]
+        light["states"] = np.pad(shown, (0, num_steps - len(shown)), mode="edge")
     return Scene.from_arrays(
         name or scene.name,
         agent_ids=[scene.agent_ids[i] for i in kept],
@@ -66,7 +73,7 @@ def with_tracks(
         location=scene.location,
         source=source or scene.source,
         origin=scene.origin,
-        map_layers=scene.map_layers(),
+        map_layers=layers,
         mend=False,
     )
 

@@ -43,6 +43,7 @@ class ScenarioFields:
     notes: list[str] = field(default_factory=list)
     dropped: Counter[str] = field(default_factory=Counter)
     numbers: int = 0
+    form: str = "scenarionet"  #: What the description is read from.
 
     def part(self, name: str) -> dict[Any, Any]:
         """Return a dictionary of the description."""

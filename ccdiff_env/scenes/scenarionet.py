@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from ccdiff_env._native import EGO_AXLE_TO_CENTRE_M, Scene, complete_map
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.load_report import CacheReport, LoadReport, SceneReport
 from ccdiff_env.scenes.scenario_fields import F64, Heights, ScenarioFields, ground
+from ccdiff_env.scenes.scenario_lights import read_lights
 from ccdiff_env.scenes.scenario_pickle import load_scenario_dict
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, MapLayers, Polygon
 from ccdiff_env.system.files import reading
@@ -208,8 +209,16 @@ def _origin(source: ScenarioFields, tracks: Sequence[_Track]) -> F64:
     return np.asarray(np.round(every.mean(axis=0)))
 
 
-def _polygon(ring: F64) -> Polygon:
-    return {"exterior": np.ascontiguousarray(ring[:, :2], np.float32), "holes": []}
+def _polygon(ring: F64, holes: Iterable[F64] = ()) -> Polygon:
+    outer, *inner = [np.ascontiguousarray(r[:, :2], np.float32) for r in (ring, *holes)]
+    return {"exterior": outer, "holes": inner}
+
+
+#: Types of surfaces and their layers; the last three are of py123d alone.
+_AREAS = {
+    "CROSSWALK": "ped_crossings", "ROAD_EDGE_SIDEWALK": "walkways", "DRIVEWAY": "surfaces",
+    "STOP_LINE": "stop_lines", "CARPARK": "carpark_areas", "DRIVABLE_AREA": "drivable_area",
+}  # fmt: skip
 
 
 class _Features:
@@ -235,7 +244,7 @@ class _Features:
         self._surfaces: list[Polygon] = []
         self._heights = Heights(source.part("metadata").get("dataset"))
         self._speed_limits = source.part("metadata").get("dataset") != "nuscenes"
-        given = set(MapLayers.__annotations__) - {"elevation_m"}
+        given = set(MapLayers.__annotations__) - {"elevation_m", "lights"}
         self.layers: MapLayers = {name: [] for name in sorted(given)}  # type: ignore[assignment]
         features = source.part("map_features")
         lanes: dict[str, tuple[Lane, Mapping[str, Any]]] = {}
@@ -320,14 +329,14 @@ class _Features:
             self._add_line(name, layers[name], points)  # type: ignore[literal-required]
         elif kind in _ROAD_EDGES:
             self._add_line("edges", self._edges, self._points(key, feature, "polyline"))
-        elif kind in ("CROSSWALK", "ROAD_EDGE_SIDEWALK", "DRIVEWAY"):
-            ring = self._ring(key, feature)
-            name, layer = {
-                "CROSSWALK": ("ped_crossings", layers["ped_crossings"]),
-                "DRIVEWAY": ("surfaces", self._surfaces),
-            }.get(kind, ("walkways", layers["walkways"]))
+        elif kind in _AREAS:
+            ring, name = self._ring(key, feature), _AREAS[kind]
+            layer = self._surfaces if name == "surfaces" else layers[name]  # type: ignore[literal-required]
             if len(ring) >= 3:
-                layer.append(_polygon(ring))
+                where = f"map_features[{key!r}].holes"
+                holes = self._source.items(feature.get("holes"), where)
+                arrays = (self._source.array(hole, where, columns=2)[:, :2] for hole in holes)
+                layer.append(_polygon(ring, (hole - self._origin for hole in arrays)))
                 self._heights.add(name, ring[:, 2])
             else:
                 self._unused[f"{kind} without an area"] += 1
@@ -373,9 +382,11 @@ def _tracks(source: ScenarioFields, num_steps: int, ego: str | None) -> list[_Tr
     return found
 
 
-def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | None, SceneReport]:
-    source = ScenarioFields(path, load_scenario_dict(path))
-    metadata = source.part("metadata")
+def read_description(
+    source: ScenarioFields, taken: Collection[str] = (), *, ego_reference: str
+) -> tuple[Scene | None, SceneReport]:
+    """Return the scene of a description, under a name that is not taken, and its report."""
+    path, metadata = source.path, source.part("metadata")
     num_steps = source.data.get("length")
     if not (isinstance(num_steps, (int, np.integer)) and 0 < num_steps < 2**31):
         raise source.fault("length", num_steps, "a positive number of steps")
@@ -389,7 +400,7 @@ def _scene(path: Path, taken: Collection[str], reference: str) -> tuple[Scene | 
     tracks = _tracks(source, num_steps, ego)
     dt = _time_step(source, metadata)
     if tracks and tracks[0].id == _EGO_ID and metadata.get("dataset") == "nuscenes":
-        _nuscenes_ego(source, tracks[0], dt, reference)
+        _nuscenes_ego(source, tracks[0], dt, ego_reference)
     scene: Scene | None = None
     filled, absences = 0, 0
     road = "none"
@@ -432,6 +443,8 @@ def _assembled(
         for i in (vehicles, slice(None))
     )
     features = _Features(source, origin, seeds, places if told else None)
+    if lights := read_lights(source, features.layers["lanes"], origin):
+        features.layers["lights"] = lights
     scene = Scene.from_arrays(
         name,
         agent_ids=[track.id for track in tracks],
@@ -445,7 +458,7 @@ def _assembled(
         dt=dt,
         token=source.name(("metadata.scenario_token", "id"), name),
         location=source.name(("metadata.map",), ""),
-        source=f"scenarionet {source.name(('metadata.dataset',), 'unknown')}",
+        source=f"{source.form} {source.name(('metadata.dataset',), 'unknown')}",
         origin=(float(origin[0]), float(origin[1])),
         map_layers=features.layers,
         elevation_m=heights.astype(np.float32) if told and features.has_levels else None,
@@ -474,7 +487,8 @@ def read_scenarios(
     taken: set[str] = set()
     for file in _files(Path(path)):
         with reading("scenario", file):
-            scene, report = _scene(file, taken, ego_reference)
+            source = ScenarioFields(file, load_scenario_dict(file))
+            scene, report = read_description(source, taken, ego_reference=ego_reference)
         if scene is None:
             empty.append(report.name)
             continue

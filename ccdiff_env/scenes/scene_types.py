@@ -41,6 +41,20 @@ class Lane(_Heights):
     speed_limit_mps: float | None  #: Posted limit where the data has one.
 
 
+#: States of lights by their numbers.
+LIGHT_STATES = ("unknown", "green", "yellow", "red")
+
+
+class Light(TypedDict, total=False):
+    """A traffic light."""
+
+    #: Ends of the stop line [2, 2], or a point [1, 2] where it runs across the lane, metres; where
+    #: the lane begins if left out.
+    stop_line: F32
+    lane: int  #: Index of the lane or connector behind the stop line.
+    states: U8  #: Number in :data:`LIGHT_STATES` at every logged step [T].
+
+
 class MapLayers(TypedDict, total=False):
     """The map round a scene, in the scene frame."""
 
@@ -52,6 +66,7 @@ class MapLayers(TypedDict, total=False):
     road_dividers: list[F32]  #: Lines [P, 2] between directions of traffic.
     lane_dividers: list[F32]  #: Lines [P, 2] between lanes of one direction.
     lanes: list[Lane]
+    lights: list[Light]  #: Only where the scene has lights.
     #: Least and greatest elevation [N, 2] of the N parts of other layers, metres, by layer; only
     #: where roads pass over each other.
     elevation_m: dict[str, F32]

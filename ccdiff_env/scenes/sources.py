@@ -1,6 +1,6 @@
 """Data sources: where scenes come from, and the texts that name them.
 
-``SOURCE:PATH@VERSION/SPLIT?limit=N``: each source says which of these parts it
+``SOURCE:PATH@VERSION/SPLIT?window_s=S&limit=N``: each source says which of these parts it
 has. A source is one record of :data:`SOURCES`; commands, benchmarks, examples and environments take
 every one of them.
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,6 +18,8 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.scenes.gpudrive import load_gpudrive
+from ccdiff_env.scenes.py123d import load_py123d
+from ccdiff_env.scenes.windows import Windows, logs_of
 from ccdiff_env.system.files import reading
 
 __all__ = [
@@ -35,6 +37,7 @@ class Place:
         path, version, split: Where its files are, and which of them; several splits are joined,
             ``"train+train_val"``.
         limit: Only so many scenes, the first ones.
+        window: How logs are cut into scenes; in the text ``window_s``, ``stride_s``, ``history_s``.
         names, kinds: Only scenes of these names, and only agents of these types. They are not in
             the text. A source may use them to read less: what it leaves is left out afterwards.
     """
@@ -44,13 +47,18 @@ class Place:
     version: str | None = None
     split: str | None = None
     limit: int | None = None
+    window: Windows | None = None
     names: tuple[str, ...] | None = None
     kinds: tuple[str, ...] | None = None
 
     def __str__(self) -> str:
         marks = {":": self.path, "@": self.version, "/": self.split}
         text = self.source + "".join(f"{m}{part}" for m, part in marks.items() if part is not None)
-        return text if self.limit is None else f"{text}?limit={self.limit}"
+        options = {**(vars(self.window) if self.window else {}), "limit": self.limit}
+        given = "&".join(
+            f"{name}={value:g}" for name, value in options.items() if value is not None
+        )
+        return f"{text}?{given}" if given else text
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,7 @@ class Source:
             the source has no versions). The first version that is there is the default.
         kept_out: Splits whose scenes no network is trained on.
         lacks: What its scenes do not have, in words.
+        cuts: Whether it cuts logs into windows itself, and reads no more than these.
     """
 
     name: str
@@ -77,6 +86,7 @@ class Source:
     usual: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     kept_out: tuple[str, ...] = ()
     lacks: str = ""
+    cuts: bool = False
 
     @property
     def versions(self) -> tuple[str, ...]:
@@ -108,6 +118,12 @@ def _scenarionet(place: Place) -> SceneSet:
 def _gpudrive(place: Place) -> SceneSet:
     limit = None if place.names else place.limit
     return load_gpudrive(place.path or "", limit=limit, names=place.names)
+
+
+def _py123d(place: Place) -> SceneSet:
+    limit = None if place.names else place.limit
+    cut = vars(place.window) if place.window else {}
+    return load_py123d(place.path or "", **cut, limit=limit, names=place.names)
 
 
 #: The sources by name.
@@ -150,9 +166,19 @@ SOURCES: dict[str, Source] = {
             path="FILE_OR_FOLDER_OR_PATTERN",
             lacks="surfaces of lanes; the road is made from its edges",
         ),
+        Source(
+            "py123d",
+            "py123d",
+            _py123d,
+            path="LOG_OR_FOLDER",
+            lacks="what py123d leaves out of a data set",
+            cuts=True,
+        ),
     )
 }
 
+
+_OPTION = r"(?:limit|window_s|stride_s|history_s)=[\w.]+"
 
 DEFAULT = "embedded"  #: The source that is meant where none is named.
 
@@ -168,12 +194,18 @@ def parse(text: str) -> Place:
         ConfigError: If it names no source, no split of it, or a part that the source does not have
             or needs.
     """
-    found = re.fullmatch(r"(\w*)(.*?)(?:\?limit=(\w+))?", text, re.DOTALL)
-    name, rest, limit = found.groups() if found else (text, "", None)
+    found = re.fullmatch(rf"(\w*)(.*?)(?:\?({_OPTION}(?:&{_OPTION})*))?", text, re.DOTALL)
+    name, rest, given = found.groups() if found else (text, "", None)
+    pairs = [option.split("=") for option in given.split("&")] if given else []
+    options = dict(pairs)
+    if len(options) < len(pairs):
+        raise _wrong(text, f"an option twice in {given!r}")
+    limit = options.pop("limit", None)
     if limit is not None and not limit.isdecimal():
         raise _wrong(text, f"limit is {limit!r}, expected a whole number")
     if name in (splits := split_names(SOURCES[DEFAULT])) and not rest:
         name, rest = DEFAULT, f"/{name}"
+    window = _window(text, options) if options else None
     if name not in SOURCES:
         raise _wrong(text, f"no source {name!r}{_meant(text)}", name, [*SOURCES, *splits])
     path: str | None = None
@@ -185,7 +217,15 @@ def parse(text: str) -> Place:
     elif rest:
         raise _wrong(text, f"{rest!r} after {name!r}")
     number = None if limit is None else int(limit)
-    return _checked(Place(name, path, version, split, number), text)
+    return _checked(Place(name, path, version, split, number, window), text)
+
+
+def _window(text: str, options: Mapping[str, str | float | None]) -> Windows:
+    try:
+        return Windows(**{k: None if v is None else float(v) for k, v in options.items()})  # type: ignore[arg-type]
+    except (TypeError, ValueError, ConfigError) as error:
+        wanted = "window_s in seconds, and stride_s and history_s if need be"
+        raise _wrong(text, f"{error}; expected {wanted}") from error
 
 
 def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:
@@ -279,14 +319,20 @@ def load(
     *,
     names: Sequence[str] | None = None,
     kinds: Sequence[str] | None = None,
+    window_s: float | None = None,
+    stride_s: float | None = None,
+    history_s: float | None = None,
 ) -> SceneSet:
     """Load scenes of any source.
 
     Args:
         scenes: ``"embedded/val"``, ``"nuscenes:/data/nuscenes@v1.0-mini/mini_val"``,
             ``"scenarionet:/data/files"``. Without a version the first that is there is taken,
-            without a split all scenes. ``?limit=N`` may follow.
+            without a split all scenes. ``?limit=N`` may follow, and ``window_s=S`` and so on,
+            joined by ``&``.
         limit: Only so many scenes, the first ones.
+        window_s, stride_s, history_s: Cut logs into scenes for episodes of ``window_s`` seconds,
+            one every ``stride_s`` (``window_s`` by default), ``history_s`` (3) before each.
         names: Only scenes of these names, in this order.
         kinds: Only agents of these types (``vehicle``, ``pedestrian``, ...), and the ego.
 
@@ -306,12 +352,21 @@ def load(
     place = parse(scenes) if isinstance(scenes, str) else scenes
     if limit is not None:
         place = _checked(replace(place, limit=limit), str(place))
+    asked = {"window_s": window_s, "stride_s": stride_s, "history_s": history_s}
+    if any(value is not None for value in asked.values()):
+        place = replace(place, window=_window(str(place), asked))
     place = replace(
         settled(place),
         names=None if names is None else tuple(names),
         kinds=None if kinds is None else tuple(kinds),
     )
-    found = SOURCES[place.source].load(place)
+    source, whole = SOURCES[place.source], place
+    if place.window is not None and not source.cuts:
+        logs = place.names and logs_of(place.names)
+        whole = replace(place, window=None, limit=None, names=logs)
+    found = source.load(whole)
+    if whole is not place and place.window is not None:
+        found = place.window.of(found)
     if place.names is not None:
         found = SceneSet([found[name] for name in place.names], found.report)
     if place.limit is not None:
@@ -319,9 +374,12 @@ def load(
     return found if kinds is None else of_kinds(found, kinds)
 
 
-def coverage(place: Place, count: int) -> str:
+def coverage(place: Place, names: Collection[str]) -> str:
     """Say how many of the scenes of a split there are, ``93 of 150 scenes of val``."""
-    splits = SOURCES[place.source].splits
+    splits, count = SOURCES[place.source].splits, len(names)
+    if place.window is not None:
+        logs = len(logs_of(names))
+        return f"{count} window{'s' * (count != 1)} of {logs} log{'s' * (logs != 1)}"
     if splits is None or place.split in (None, "all"):
         return f"{count} scene{'s' * (count != 1)}"
     lists = splits()

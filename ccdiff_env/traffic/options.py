@@ -210,6 +210,8 @@ class RewardConfig(Options):
     goal: float = 1.0  #: When the goal is reached (in [-1000000, 1000000]).
     #: Per m/s³ of jerk either way, at most 10, per step (in [-1000000, 1000000]).
     jerk: float = 0.0
+    #: At the step at which the front passes a stop line in red (in [-1000000, 1000000]).
+    red_light: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

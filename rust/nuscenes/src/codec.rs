@@ -1,7 +1,8 @@
 //! Scenes as bytes, and their content hash.
 
 use crate::error::{NuscenesError, Result};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{Light, Scene};
+use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// What scene bytes begin with; the last byte is the format's number.
@@ -16,7 +17,12 @@ pub fn encode_scene(scene: &Scene) -> Result<Vec<u8>> {
 }
 
 fn contents(scene: &Scene) -> Result<Vec<u8>> {
-    postcard::to_stdvec(scene).map_err(|e| NuscenesError::Bytes(e.to_string()))
+    let bytes = postcard::to_stdvec(scene);
+    let bytes = match scene.map.lights.is_empty() {
+        true => bytes,
+        false => bytes.and_then(|bytes| postcard::to_extend(&scene.map.lights, bytes)),
+    };
+    bytes.map_err(|e| NuscenesError::Bytes(e.to_string()))
 }
 
 /// The scene that [`encode_scene`] wrote.
@@ -28,7 +34,12 @@ pub fn decode_scene(bytes: &[u8]) -> Result<Scene> {
         let message = "not of format 4: load the scene from its data set, or record it, again";
         return Err(NuscenesError::Bytes(message.into()));
     };
-    let scene: Scene = postcard::from_bytes(contents).map_err(|e| NuscenesError::Bytes(e.to_string()))?;
+    let fault = |e: postcard::Error| NuscenesError::Bytes(e.to_string());
+    let (mut scene, rest) = postcard::take_from_bytes::<Scene>(contents).map_err(fault)?;
+    if !rest.is_empty() {
+        let lights: Vec<Light> = postcard::from_bytes(rest).map_err(fault)?;
+        Arc::make_mut(&mut scene.map).lights = lights;
+    }
     Ok(scene.validated()?)
 }
 

@@ -5,6 +5,7 @@
 //! is made from them, and lanes follow each other where one ends and another begins.
 
 use crate::cache::{Cache, Hash, stamp};
+use crate::codec::{decode_scene, encode_scene};
 use crate::error::{NuscenesError, Result};
 use crate::file;
 use crate::load::Loaded;
@@ -13,12 +14,12 @@ use crate::resample::unwrapped;
 use crate::stream::parse;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
-    Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, LaneKind, Map, PartElevations, RoadParts, Scene,
-    Tracks, cut_by_level, level_bounds, link_lanes, range_of, road_area, road_areas,
+    Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, LaneKind, Light, LightState, Map, PartElevations,
+    RoadParts, Scene, Tracks, cut_by_level, level_bounds, link_lanes, range_of, road_area, road_areas,
 };
 use rayon::prelude::*;
 use serde::Deserialize;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -43,6 +44,8 @@ struct File {
     scenario_id: Option<String>,
     objects: Vec<Object>,
     roads: Vec<MapElement>,
+    #[serde(default)]
+    tl_states: BTreeMap<String, TrafficLight>,
     metadata: Metadata,
 }
 
@@ -64,6 +67,15 @@ struct Object {
     heading: Vec<f64>,
     velocity: Vec<Point>,
     valid: Vec<bool>,
+}
+
+/// States of the light of a lane, at the steps where it is seen, and its stop point.
+#[derive(Deserialize)]
+struct TrafficLight {
+    state: Vec<String>,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    time_index: Vec<usize>,
 }
 
 #[derive(Deserialize)]
@@ -101,17 +113,17 @@ pub fn load_gpudrive(paths: &[PathBuf], cache_directory: Option<&Path>) -> Resul
     let cache = Cache::new(cache_directory);
     let load = |path: &PathBuf| {
         let key = cache.is_on().then(|| Hash::of(&("gpudrive", stamp(path, "scene")?))).transpose()?;
-        let known = key.and_then(|key| cache.get::<(Scene, SceneReport)>("scene", key));
+        let known = key.and_then(|key| cache.get::<(Vec<u8>, SceneReport)>("scene", key));
         if let Some((scene, report)) =
-            known.and_then(|(scene, report)| Some((scene.validated().ok()?, report)))
+            known.and_then(|(bytes, report)| Some((decode_scene(&bytes).ok()?, report)))
         {
             return Ok((Arc::new(scene), report, true));
         }
-        let built = read_scene(path)?;
+        let (scene, report) = read_scene(path)?;
         if let Some(key) = key {
-            cache.put("scene", key, &built);
+            cache.put("scene", key, &(encode_scene(&scene)?, &report));
         }
-        Ok((Arc::new(built.0), built.1, false))
+        Ok((Arc::new(scene), report, false))
     };
     let loaded: Vec<_> = paths.par_iter().map(load).collect::<Result<_>>()?;
     let hits = loaded.iter().filter(|(_, _, hit)| *hit).count();
@@ -173,7 +185,7 @@ impl Reader<'_> {
         }
         report.annotations = tracks.valid.iter().filter(|valid| **valid).count();
         let seeds = vehicles(&agents, &tracks);
-        let map = self.map(origin, &seeds, &bounds, &mut report)?;
+        let map = self.map(origin, &seeds, &bounds, num_steps, &mut report)?;
         let scene = Scene {
             token,
             name,
@@ -351,12 +363,13 @@ impl Reader<'_> {
         origin: [f64; 2],
         seeds: &[(Point2, Real)],
         bounds: &[Real],
+        num_steps: usize,
         report: &mut SceneReport,
     ) -> Result<Map> {
         let mut map = Map::default();
         let (mut edges, mut edge_heights, mut surface_heights, mut lanes_m) =
             (Vec::new(), Vec::new(), Vec::new(), 0.0);
-        let mut unused = std::collections::BTreeMap::<String, usize>::new();
+        let mut unused = BTreeMap::<String, usize>::new();
         for (i, road) in self.file.roads.iter().enumerate() {
             let far =
                 |p: &&Point| p.x.abs() > MAX_COORDINATE_M || p.y.abs() > MAX_COORDINATE_M || !p.is_high();
@@ -421,6 +434,7 @@ impl Reader<'_> {
             report.notes.push(format!("{count} roads of type {kind:?} have no layer here"));
         }
         link_lanes(&mut map.lanes);
+        self.lights(&mut map, origin, num_steps, report)?;
         let surfaces = std::mem::take(&mut map.drivable_area);
         let (seeds, seed_heights): (Vec<Point2>, Vec<Real>) = seeds.iter().copied().unzip();
         let parts = RoadParts { edges: &edges, lanes: &map.lanes, surfaces: &surfaces, seeds: &seeds };
@@ -434,6 +448,49 @@ impl Reader<'_> {
         }
         report.road = if map.drivable_area.is_empty() { Road::None } else { Road::Edges };
         Ok(map)
+    }
+
+    /// The lights of the lanes that the map has.
+    fn lights(
+        &self,
+        map: &mut Map,
+        origin: [f64; 2],
+        num_steps: usize,
+        report: &mut SceneReport,
+    ) -> Result<()> {
+        for (id, light) in &self.file.tl_states {
+            let place = || format!("tl_states[{id:.40?}]");
+            let steps = &light.time_index;
+            if [light.state.len(), light.x.len(), light.y.len()].iter().any(|len| *len != steps.len()) {
+                return self.fault(place(), "state", light.state.len(), "as many entries as time_index has");
+            }
+            let Some(lane) = map.lanes.iter().position(|lane| lane.id == *id).filter(|_| !steps.is_empty())
+            else {
+                report.notes.push(format!("a light of lane {id:.40}, which is not there"));
+                continue;
+            };
+            let mut states = vec![LightState::Unknown; num_steps];
+            for (step, name) in steps.iter().zip(&light.state) {
+                match states.get_mut(*step) {
+                    Some(state) => *state = light_state(name),
+                    None => return self.fault(place(), "time_index", step, "a step of the log"),
+                }
+            }
+            let at = Point2::new((light.x[0] - origin[0]) as Real, (light.y[0] - origin[1]) as Real);
+            let stop_line = map.stop_line(lane, at);
+            map.lights.push(Light { lane: lane as u32, stop_line, states });
+        }
+        Ok(())
+    }
+}
+
+/// The state of a light by Waymo's name for it; arrows and flashing ones are told as the lane sees them.
+fn light_state(name: &str) -> LightState {
+    match name.to_ascii_lowercase().trim_start_matches("lane_state_").trim_start_matches("arrow_") {
+        "stop" | "flashing_stop" => LightState::Red,
+        "caution" | "flashing_caution" => LightState::Yellow,
+        "go" => LightState::Green,
+        _ => LightState::Unknown,
     }
 }
 

@@ -4,8 +4,8 @@ use crate::enter::Text;
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{
-    Elevations, Lane, LaneKind, Map, PartElevations, RoadParts, cut_by_level, level_bounds, link_lanes,
-    range_of, road_area, road_areas,
+    Elevations, Lane, LaneKind, Light, LightState, Map, PartElevations, RoadParts, cut_by_level,
+    level_bounds, link_lanes, range_of, road_area, road_areas,
 };
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -67,6 +67,17 @@ pub(crate) fn to_dict<'py>(py: Python<'py>, map: &Map) -> PyResult<Bound<'py, Py
         dict.set_item(name, layer.iter().map(|l| points(py, l)).collect::<PyResult<Vec<_>>>()?)?;
     }
     dict.set_item("lanes", map.lanes.iter().map(|l| lane(py, l)).collect::<PyResult<Vec<_>>>()?)?;
+    if !map.lights.is_empty() {
+        let lights = map.lights.iter().map(|light| {
+            let dict = PyDict::new(py);
+            dict.set_item("lane", light.lane)?;
+            dict.set_item("stop_line", points(py, &light.stop_line)?)?;
+            let states = light.states.iter().map(|state| *state as u8).collect();
+            dict.set_item("states", PyArray1::from_vec(py, states))?;
+            Ok(dict)
+        });
+        dict.set_item("lights", lights.collect::<PyResult<Vec<_>>>()?)?;
+    }
     let heights = PyDict::new(py);
     for (name, ranges) in map.elevation_m.layers().into_iter().filter(|(_, ranges)| !ranges.is_empty()) {
         let array = PyArray1::from_slice(py, ranges.as_flattened()).reshape([ranges.len(), 2])?;
@@ -195,11 +206,45 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>, origin: [f64; 2]) -> PyResul
                 map.lanes = read_list(&value, |lane| read_lane(lane, origin))?;
                 continue;
             }
+            "lights" => continue,
             _ => return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}"))),
         };
         *polygons = read_list(&value, |p| read_polygon(p, &name, origin))?;
     }
+    if let Some(lights) = layers.get_item("lights")? {
+        map.lights = read_list(&lights, |light| read_light(light, &map, origin))?;
+    }
     Ok(map)
+}
+
+/// A light; where it has no stop line, that lies where the lane begins.
+fn read_light(value: &Bound<'_, PyAny>, map: &Map, origin: [f64; 2]) -> PyResult<Light> {
+    let dict = value.cast::<PyDict>()?;
+    let fault = |message: String| py::DatasetError::new_err(format!("light: {message}"));
+    let lane: u32 = item(dict, "lane", "light")?.extract()?;
+    let Some(start) = map.lanes.get(lane as usize).and_then(|lane| lane.centreline.get(..2)) else {
+        return Err(fault(format!("lane is {lane}, expected the index of a lane with a centre line")));
+    };
+    let codes: PyReadonlyArray1<'_, u8> = item(dict, "states", "light")?
+        .extract()
+        .map_err(|_| py::ShapeError::new_err("light: expected states as a uint8 array of shape [T]"))?;
+    let state = |code: &u8| LightState::ALL.get(usize::from(*code)).copied();
+    let codes = codes.as_array();
+    let states = codes.iter().map(|code| {
+        state(code)
+            .ok_or_else(|| fault(format!("a state is {code}, expected 0 to {}", LightState::ALL.len() - 1)))
+    });
+    let stop_line = match dict.get_item("stop_line")?.filter(|line| !line.is_none()) {
+        Some(line) => match read_points(&line, "stop_line of a light", origin)?[..] {
+            [at] => map.stop_line(lane as usize, at),
+            [from, to] => [from, to],
+            _ => {
+                return Err(py::ShapeError::new_err("stop_line of a light: expected shape [2, 2] or [1, 2]"));
+            }
+        },
+        None => map.stop_line(lane as usize, start[0]),
+    };
+    Ok(Light { lane, stop_line, states: states.collect::<PyResult<_>>()? })
 }
 
 /// Fills in what a map lacks: links between lanes that have none, and the area where vehicles may drive, from `edges` with

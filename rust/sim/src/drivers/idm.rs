@@ -102,7 +102,12 @@ impl Idm {
             .min(route.curve_speed_mps(s + speed * 0.5));
         let ahead =
             leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
-        idm_towards(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)))
+        let wanted = idm_towards(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)));
+        let front_m = s + world.scene.footprints[agent_idx].half_length_m;
+        let braking = [idm.max_braking_mps2, idm.deceleration_mps2];
+        let stop_m = world.scene.scene.map.waits_at(&route.path, front_m, speed, world.step_idx, braking);
+        stop_m
+            .map_or(wanted, |at_m| wanted.min(idm_towards(idm, speed, desired, Some((at_m - front_m, 0.0)))))
     }
 }
 

@@ -18,6 +18,9 @@ use proposals::{BesideLine, near, roll};
 
 pub(crate) use proposals::steering;
 
+/// Braking with which it stops for a red and for a yellow light, m/s².
+const BRAKING_MPS2: [Real; 2] = [8.0, 2.5];
+
 /// What is known of one world.
 pub(crate) struct Scene<'a> {
     pub prepared: &'a PreparedScene,
@@ -29,6 +32,8 @@ pub(crate) struct Scene<'a> {
     pub line: &'a CentreLine,
     /// Where the ego is beside the line.
     pub place: Projection,
+    /// Where along the line its front waits for a light.
+    pub stop_m: Option<Real>,
 }
 
 impl<'a> Scene<'a> {
@@ -38,10 +43,22 @@ impl<'a> Scene<'a> {
         ego: usize,
         dt_s: Real,
         speed_limit_mps: Real,
+        step_idx: usize,
     ) -> Self {
         let line = prepared.centre_line(ego);
         let place = line.project(states.position(ego), None);
-        Self { prepared, states, ego, dt_s, speed_limit_mps, line, place }
+        let front_m = place.s_m + prepared.footprints[ego].half_length_m;
+        let speed = states.speed_mps[ego].max(0.0);
+        let map = &prepared.scene.map;
+        let stop_m = map.waits_at(line.polyline(), front_m, speed, step_idx, BRAKING_MPS2);
+        Self { prepared, states, ego, dt_s, speed_limit_mps, line, place, stop_m }
+    }
+
+    /// The nearer one of a leader, gap and speed, and the stop line at which a front waits.
+    fn held(&self, leader: Option<(Real, Real)>, front_m: Real) -> Option<(Real, Real)> {
+        let stop = self.stop_m.map(|at_m| (at_m - front_m, 0.0));
+        let nearer = |a: (Real, Real), b: (Real, Real)| if b.0 < a.0 { b } else { a };
+        leader.map(|leader| stop.map_or(leader, |stop| nearer(leader, stop))).or(stop)
     }
 
     /// Yaw rate of the ego now on its way to a distance from the centre line.

@@ -169,6 +169,7 @@ impl Way {
                 let wanted =
                     (limit * share).min(a.curve_speed_mps + w * (b.curve_speed_mps - a.curve_speed_mps));
                 let leader = self.leader(t.min(last), *s_m, half_length_m);
+                let leader = scene.held(leader, *s_m + half_length_m);
                 let acceleration = idm_with(&IDM, *speed, leader, tenth_power(share_of(*speed, wanted)));
                 *s_m += *speed * scene.dt_s;
                 *speed = (*speed + acceleration * scene.dt_s).max(0.0);

@@ -58,7 +58,7 @@ impl World {
     }
 
     fn scene(&self) -> Scene<'_> {
-        Scene::new(&self.prepared, &self.states, 0, DT_S, 15.0)
+        Scene::new(&self.prepared, &self.states, 0, DT_S, 15.0, 0)
     }
 }
 

@@ -72,7 +72,8 @@ impl Planner {
         let Some(ego) = seat.filter(|ego| status.states.active[*ego]) else { return Ok(Action::default()) };
         let prepared = world.prepared(status.scene_idx)?;
         let config = world.config();
-        let scene = Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps);
+        let scene =
+            Scene::new(&prepared, status.states, ego, config.dt_s, config.speed_limit_mps, status.step_idx);
         // it waits while its log backs up
         let wanted = match prepared.routes[ego].backs_up(status.step_idx) {
             true => [braking(&config.idm, status.states.speed_mps[ego], config.dt_s), 0.0],
@@ -113,7 +114,11 @@ fn idm(asked: &Asked<'_>) -> [Real; 2] {
         now.limit_mps.min(scene.speed_limit_mps).min(line.at(place.s_m + 0.5 * speed).curve_speed_mps);
     let footprints = &scene.prepared.footprints;
     let ahead = leader(states, footprints, line.polyline(), place.s_m, ego, idm.anticipation_s);
-    let acceleration = idm_towards(idm, speed, wanted, ahead.map(|l| (l.gap_m, l.speed_mps)));
+    let mut acceleration = idm_towards(idm, speed, wanted, ahead.map(|l| (l.gap_m, l.speed_mps)));
+    if let Some(stop_m) = scene.stop_m {
+        let gap_m = stop_m - place.s_m - scene.footprint(ego).half_length_m;
+        acceleration = acceleration.min(idm_towards(idm, speed, wanted, Some((gap_m, 0.0))));
+    }
     let (error_sin, _) = math::sin_cos(math::wrap_angle(states.heading_rad[ego] - now.heading_rad));
     [acceleration, steering(&UnicycleLimits::default(), speed, now.curvature_1pm, error_sin, place.lateral_m)]
 }

@@ -68,6 +68,7 @@ impl Map {
             stop_lines: kept(&self.stop_lines, &ranges.stop_lines, elevation_m),
             carpark_areas: kept(&self.carpark_areas, &ranges.carpark_areas, elevation_m),
             elevation_m: Elevations::default(),
+            lights: self.lights.clone(),
         }
     }
 }

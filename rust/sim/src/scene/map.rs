@@ -1,5 +1,6 @@
 //! The map round a scene, in the scene frame.
 
+use super::Light;
 use crate::geom::{Point2, Polygon, Real};
 use serde::{Deserialize, Serialize};
 
@@ -113,6 +114,9 @@ pub struct Map {
     pub carpark_areas: Vec<Polygon>,
     /// How high the parts of these layers lie, but for lanes, which say so themselves.
     pub elevation_m: Elevations,
+    /// Traffic lights. Bytes of a scene have them behind all else, and nothing where there are none.
+    #[serde(skip)]
+    pub lights: Vec<Light>,
 }
 
 impl Map {
@@ -138,6 +142,7 @@ impl Map {
             ("walkways", self.walkways.iter().all(polygon)),
             ("stop_lines", self.stop_lines.iter().all(polygon)),
             ("carpark_areas", self.carpark_areas.iter().all(polygon)),
+            ("lights", self.lights.iter().all(|l| linked(&[l.lane]) && near(&l.stop_line))),
         ]
         .into_iter()
         .find_map(|(name, ok)| (!ok).then_some(name))

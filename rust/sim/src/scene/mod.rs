@@ -9,6 +9,7 @@ mod lane_index;
 mod lane_links;
 mod lane_path;
 mod levels;
+mod lights;
 mod map;
 mod mend;
 mod road_area;
@@ -19,6 +20,7 @@ pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use lane_links::link_lanes;
 pub(crate) use lane_path::follow;
 pub use levels::{PartElevations, cut_by_level, level_bounds, range_of, road_areas};
+pub use lights::{Light, LightState};
 pub use map::{Elevations, HIGHEST_M, LEVEL_M, Lane, LaneKind, Map};
 pub use mend::{LONGEST_GAP_S, Mended};
 pub use road_area::{RoadParts, road_area};
@@ -193,6 +195,11 @@ impl Scene {
                 "not finite, farther than 1000 km away, or dangling".into(),
                 "finite points within 1000 km and lane indices in range",
             );
+        }
+        let short = |light: &Light| light.states.len() != num_steps;
+        if let Some(i) = self.map.lights.iter().position(short) {
+            let got = format!("{} states", self.map.lights[i].states.len());
+            return fail(format!("map.lights[{i}].states"), got, "one for each logged step");
         }
         let length_m = self.map.length_m();
         if length_m > LONGEST_M {

@@ -28,7 +28,8 @@ pub(crate) fn assisted_action(
     let (base, yaw_rate) = match limits.base {
         AssistedBase::Idm => (idm_acceleration(view, agent_idx), beside_route(view, agent_idx, command[1])),
         AssistedBase::Pdm => {
-            let scene = Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps);
+            let scene =
+                Scene::new(view.scene, states, agent_idx, view.dt_s, view.speed_limit_mps, view.step_idx);
             let plan = plan(&scene);
             (plan.acceleration_mps2, scene.yaw_rate(plan.offset_m + command[1]))
         }

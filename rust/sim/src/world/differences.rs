@@ -68,8 +68,14 @@ impl Drawn {
         let gains = [c.acceleration_gain, c.yaw_gain].map(|x| between(1.0 - x, 1.0 + x));
         let size = between(1.0 - c.size, 1.0 + c.size);
         let style = COMPONENTS.map(|name| {
-            let [low, high] = ranges.get(name).copied().unwrap_or([1.0; 2]);
-            let drawn = between(low, high);
+            let drawn = match ranges.get(name) {
+                // added later: draws nothing where it is not asked for, so that what follows stays
+                None if name == "red_light" => 1.0,
+                range => {
+                    let [low, high] = range.copied().unwrap_or([1.0; 2]);
+                    between(low, high)
+                }
+            };
             style.get(name).copied().unwrap_or(drawn)
         });
         let pending = vec![Action::default(); rng.below(c.delay_steps + 1)];

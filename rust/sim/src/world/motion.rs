@@ -18,7 +18,8 @@ impl World {
         let stops = config.on_traffic_collision == TrafficCollision::Stop
             && e.drivers.iter().any(|d| !matches!(*d, Driver::External | Driver::REPLAY | Driver::Towed));
         self.scratch.before.clear();
-        if stops || !self.scene.hitches.is_empty() || parts(config.dt_s) > 1 {
+        let looks_back = !self.scene.hitches.is_empty() || !self.scene.scene.map.lights.is_empty();
+        if stops || looks_back || parts(config.dt_s) > 1 {
             self.scratch.before.extend((0..e.states.len()).map(|a| e.states.pose(a)));
             self.active_before.clone_from(&e.states.active);
         }

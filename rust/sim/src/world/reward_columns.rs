@@ -42,6 +42,8 @@ pub(crate) struct StepFacts {
     /// New progress.
     pub(crate) progress_m: Real,
     pub(crate) reached: bool,
+    /// Its front has passed a stop line in red.
+    pub(crate) ran_red: bool,
     /// What happened in this step ends the episode.
     pub(crate) terminated: bool,
     /// The horizon or the log ends the episode in this step.
@@ -193,6 +195,9 @@ columns! {
         /// Per m/s³ of jerk either way, at most 10, per step.
         RewardJerk, jerk = 0.0, "weighted reward of jerk alone",
             |weight, s| weight * s.soft * s.jerk_mps3.abs().min(MAX_JERK_MPS3);
+        /// At the step at which the front passes a stop line in red.
+        RewardRedLight, red_light = 0.0, "weighted reward of passing a stop line in red",
+            |weight, s| weight * Real::from(s.facts.ran_red);
     }
     // name, unit, what it is, and the value from the step
     info {
@@ -240,6 +245,8 @@ columns! {
             |s| Real::from(s.facts.timed_out);
         Speeding, "speeding", "m/s", "speed above the limit, 0 below it",
             Step::speeding_mps;
+        RanRed, "ran_red", "", "1 at the step at which the front passes a stop line, every light of which is red",
+            |s| Real::from(s.facts.ran_red);
     }
 }
 
@@ -263,7 +270,7 @@ impl Earlier {
         Self { reward, columns }
     }
 
-    /// Adds components and reward to those of the next step; a collision and the reached goal stay.
+    /// Adds components and reward to those of the next step; a collision, the reached goal and a red light passed stay.
     pub(crate) fn join(&self, reward: f32, row: &mut [f32]) -> f32 {
         for (value, earlier) in row.iter_mut().zip(&self.columns).take(NUM_COMPONENTS) {
             *value += earlier;
@@ -271,8 +278,9 @@ impl Earlier {
         if row[Col::Collision as usize] == 0.0 {
             CONTACT.iter().for_each(|c| row[*c as usize] = self.columns[*c as usize]);
         }
-        let goal = Col::GoalReached as usize;
-        row[goal] = row[goal].max(self.columns[goal]);
+        for column in [Col::GoalReached as usize, Col::RanRed as usize] {
+            row[column] = row[column].max(self.columns[column]);
+        }
         self.reward + reward
     }
 }

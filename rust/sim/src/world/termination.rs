@@ -1,5 +1,6 @@
 //! Phase "reward" of a tick: rewards, info columns and endings.
 
+use crate::geom::{Pose2, Vector2};
 use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
 use crate::world::episode::Phase;
@@ -52,6 +53,14 @@ impl World {
             let from_route_m = self.scratch.from_route_m[c];
             let progress_m = slot.progress.advance(&e.states, a, s_m, from_route_m, config.dt_s, at_end);
             let (contact, reached) = (self.scratch.contacts[c], slot.progress.reached && !had_reached);
+            let ran_red = !self.scene.scene.map.lights.is_empty() && self.active_before[a] && {
+                let ahead = |pose: &Pose2| {
+                    let half_m = self.scene.footprints[a].half_length_m;
+                    pose.position + Vector2::new(pose.cos, pose.sin) * half_m
+                };
+                let (from, to) = (ahead(&self.scratch.before[a]), ahead(&e.states.pose(a)));
+                self.scene.scene.map.runs_red(from, to, e.step_idx)
+            };
             let outcome = Outcome::of(contact.is_some(), slot.off_road, reached, config);
             out.terminated[c] = outcome.ends;
             out.truncated[c] = at_end && !outcome.ends;
@@ -62,6 +71,7 @@ impl World {
                 log_distance_m,
                 progress_m,
                 reached,
+                ran_red,
                 terminated: out.terminated[c],
                 timed_out: out.truncated[c],
             };

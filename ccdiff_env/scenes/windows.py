@@ -1,0 +1,87 @@
+"""Windows of scenes: parts of a log, each as long as an episode and the history before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.scenes import Scene, with_tracks
+from ccdiff_env.scenes.scene_set import SceneSet
+
+HISTORY_S = 3.0  #: History of a window where none is asked for: what environments look back on.
+
+
+@dataclass(frozen=True)
+class Windows:
+    """How logs are cut.
+
+    Args:
+        window_s: Seconds that an episode may last.
+        stride_s: Seconds from one window to the next; those of an episode by default.
+        history_s: Seconds of a window before its episode.
+    """
+
+    window_s: float
+    stride_s: float | None = None
+    history_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            low = 0.0 if name == "history_s" else 1e-3
+            if value is not None and not low <= value < 1e6:
+                raise ConfigError(f"{name} is {value}, expected seconds, at least {low:g}")
+
+    def steps(self, dt: float) -> tuple[int, int]:
+        """Return the steps of history and those of an episode, the present one not counted."""
+        history_s = HISTORY_S if self.history_s is None else self.history_s
+        return round(history_s / dt), max(round(self.window_s / dt), 1)
+
+    def cut(self, name: str, num_steps: int, dt: float) -> dict[str, tuple[int, int]]:
+        """Return first step and end of every whole window, by name: ``scene-0061@8`` begins at 8 s.
+
+        A log that is one window keeps its name.
+        """
+        whole = sum(self.steps(dt)) + 1
+        if whole == num_steps:
+            return {name: (0, num_steps)}
+        stride = max(round((self.stride_s or self.window_s) / dt), 1)
+        starts = range(0, num_steps - whole + 1, stride)
+        return {f"{name}@{round(first * dt, 3):g}": (first, first + whole) for first in starts}
+
+    def of(self, scenes: SceneSet) -> SceneSet:
+        """Return the windows of all scenes, in order, with the agents that are there in each.
+
+        Raises:
+            ConfigError: If no scene is long enough; names the longest one.
+        """
+        found = [
+            _slice(scene, name, *part)
+            for scene in scenes
+            for name, part in self.cut(scene.name, scene.num_steps, scene.dt).items()
+        ]
+        if not found and len(scenes):
+            longest = max(scenes, key=lambda scene: scene.num_steps)
+            raise ConfigError(
+                f"no scene has the {sum(self.steps(longest.dt)) + 1} steps of a window: "
+                f"{longest.name!r} has {longest.num_steps}; see window_s and history_s"
+            )
+        return SceneSet(found, lambda: scenes.report)
+
+
+def logs_of(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of the logs that windows are of, each once."""
+    return tuple(dict.fromkeys(name.rpartition("@")[0] or name for name in names))
+
+
+def _slice(scene: Scene, name: str, first: int, end: int) -> Scene:
+    if (first, end) == (0, scene.num_steps):
+        return scene
+    whole: dict[str, Any] = {**scene.tracks()}
+    tracks = {field: values[:, first:end] for field, values in whole.items()}
+    return with_tracks(
+        scene, tracks, np.flatnonzero(tracks["valid"].any(axis=1)), name=name, first=first
+    )

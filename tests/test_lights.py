@@ -1,0 +1,186 @@
+"""Traffic lights: in scenes and files, passed in red by geometry, and waited for by drivers."""
+
+import numpy as np
+import pytest
+import shapely
+from array_scenes import GOES_ON, STEPS, TIMES_S, agent, array_scene, rebuilt, wide_road
+from test_scenes_scenarionet import save, scenario
+
+import ccdiff_env
+from ccdiff_env import EgoEnv, Scene
+from ccdiff_env.errors import DatasetError, SceneError, ShapeError
+from ccdiff_env.scenes.scenarionet_export import scenario_dict
+from ccdiff_env.scenes.scene_types import LIGHT_STATES
+
+UNKNOWN, GREEN, YELLOW, RED = range(4)
+STOP_X = 40.0  # where the controlled lanes begin
+
+
+def layers(*lights, y=(0.0,)):
+    """A wide road with a lane before STOP_X and one behind it at every y, and lights over these."""
+    made = wide_road()
+    for i, at in enumerate(y):
+        for name, (x0, x1) in {"before": (-300, STOP_X), "behind": (STOP_X, 600)}.items():
+            x = np.arange(x0, x1 + 1, dtype=np.float32)
+            line = np.stack([x, np.full_like(x, at)], 1)
+            made["lanes"].append({"id": f"{name} {i}", "kind": "lane", "centreline": line})
+    made["lights"] = [
+        {"lane": 2 * i + 1, "states": np.asarray(states, np.uint8)} for i, states in lights
+    ]
+    return made
+
+
+def always(state):
+    return np.full(STEPS, state)
+
+
+def test_lights_are_part_of_a_scene(tmp_path):
+    ego = agent("ego", 8.0 * TIMES_S)
+    bare, states = array_scene(ego, layers=layers()), np.arange(STEPS) // 50
+    lit = array_scene(ego, layers=layers((0, states)))
+    assert "lights" not in bare.map_layers()
+    assert lit != bare
+    assert lit.hash != bare.hash
+    (light,) = lit.map_layers()["lights"]
+    assert (light["lane"], light["states"].tolist()) == (1, states.tolist())
+    assert np.allclose(light["stop_line"], [[STOP_X, 1.75], [STOP_X, -1.75]])
+    assert Scene.from_bytes(lit.to_bytes()) == lit
+    assert lit.to_bytes().startswith(bare.to_bytes()[:-1])
+    given = lit.map_layers()
+    given["lights"][0]["stop_line"] = np.array([[38.0, 0.5]], np.float32)  # a point
+    moved = rebuilt(lit, map_layers=given)
+    assert np.allclose(moved.map_layers()["lights"][0]["stop_line"], [[38, 2.25], [38, -1.25]])
+    (back,) = ccdiff_env.load_scenarionet(save(tmp_path, scenario_dict(moved)))
+    (light,) = back.map_layers()["lights"]
+    assert np.allclose(light["stop_line"], [[38, 2.25], [38, -1.25]])
+    assert np.array_equal(light["states"], states)
+
+
+@pytest.mark.parametrize(
+    ("changed", "error", "message"),
+    [
+        ({"lane": 9}, DatasetError, "lane is 9, expected the index"),
+        ({"states": np.full(STEPS, 7, np.uint8)}, DatasetError, "a state is 7, expected 0 to 3"),
+        ({"states": always(1)}, ShapeError, "uint8 array"),
+        ({"states": np.zeros(3, np.uint8)}, SceneError, r"lights\[0\].states is 3 states"),
+        ({"stop_line": np.zeros((3, 2), np.float32)}, ShapeError, "stop_line"),
+        ({"stop_line": np.full((2, 2), np.nan, np.float32)}, SceneError, "lights"),
+    ],
+)
+def test_wrong_lights_are_refused(changed, error, message):
+    given = layers((0, always(RED)))
+    given["lights"][0] |= changed
+    with pytest.raises(error, match=message):
+        array_scene(agent("ego", 8.0 * TIMES_S), layers=given)
+
+
+def test_lights_of_descriptions(tmp_path):
+    """Names of MetaDrive and of Waymo; stop points of the light or of every step."""
+    data = scenario()
+    names = ["LANE_STATE_STOP", "LANE_STATE_ARROW_GO", "TRAFFIC_LIGHT_YELLOW", None]
+    points = np.zeros((data["length"], 3))
+    points[3:] = [3002.0, 4000.5, 9.0]
+    shown = [names[i % 4] for i in range(data["length"])]
+    light = {"type": "TRAFFIC_LIGHT", "lane": "1", "state": {"object_state": shown}}
+    data["dynamic_map_states"] = {"2": {**light, "stop_point": points}, "77": {**light, "lane": 77}}
+    scenes = ccdiff_env.load_scenarionet(save(tmp_path, data))
+    (light,) = scenes[0].map_layers()["lights"]
+    assert light["lane"] == 0
+    told = ["red", "green", "yellow", "unknown"]
+    assert [LIGHT_STATES[s] for s in light["states"]] == [told[i % 4] for i in range(len(shown))]
+    assert np.allclose(light["stop_line"], [[2, 2.25], [2, -1.25]])
+    assert "a light of lane 77, which is not there" in scenes.report.scenes[0].notes
+    data["dynamic_map_states"]["2"]["state"]["object_state"] = shown[:-1]
+    with pytest.raises(DatasetError, match="length of dynamic_map_states"):
+        ccdiff_env.load_scenarionet(save(tmp_path, data))
+
+
+def ran(scene, **options):
+    """Steps at which the ego, on its log, passes in red, and rewards for it."""
+    env = EgoEnv(scenes=[scene], driver="replay", history_steps=10, horizon_steps=STEPS, **GOES_ON,
+                 **options)  # fmt: skip
+    env.reset(seed=0)
+    steps, rewards, done = [], [], False
+    while not done:
+        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+        done = terminated or truncated
+        rewards.append(info["reward_red_light"])
+        if info["ran_red"]:
+            steps.append(env.worlds.native.status(0).step_idx)
+    return steps, rewards
+
+
+def test_passing_in_red_is_seen_at_the_front():
+    x = 8.0 * TIMES_S
+    crossing = int(np.flatnonzero(x + 2.25 >= STOP_X)[0])
+    for state in (UNKNOWN, GREEN, YELLOW, RED):
+        scene = array_scene(agent("ego", x), layers=layers((0, always(state))))
+        steps, rewards = ran(scene, reward={"red_light": -3.0})
+        assert steps == [crossing] * (state == RED)
+        assert sum(rewards) == -3.0 * (state == RED)
+    for turns, seen in ((crossing, []), (crossing + 1, [crossing])):  # red until it turns
+        states = np.where(np.arange(STEPS) < turns, RED, GREEN)
+        assert ran(array_scene(agent("ego", x), layers=layers((0, states))))[0] == seen
+    for y, seen in ((1.7, [crossing]), (1.8, [])):  # beside the stop line
+        scene = array_scene(agent("ego", x, y), layers=layers((0, always(RED))))
+        assert ran(scene)[0] == seen
+    against = agent("ego", 80 - x, heading=np.pi)
+    assert ran(array_scene(against, layers=layers((0, always(RED)))))[0] == []
+    both = layers((0, always(RED)), (0, always(GREEN)))  # another way from the same line has green
+    assert ran(array_scene(agent("ego", x), layers=both))[0] == []
+
+
+def test_passing_in_red_against_shapely():
+    rng = np.random.default_rng(0)
+    count = 0
+    for _ in range(40):
+        y = np.cumsum(rng.normal(0, 0.1, STEPS)) + rng.uniform(-2, 2)
+        x = np.maximum.accumulate(9.0 * TIMES_S + rng.normal(0, 0.2, STEPS))
+        heading = np.unwrap(rng.normal(0, 0.05, STEPS))
+        states = rng.integers(0, 4, STEPS)
+        scene = array_scene(agent("ego", x, y, heading=heading), layers=layers((0, states)))
+        tracks = scene.tracks()
+        (light,) = scene.map_layers()["lights"]
+        turned = tracks["heading"][0]
+        front = tracks["position"][0] + 2.25 * np.stack([np.cos(turned), np.sin(turned)], 1)
+        bar = shapely.LineString(light["stop_line"])
+        expected = [
+            k
+            for k in range(11, STEPS)
+            if states[k] == RED
+            and front[k - 1, 0] < STOP_X <= front[k, 0]
+            and shapely.LineString(front[k - 1 : k + 1]).intersects(bar)
+        ]
+        assert ran(scene)[0] == expected
+        count += len(expected)
+    assert count > 4
+
+
+@pytest.mark.parametrize("driver", ["traffic", "idm", "pdm", "lane_idm"])
+def test_drivers_wait_in_red_and_go_in_green(driver):
+    """IDM as traffic, and drivers of the ego; beside, where the light is green, others go on."""
+    turns = 110
+    states = np.where(np.arange(STEPS) < turns, RED, GREEN)
+    given = layers((0, states), (1, always(GREEN)), y=(0.0, 4.0))
+    x = 8.0 * TIMES_S
+    scene = array_scene(agent("ego", x, 30.0), agent("a", x), agent("b", x, 4.0), layers=given)
+    if driver != "traffic":
+        scene = scene.with_ego("a")
+    env = EgoEnv(
+        scenes=[scene], traffic="idm", driver="replay" if driver == "traffic" else driver,
+        history_steps=10, horizon_steps=STEPS, **GOES_ON,
+    )  # fmt: skip
+    env.reset(seed=0)
+    places = {}
+    done = False
+    while not done:
+        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+        done = terminated or truncated
+        assert not info["ran_red"]
+        states_now, k = env.worlds.native.states(0), env.worlds.native.status(0).step_idx
+        places[k] = states_now["position"][[1, 2], 0], states_now["speed"][[1, 2]]
+    (waiting, beside), speeds = places[turns - 1]
+    assert 0.5 < STOP_X - (waiting + 2.25) < 4.0
+    assert speeds[0] < 0.1
+    assert beside > STOP_X + 10
+    assert places[max(places)][0][0] + 2.25 > STOP_X
