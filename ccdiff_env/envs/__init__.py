@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -32,6 +33,14 @@ for _id, _single, _vector in (
             entry_point=f"{__name__}.{_single}",
             vector_entry_point=f"{__name__}.{_vector}",
         )
+
+if "forkserver" in multiprocessing.get_all_start_methods():
+    # Gymnasium reads no entry points since 1.0: workers of this start method, which is that of
+    # stable-baselines3's SubprocVecEnv, know the ids because their server imports this package
+    from multiprocessing.forkserver import _forkserver
+
+    if __name__.split(".")[0] not in _forkserver._preload_modules:
+        _forkserver.set_forkserver_preload([*_forkserver._preload_modules, "ccdiff_env"])
 
 make_vec = EgoVectorEnv  #: The vector environment, by the name of Gymnasium's function.
 
