@@ -17,7 +17,7 @@ use std::time::UNIX_EPOCH;
 use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// Raised whenever scenes are built or encoded differently.
-const FORMAT: u32 = 7;
+const FORMAT: u32 = 8;
 const MAGIC: &[u8; 8] = b"ccdscene";
 const CHECKSUM_BYTES: usize = 16;
 
