@@ -42,6 +42,21 @@ def edited(scene: Scene, ego: str) -> Scene:
     return rebuilt(scene, agent_ids=[names.get(one, one) for one in scene.agent_ids])
 
 
+def test_a_share_of_the_drawn_egos_may_stand_and_all_are_logged_to_the_end(scenes):
+    scene = scenes[0]
+    known, valid = moving(scene), scene.tracks()["valid"]
+    env = EgoEnv(scenes=[scene], ego="any", standing_share=0.25)
+    stands = 0
+    for seed in range(400):
+        info = env.reset(seed=seed)[1]
+        if (info["ego"], info["start_step"]) not in known:
+            stands += 1
+            end = min(info["start_step"] + HORIZON, scene.num_steps - 1)
+            assert valid[info["ego_idx"], [info["start_step"], end]].all()
+    # most draws of any vehicle drive on, too
+    assert 0 < stands <= 130
+
+
 def test_the_seed_draws_a_vehicle_that_drives_on_and_a_start(scenes):
     scene = scenes[0]
     known, env = moving(scene), EgoEnv(scenes=[scene], ego="any")

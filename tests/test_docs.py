@@ -34,6 +34,7 @@ SMALLER = {
     r"\*\*PPO_SETTINGS": "**PPO_SETTINGS | {'n_steps': 8, 'batch_size': 16}",
     r"\bn_steps=\d+": "n_steps=8, batch_size=16",
     r"learn\([\d_]+": "learn(400",
+    r"(demonstrations\(.*?)[\d_]{6,}": r"\g<1>200",
     r"DECISIONS = [\d_]+": "DECISIONS = 400",
     r"range\(\d+\)": "range(3)",
 }

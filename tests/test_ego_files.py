@@ -129,11 +129,13 @@ def test_the_shipped_egos_drive_unseen_scenes(scenes):
 
 
 def test_a_vehicle_of_the_traffic_drives_as_the_policy_would_in_its_seat(scenes, tmp_path):
-    """A policy that decides at every step, and does not know how far its goal is."""
+    """A policy that decides at every step, and does not know how far its goal is, and how long."""
     layout = ccdiff_env.EgoEnv(scenes=scenes).worlds.layout
     tensors = {name: part.numpy().copy() for name, part in agent_of(layout).state_dict().items()}
     (ego,) = (entry for entry in layout.entries if entry.name == "ego")
-    tensors["policy.0.weight"][:, ego.offset + ego.columns.index("route_remaining")] = 0.0
+    of_goal = ("route_remaining", "goal_near", "goal_speed", "goal_braking")
+    for column in (*of_goal, "time_remaining", "pace"):
+        tensors["policy.0.weight"][:, ego.offset + ego.columns.index(column)] = 0.0
     path = tmp_path / "unicycle.safetensors"
     save_ego(path, tensors, {}, {})
     policy, compared = planners.load(path), 0

@@ -73,6 +73,67 @@ def test_the_goal_is_reached_and_progress_counts_near_the_route_only(aside, reac
     assert last["metrics"]["route_completion"] == last["route_completion"]
 
 
+def test_a_speed_too_low_to_be_in_time_is_priced_on_a_free_road_before_the_goal():
+    # the log drives 60 m; the ego waits for 3 s first, and is there in time
+    x = np.interp(TIMES_S, [0.0, 3.0, 13.0], [0.0, 0.0, 60.0])
+    waits = np.interp(TIMES_S, [0.0, 6.0, 12.0], [0.0, 0.0, 60.0])
+    options = {"terminate_at_goal": False, "reward": {"lagging": -0.5}}
+    free, behind = (
+        driven(array_scene(agent("ego", x), *others), line(waits), **options)[1]
+        for others in ([], [agent("other", 10.0)])
+    )
+    paid = np.array([info["reward_lagging"] for info in free])
+    speed = np.array([info["speed"] for info in free])
+    left_m = 60.0 - np.array([info["at"][0] for info in free])
+    left_s = np.maximum(10.0 - 0.1 * np.arange(1, 101), 1.0)
+    late = (left_m > 3.0) & (np.arange(100) < 80)
+    want = np.where(late, -0.5 * np.maximum(left_m / left_s - speed, 0.0), 0.0)
+    np.testing.assert_allclose(paid[:80], want[:80], atol=2e-2)
+    assert paid[0] == pytest.approx(-0.5 * 60.0 / 9.9, abs=1e-2)
+    assert (paid[-10:] == 0.0).all()
+    # from bumper to bumper it is 5.5 m, which is no free road
+    assert all(info["reward_lagging"] == 0.0 for info in behind[:29])
+
+
+def test_the_ego_sees_when_and_how_fast_the_log_is_at_the_goal():
+    # 10 m/s to 80 m, then 4 m/s; the other one drives 3 m/s ahead
+    x = np.where(TIMES_S < 8.0, 10.0 * TIMES_S, 80.0 + 4.0 * (TIMES_S - 8.0))
+    scene = array_scene(agent("ego", x), agent("other", 60.0 + 3.0 * TIMES_S))
+    goal_m = x[130]
+    env = EgoEnv(scenes=[scene], dynamics="unicycle", terminate_at_goal=False)
+    obs, _ = env.reset(seed=0)
+    columns = env.worlds.layout.entries[0].columns
+    for step in range(60):
+        seen = dict(zip(columns, obs, strict=False))
+        state = env.worlds.native.states(0)
+        (at_m, _), (other_m, _) = state["position"]
+        v = state["speed"][0]
+        left_s, way_m = 10.0 - 0.1 * step, goal_m - at_m
+        assert seen["time_remaining"] == pytest.approx(left_s / 10.0, abs=1e-5)
+        assert seen["goal_speed"] * 20.0 == pytest.approx(4.0, abs=0.1)
+        assert seen["pace"] * 20.0 == pytest.approx(min(way_m / left_s, 20.0), abs=0.05)
+        brakes = max(v**2 - (20.0 * seen["goal_speed"]) ** 2, 0.0) / (2.0 * way_m)
+        assert seen["goal_braking"] * 10.0 == pytest.approx(brakes, abs=0.02)
+        if seen["leader_gap"] < 1.0:
+            room_m = other_m - at_m - 4.5 - 2.0
+            brakes = min(max(v - 3.0, 0.0) ** 2 / (2.0 * max(room_m, 0.1)), 10.0)
+            assert seen["leader_braking"] * 10.0 == pytest.approx(brakes, abs=0.05)
+        obs, *_ = env.step(np.array([-0.05, 0.0], np.float32))
+    assert seen["leader_braking"] > 0.0
+
+
+def test_a_stop_of_the_log_is_a_goal_to_stop_at_and_the_clock_ends_with_the_log():
+    scene = array_scene(agent("ego", np.minimum(10.0 * TIMES_S, 90.0)))
+    columns = EgoEnv(scenes=[scene]).worlds.layout.entries[0].columns
+    for horizon, left_s in ((100, 10.0), (1000, 12.9)):
+        obs, _ = EgoEnv(scenes=[scene], horizon_steps=horizon).reset(seed=0)
+        seen = dict(zip(columns, obs, strict=False))
+        assert seen["goal_speed"] == 0.0
+        assert seen["time_remaining"] == 1.0
+        assert seen["pace"] * 20.0 == pytest.approx(60.0 / left_s, abs=0.02)
+        assert seen["goal_braking"] * 10.0 == pytest.approx(100.0 / (2.0 * 60.0), abs=0.01)
+
+
 def test_a_detour_counts_when_the_route_is_reached_again():
     scene = array_scene(agent("ego", 10.0 * TIMES_S))
     k = np.arange(STEPS)

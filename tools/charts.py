@@ -167,18 +167,17 @@ def realism() -> str:
 
 
 def learning() -> str:
-    """Return the chart of learning."""
-    looks = dict(zip(("blue", "green", "orange"), "osD", strict=True)).items()
-    trained = [row for row in kept("expectations")["rows"] if "curve" in row]
-    series = [
-        Series(
-            row["title"],
-            look,
-            [point[1] for point in row["curve"]],
-            [(100 * point[2], math.nan, math.nan) for point in row["curve"]],
-        )
-        for row, look in zip(trained, looks, strict=False)
+    """Return the chart of learning: mean, least and most of the seeds, and rules."""
+    ego, *rules = kept("expectations")["rows"]
+    places = [point[1] for point in ego["curve"]]
+    figures = [
+        (100 * point[2], 100 * low, 100 * high)
+        for point, (low, high) in zip(ego["curve"], ego["spread"], strict=True)
     ]
+    series = [Series(ego["title"], ("blue", "o"), places, figures)]
+    for row, look in zip(rules, (("orange", "_"), ("purple", "_")), strict=True):
+        level = (row["success"], math.nan, math.nan)
+        series.append(Series(row["title"], look, [0.0, places[-1]], [level, level]))
     title = "success in the test episodes of the example, %"
     return lines_chart(title, "seconds of one core", series, (0, 25, 50, 75, 100))
 

@@ -20,6 +20,7 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.ego_network import Agent
+from ccdiff_env.envs.recipe import REWARD, WORLDS
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.planners import load_ego
 from ccdiff_env.planners.ego import save_ego
@@ -74,7 +75,8 @@ class Worlds:
         scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
-        drawn = {"ego": "any", "start_spread_steps": 0} if args.any_ego else {}
+        drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
+        drawn = drawn if args.any_ego else {}
         if args.differences:
             gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
             config = config.with_options(randomization={**gains, "delay_steps": 2})
@@ -241,7 +243,7 @@ def train(args: argparse.Namespace) -> None:
         "decision_steps": args.decision_steps,
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
-    weights = ASSISTED_WEIGHTS if isinstance(config.action.dynamics, AssistedLimits) else {}
+    weights = ASSISTED_WEIGHTS if isinstance(config.action.dynamics, AssistedLimits) else REWARD
     config = config.with_options(reward=weights)
     checkpoint = args.out / "checkpoint.pt"
     settings = {n: of for n, of in vars(args).items() if n not in FREE}

@@ -212,6 +212,9 @@ class RewardConfig(Options):
     jerk: float = 0.0
     #: At the step at which the front passes a stop line in red (in [-1000000, 1000000]).
     red_light: float = 0.0
+    #: Per m/s below the mean speed that reaches the goal in time, with nobody within 8 m ahead, per
+    #: step (in [-1000000, 1000000]).
+    lagging: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,6 +264,9 @@ class WorldOptions(Options):
     #: Episodes start up to this many steps later, sampled for each episode (in [0, 10000]). Sampled
     #: egos start anywhere by default.
     start_spread_steps: int = 0
+    #: Share of the episodes of sampled egos that take any vehicle, also one whose log stands (in
+    #: [0, 1]).
+    standing_share: float = 0.0
     horizon_steps: int = 100  #: Steps of an episode at most (in [1, 100000]).
     #: Steps that a call of ``step`` holds its action for, at most to the end of the episode (in [1,
     #: 1000]). Rewards are summed up; a learner's discount per call is that of a step to this power.

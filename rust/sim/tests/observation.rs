@@ -28,7 +28,8 @@ fn the_leader_of_the_observation_is_that_of_the_events() {
     batch.reset_all(1);
     let ego = batch.world.layout().entry("ego").unwrap().clone();
     let column = |name: &str| ego.columns.iter().position(|c| c.name == name).unwrap();
-    let (gap, closing) = (column("leader_gap"), column("leader_closing"));
+    let [gap, closing, near, braking] =
+        ["leader_gap", "leader_closing", "leader_near", "leader_braking"].map(column);
     let mut seen = [0, 0];
     for t in 0..60 {
         batch.step(&actions(t, 2)).unwrap();
@@ -38,6 +39,10 @@ fn the_leader_of_the_observation_is_that_of_the_events() {
             found.map_or((60.0, 0.0), |l| (l.gap_m, status.states.speed_mps[0] - l.speed_mps));
         assert!((batch.obs[gap] * 60.0 - expected_gap.clamp(0.0, 60.0)).abs() < 1e-3);
         assert!((batch.obs[closing] * 20.0 - expected_closing).abs() < 1e-3);
+        assert!((batch.obs[near] * 10.0 - expected_gap.clamp(0.0, 10.0)).abs() < 1e-3);
+        let v = expected_closing.max(0.0);
+        let expected = v * v / (2.0 * (expected_gap - 2.0).max(0.1));
+        assert!((batch.obs[braking] * 10.0 - expected.min(10.0)).abs() < 1e-2);
         seen[usize::from(found.is_some())] += 1;
     }
     assert!(seen.iter().all(|n| *n > 0), "{seen:?}");

@@ -3,7 +3,7 @@
 use super::column::{Axis, ObservationColumn};
 use super::map_segments::SegmentKind;
 use super::source::{OfAgent, OfEgo, OfSegment};
-use crate::events::time_to_contact;
+use crate::events::{Leader, time_to_contact};
 use crate::geom::Real;
 use crate::scene::AgentKind;
 use OfAgent::{Direction, Fixed, OnRoute, Pair, Place, Speed, Velocity};
@@ -34,6 +34,17 @@ const fn on_request<S: Copy>(entry: Entry<S>) -> Entry<S> {
 /// Bounds of numbers of either sign, and of numbers that are not negative.
 const SIGNED: [Real; 2] = [-1.0, 1.0];
 const POSITIVE: [Real; 2] = [0.0, 1.0];
+
+/// Times that divide ways are at least this, seconds, and ways that divide speeds, metres.
+const LEAST_TIME_S: Real = 0.1;
+const LEAST_WAY_M: Real = 0.1;
+/// Room that braking leaves to a leader, metres.
+const LEADER_ROOM_M: Real = 2.0;
+
+/// Deceleration from one speed to another within a way, m/s².
+fn braking(from_mps: Real, to_mps: Real, way_m: Real) -> Real {
+    (from_mps * from_mps - to_mps * to_mps).max(0.0) / (2.0 * way_m.max(LEAST_WAY_M))
+}
 
 /// Time to contact counts up to here, seconds.
 const TTC_SCALE_S: Real = 10.0;
@@ -82,9 +93,29 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("route_remaining", "m", 100.0, POSITIVE, "along the route to the goal", |e| {
         e.view.facts.route_remaining_m
     }),
-    on_request(entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
+    entry("goal_near", "m", 10.0, SIGNED, "along the route to the goal, negative past it", |e| {
+        e.view.facts.goal_ahead_m
+    }),
+    entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
         e.view.facts.time_remaining
-    })),
+    }),
+    entry("goal_speed", "m/s", 20.0, POSITIVE, "of the log at the goal, 0 where it stands there", |e| {
+        e.view.facts.goal_speed_mps
+    }),
+    entry("pace", "m/s", 20.0, POSITIVE, "mean speed that reaches the goal in the time that is left", |e| {
+        e.view.facts.goal_ahead_m / e.view.facts.time_left_s.max(LEAST_TIME_S)
+    }),
+    entry(
+        "goal_braking",
+        "m/s2",
+        10.0,
+        POSITIVE,
+        "constant deceleration that passes the goal as fast as the log",
+        |e| {
+            let (facts, speed) = (e.view.facts, e.state(|s| &s.speed_mps).max(0.0));
+            braking(speed, facts.goal_speed_mps, facts.goal_ahead_m)
+        },
+    ),
     entry(
         "leader_gap",
         "m",
@@ -100,6 +131,20 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         SIGNED,
         "speed less the speed of that agent along the route, 0 without one",
         |e| e.leader().map_or(0.0, |l| e.state(|s| &s.speed_mps) - l.speed_mps),
+    ),
+    entry("leader_near", "m", 10.0, POSITIVE, "the gap once more, 1: 10 m or more", |e| {
+        e.leader().map_or(Real::MAX, |l| l.gap_m)
+    }),
+    entry(
+        "leader_braking",
+        "m/s2",
+        10.0,
+        POSITIVE,
+        "constant deceleration that stays 2 m behind that agent at its present speed, 0 without one",
+        |e| {
+            let closing = |l: Leader| (e.state(|s| &s.speed_mps) - l.speed_mps).max(0.0);
+            e.leader().map_or(0.0, |l| braking(closing(l), 0.0, l.gap_m - LEADER_ROOM_M))
+        },
     ),
 ];
 

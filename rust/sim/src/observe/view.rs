@@ -34,8 +34,14 @@ pub struct EgoFacts {
     pub collided: bool,
     /// Distance along the route to the goal, metres.
     pub route_remaining_m: Real,
+    /// The same where the goal may lie behind, negative then, and 0 once it is reached.
+    pub goal_ahead_m: Real,
     /// Share of the episode that is left.
     pub time_remaining: Real,
+    /// The same in seconds.
+    pub time_left_s: Real,
+    /// Speed of the log at the goal, 0 where it stands there, m/s.
+    pub goal_speed_mps: Real,
 }
 
 /// Everything an observation is made from.

@@ -103,7 +103,10 @@ impl Egos {
                 off_road: off == Some(true) && has_been_on_road,
                 collided: false,
                 route_remaining_m: route.length_m() - s_m,
+                goal_ahead_m: route.length_m() - s_m,
                 time_remaining: 1.0,
+                time_left_s: Real::MAX,
+                goal_speed_mps: Real::MAX,
             },
         };
         self.observer.write(&view, &mut self.row);

@@ -164,6 +164,8 @@ options! {
         /// Episodes start up to this many steps later, sampled for each episode. Sampled egos start anywhere by
         /// default.
         start_spread_steps: usize = 0, range within(0.0, 10_000.0);
+        /// Share of the episodes of sampled egos that take any vehicle, also one whose log stands.
+        standing_share: Real = 0.0, range within(0.0, 1.0);
         /// Steps of an episode at most.
         horizon_steps: usize = 100, range within(1.0, 100_000.0);
         /// Steps that a call of `step` holds its action for, at most to the end of the episode. Rewards are summed up; a

@@ -106,6 +106,13 @@ impl Episode {
         }
     }
 
+    /// Steps of the episode that are left: to its horizon, or to the end of the log where that ends it.
+    pub(crate) fn steps_left(&self, scene: &PreparedScene, config: &WorldConfig) -> usize {
+        let left = config.horizon_steps.saturating_sub(self.elapsed_steps);
+        let logged = (scene.scene.num_steps - 1).saturating_sub(self.step_idx);
+        if config.truncate_at_log_end { left.min(logged) } else { left }
+    }
+
     /// Puts the agents where the log has them after the history, and hands out slots and drivers.
     pub(crate) fn begin(
         &mut self,

@@ -29,8 +29,9 @@ pub(crate) struct Progress {
     /// Distance from it in the plane: at the start, and now.
     apart_m: Real,
     left_m: Real,
-    /// Whether the log stands there.
+    /// Whether the log stands there, and else its speed, m/s.
     stops: bool,
+    goal_speed_mps: Real,
     /// Whether the agent is there now, and whether that has been its arrival.
     is_there: bool,
     pub(crate) reached: bool,
@@ -54,6 +55,7 @@ impl Progress {
             apart_m,
             left_m: apart_m,
             stops: speed_mps < STANDING_MPS,
+            goal_speed_mps: if speed_mps < STANDING_MPS { 0.0 } else { speed_mps },
             is_there: false,
             reached: false,
         };
@@ -131,6 +133,16 @@ impl Progress {
         }
     }
 
+    /// Way to the goal along the route, metres, negative past it; in the plane where the log moves to one that is not ahead; 0
+    /// once it is reached.
+    pub(crate) fn ahead_m(&self, s_m: Real) -> Real {
+        match (self.reached, self.is_ahead() || self.stands()) {
+            (true, _) => 0.0,
+            (false, true) => self.goal_s_m - s_m,
+            (false, false) => self.left_m,
+        }
+    }
+
     /// Way that is left, metres: along the route, or in the plane where the goal is not ahead on it.
     pub(crate) fn remaining_m(&self, s_m: Real) -> Real {
         match (self.reached, self.is_ahead()) {
@@ -140,9 +152,14 @@ impl Progress {
         }
     }
 
+    /// Speed of the log at the goal, 0 where it stands there, m/s.
+    pub(crate) fn goal_speed_mps(&self) -> Real {
+        self.goal_speed_mps
+    }
+
     /// Numbers that must be finite.
-    pub(crate) fn reals(&self) -> [Real; 7] {
-        let Self { start_s_m, goal_s_m, best_s_m, goal, apart_m, left_m, .. } = self;
-        [*start_s_m, *goal_s_m, *best_s_m, goal.x, goal.y, *apart_m, *left_m]
+    pub(crate) fn reals(&self) -> [Real; 8] {
+        let Self { start_s_m, goal_s_m, best_s_m, goal, apart_m, left_m, goal_speed_mps, .. } = self;
+        [*start_s_m, *goal_s_m, *best_s_m, goal.x, goal.y, *apart_m, *left_m, *goal_speed_mps]
     }
 }

@@ -44,6 +44,8 @@ pub(crate) struct StepFacts {
     pub(crate) reached: bool,
     /// Its front has passed a stop line in red.
     pub(crate) ran_red: bool,
+    /// How much it is too slow to be in time on a free road, m/s; found where it is priced.
+    pub(crate) lag_mps: Real,
     /// What happened in this step ends the episode.
     pub(crate) terminated: bool,
     /// The horizon or the log ends the episode in this step.
@@ -198,6 +200,9 @@ columns! {
         /// At the step at which the front passes a stop line in red.
         RewardRedLight, red_light = 0.0, "weighted reward of passing a stop line in red",
             |weight, s| weight * Real::from(s.facts.ran_red);
+        /// Per m/s below the mean speed that reaches the goal in time, with nobody within 8 m ahead, per step.
+        RewardLagging, lagging = 0.0, "weighted reward of a speed too low to be in time on a free road",
+            |weight, s| weight * s.facts.lag_mps;
     }
     // name, unit, what it is, and the value from the step
     info {

@@ -21,6 +21,8 @@ impl World {
         let e = &self.episode;
         self.observer.prepare(&e.states, e.slots.iter().filter(|s| s.alive).count());
         let bytes = extent.raster.iter().product::<usize>();
+        let left_steps = e.steps_left(&self.scene, config);
+        let time_left_s = left_steps as Real * config.dt_s;
         for (c, slot) in e.slots.iter().enumerate() {
             let out = &mut obs[c * extent.row..(c + 1) * extent.row];
             let raster = &mut bev[c * bytes..(c + 1) * bytes];
@@ -40,7 +42,10 @@ impl World {
                 off_road: slot.off_road,
                 collided: slot.in_contact,
                 route_remaining_m: slot.progress.remaining_m(e.route_s_m[a]),
-                time_remaining: 1.0 - e.elapsed_steps as Real / config.horizon_steps as Real,
+                goal_ahead_m: slot.progress.ahead_m(e.route_s_m[a]),
+                time_remaining: left_steps as Real / (e.elapsed_steps + left_steps).max(1) as Real,
+                time_left_s,
+                goal_speed_mps: slot.progress.goal_speed_mps(),
             };
             let view = View {
                 states: &e.states,

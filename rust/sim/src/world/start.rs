@@ -55,6 +55,7 @@ impl Start {
             let drawn = (spread > 0).then(|| first + rng.below(spread + 1)).filter(there);
             return there(&first).then(|| Self { ego: None, step_idx: drawn.unwrap_or(first) });
         }
+        let anyhow = config.standing_share > 0.0 && rng.uniform() < config.standing_share;
         let spread = if config.start_spread_steps == 0 { most } else { config.start_spread_steps.min(most) };
         let steps = wanted.start.map_or(first..=first + spread, |step| step..=step);
         let vehicles =
@@ -68,7 +69,12 @@ impl Start {
             left.retain(|a| wanted.ego.is_some() || !is_towed(a));
             while !left.is_empty() {
                 let ego = left.swap_remove(rng.below(left.len()));
-                let moving = steps.clone().filter(|t| drives_on(scene, ego, *t, config.horizon_steps));
+                let end = |t: usize| t.saturating_add(config.horizon_steps).min(scene.num_steps - 1);
+                let goes = |t| {
+                    anyhow && scene.is_valid(ego, t) && scene.is_valid(ego, end(t))
+                        || drives_on(scene, ego, t, config.horizon_steps)
+                };
+                let moving = steps.clone().filter(|t| goes(*t));
                 let moving: Vec<usize> = moving.filter(|t| stays(ego, *t)).collect();
                 if !moving.is_empty() {
                     return Some(Self { ego: Some(ego), step_idx: moving[rng.below(moving.len())] });

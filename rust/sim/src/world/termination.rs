@@ -1,14 +1,22 @@
 //! Phase "reward" of a tick: rewards, info columns and endings.
 
-use crate::geom::{Pose2, Vector2};
+use crate::events::{ANTICIPATION_S, leader};
+use crate::geom::{Pose2, Real, Vector2};
+use crate::stage::PreparedScene;
 use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
-use crate::world::episode::Phase;
+use crate::world::episode::{Episode, Phase};
 use crate::world::reward;
 use crate::world::reward_columns::{Earlier, NUM_COLUMNS, StepFacts, TTC_HORIZON_S};
 use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
 use crate::world::tow;
+
+/// An agent is late only farther from its goal than this, and with nobody nearer ahead than the second, metres.
+const LATE_BEFORE_M: Real = 3.0;
+const LATE_BEHIND_M: Real = 8.0;
+/// The time that is left counts as at least this, seconds.
+const LEAST_TIME_S: Real = 1.0;
 
 /// What the events of a step do to an agent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,12 +43,24 @@ impl Outcome {
     }
 }
 
+/// How much slower the agent of a slot is than reaches the goal in time where nobody is ahead, m/s.
+fn lag_mps(e: &Episode, scene: &PreparedScene, slot_idx: usize, a: usize, time_left_s: Real) -> Real {
+    let (s_m, route) = (e.route_s_m[a], &scene.routes[a].path);
+    let left_m = e.slots[slot_idx].progress.ahead_m(s_m);
+    let lag_mps = left_m / time_left_s - e.states.speed_mps[a];
+    let is_free = || {
+        leader(&e.states, &scene.footprints, route, s_m, a, ANTICIPATION_S)
+            .is_none_or(|l| l.gap_m > LATE_BEHIND_M)
+    };
+    if left_m > LATE_BEFORE_M && lag_mps > 0.0 && is_free() { lag_mps } else { 0.0 }
+}
+
 impl World {
     /// Rewards and info columns of a step; those of earlier steps of the decision lie in `out`, zero for the first one.
     pub(super) fn reward(&mut self, config: &WorldConfig, is_first: bool, out: &mut StepBuffers<'_>) -> bool {
         let e = &mut self.episode;
-        let at_end = e.elapsed_steps >= config.horizon_steps
-            || (config.truncate_at_log_end && e.step_idx + 1 >= self.scene.scene.num_steps);
+        let left_steps = e.steps_left(&self.scene, config);
+        let (at_end, time_left_s) = (left_steps == 0, (left_steps as Real * config.dt_s).max(LEAST_TIME_S));
         let alive = e.slots.iter().filter(|s| s.alive).filter_map(|s| s.agent_idx);
         self.scratch.least_times.find(&e.states, &self.scene.footprints, alive, TTC_HORIZON_S);
         for c in 0..e.slots.len() {
@@ -48,6 +68,8 @@ impl World {
             let columns = &mut out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             let earlier = (!is_first).then(|| Earlier::of(out.reward[c], columns));
             let (log_distance_m, s_m) = (log_distance(e, &self.scene, a), e.route_s_m[a]);
+            let is_priced = config.reward.lagging != 0.0;
+            let lag_mps = if is_priced { lag_mps(e, &self.scene, c, a, time_left_s) } else { 0.0 };
             let slot = &mut e.slots[c];
             let had_reached = slot.progress.reached;
             let from_route_m = self.scratch.from_route_m[c];
@@ -72,6 +94,7 @@ impl World {
                 progress_m,
                 reached,
                 ran_red,
+                lag_mps,
                 terminated: out.terminated[c],
                 timed_out: out.truncated[c],
             };
