@@ -63,7 +63,7 @@ def test_demonstrations_drive_as_the_log_does():
     gains = (v > 2.2) & (v < 7.5)
     np.testing.assert_allclose(actions[gains, 0], 0.25, atol=0.03)
     assert np.abs(actions[v > 7.9, 0]).max() < 0.2
-    assert {0.0, 0.1} <= set(np.round(actions[:, 1], 2))
+    assert {0, 10} <= set(np.round(100.0 * actions[:, 1]).astype(int))
     before = obs[:, [columns.index("last_action_0"), columns.index("last_action_1")]]
     np.testing.assert_allclose(before[gains, 0], 0.25, atol=0.26)
     with pytest.raises(ConfigError, match="number"):
