@@ -110,9 +110,11 @@ def test_plans_are_those_of_torch_but_for_rounding(name, samples, weight, steps)
     away = farthest(plans(torch, name, **options), found)
     assert max(away.values()) < ROUNDING, away
     seen = [plan["attention"] for plan in found]
-    # somebody sees several others
+    # somebody sees several others; what CCDiff tells leaves out who passes by
     assert (name in SCENE_DIFFUSIONS) == all(one is not None for one in seen)
-    assert name not in SCENE_DIFFUSIONS or max((one > 0.01).sum(1).max() for one in seen) > 1
+    assert name not in SCENE_DIFFUSIONS or max((one > 0.01).sum(1).max() for one in seen) > (
+        not name.startswith("ccdiff")
+    )
 
 
 @pytest.mark.parametrize("name", sorted({"trafficsim_fast", "strive_fast"} & {*NAMES}))

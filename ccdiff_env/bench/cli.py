@@ -122,7 +122,8 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument(
         "--match",
         metavar="SCR",
-        help="compare guided methods at these SCR, comma-separated, between --strengths",
+        help="compare guided methods at these SCR, comma-separated, interpolated between "
+        "--strengths (default: none)",
     )
     parser.add_argument(
         "--strengths",
