@@ -91,10 +91,11 @@ def table(rows: list[dict[str, Any]]) -> str:
     def cell(row: dict[str, Any], name: str) -> Cell:
         value = row.get(name, "")
         if isinstance(value, list):
-            return tuple(value)
-        if isinstance(value, str) or name in OUTCOMES:
+            mean, low, high = value
+            return mean, low, high
+        if isinstance(value, str):
             return value
-        return f"{value:,.0f}"
+        return float(value) if name in OUTCOMES else f"{value:,.0f}"
 
     shown = [[cell(row, name) for name in heads] for row in rows]
     return str(Table([*heads.values()], shown))

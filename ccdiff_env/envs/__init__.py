@@ -37,10 +37,11 @@ for _id, _single, _vector in (
 if "forkserver" in multiprocessing.get_all_start_methods():
     # Gymnasium reads no entry points since 1.0: workers of this start method, which is that of
     # stable-baselines3's SubprocVecEnv, know the ids because their server imports this package
-    from multiprocessing.forkserver import _forkserver
+    from multiprocessing import forkserver
 
-    if __name__.split(".")[0] not in _forkserver._preload_modules:
-        _forkserver.set_forkserver_preload([*_forkserver._preload_modules, "ccdiff_env"])
+    _server: Any = forkserver._forkserver
+    if "ccdiff_env" not in _server._preload_modules:
+        _server.set_forkserver_preload([*_server._preload_modules, "ccdiff_env"])
 
 make_vec = EgoVectorEnv  #: The vector environment, by the name of Gymnasium's function.
 

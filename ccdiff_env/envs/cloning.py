@@ -46,7 +46,7 @@ def demonstrations(
     ego = env.worlds.layout.entries[0]
     last = [ego.offset + i for i, n in enumerate(ego.columns) if n.startswith("last_action_")]
     obs, _ = env.reset(seed=seed)
-    shape, k, found, have = (STEPS, *env.action_space.shape), decision_steps, [], 0
+    shape, k, found, have = (STEPS, *(env.action_space.shape or ())), decision_steps, [], 0
     idle, begins = np.zeros(shape[1:], np.float32), np.ones(WORLDS, np.int64)
     while have < number:
         seen = np.empty((STEPS, *obs.shape), np.float32)
