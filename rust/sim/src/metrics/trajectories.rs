@@ -23,9 +23,6 @@ pub struct Trajectories {
     pub(super) states: Vec<AgentStates>,
 }
 
-/// Step and two agents of a contact, and the speed of each towards the other, m/s.
-pub type Contact = ([u32; 3], [Real; 2]);
-
 impl Trajectories {
     /// The states of x, y (metres) and heading (radians), each row-major [A, T]; where `valid` [A, T] is false they mean
     /// nothing. `elevation_m` [A, T] is that of the ground below the agents, which parts levels; empty in a flat scene. A footprints.
@@ -108,7 +105,8 @@ impl Trajectories {
     ///
     /// # Reference
     /// reference.md#collisions.
-    pub fn contacts(&self) -> (Vec<Contact>, Vec<Option<ContactKind>>) {
+    #[expect(clippy::type_complexity, reason = "two lists, told above")]
+    pub fn contacts(&self) -> (Vec<([u32; 3], [Real; 2])>, Vec<Option<ContactKind>>) {
         let kinds = vec![AgentKind::Vehicle; self.num_agents()];
         let mut found = Collisions::new();
         let (mut contacts, mut first_kind) = (Vec::new(), vec![None; self.num_agents()]);
