@@ -241,7 +241,7 @@ fn samples_are_chosen_by_signed_weights_and_shared_where_an_objective_is_joint()
     // two objectives, two samples, two agents
     let losses = [0.0, 0.4, 0.9, 0.1, /* off-road */ 5.0, 0.0, 0.0, 1.0];
     let map = Objective::MapCollision(MapCollision::default());
-    let joint = config(vec![collision(-50.0), map]);
+    let joint = config(vec![collision(-50.0), map.clone()]);
     assert_eq!(choose_samples(&joint, &losses, 2, 2), [1, 1]);
     let released = GuidanceConfig { filter_weights: FilterWeights::Unweighted, ..joint.clone() };
     assert_eq!(choose_samples(&released, &losses, 2, 2), [1, 1]);

@@ -121,7 +121,7 @@ proptest! {
         let toy = toy(&BOTH_WAYS, ModelConfig::fast());
         let all = vec![true; 4];
         let config = GuidanceConfig { discount: 0.97, ..GuidanceConfig::released() };
-        let objective = smooth_objectives()[which];
+        let objective = smooth_objectives().swap_remove(which);
         let s = toy.context(&WorldGuidance::new(&all), &config);
         let plan = toy.roll(&s, &actions(4, seed, 0.5));
         let gradient = evaluate(&objective, &s, &plan).1;
