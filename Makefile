@@ -51,9 +51,11 @@ test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install 
 	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
-test-py123d: $(SO)  ## the source py123d, in an environment of its own, where it installs
+test-py123d: $(SO)  ## the source py123d, in an environment of its own (the devkit's pin of NumPy is older), where it installs
 	if $(UV) venv -q --allow-existing --python $(BIN)/python .py123d \
-	&& $(UV) pip install -q --python .py123d/bin/python -r pyproject.toml --extra py123d pytest; \
+	&& $(UV) pip install -q --python .py123d/bin/python -r pyproject.toml --extra py123d pytest \
+		pyquaternion descartes fire parameterized scikit-learn cachetools pycocotools matplotlib opencv-python-headless \
+	&& $(UV) pip install -q --python .py123d/bin/python --no-deps nuscenes-devkit; \
 	then PYTHONPATH=$(CURDIR) .py123d/bin/python -m pytest tests/test_scenes_py123d.py; \
 	else echo "py123d did not install: its tests are not run"; fi
 
