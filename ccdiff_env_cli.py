@@ -9,12 +9,16 @@ from __future__ import annotations
 import argparse
 import difflib
 import os
+import re
 import signal
 import sys
+import sysconfig
 import threading
+import traceback
 import warnings
 from collections.abc import Iterable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NoReturn
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
@@ -23,7 +27,7 @@ VERBS = {
     "train-ego": ("train an ego with PPO (resumes a run in --out)", "envs.train_ego"),
     "distil": ("distil guided CCDiff into swift traffic", "envs.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
-    "view": ("write a replay page, an image or a video", "view.command"),
+    "view": ("write a replay page, an image or a video", "bench.view_command"),
     "scenes": ("list the scenes of a source", "view.listing"),
     "play": ("write a page in which you drive the ego with the keyboard", "view.play"),
     "doctor": ("check the installation and say what is missing", "bench.doctor"),
@@ -110,6 +114,19 @@ def _interrupt(number: int, _: object) -> NoReturn:
     raise KeyboardInterrupt(number)
 
 
+def own_traceback(error: BaseException) -> str:
+    """Return the traceback of an error that code of the user's own raised, or led to; else "".
+
+    Errors of other processes have theirs in their cause.
+    """
+    text = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    here = Path(__file__)
+    known = {here, here.parent / "ccdiff_env", *map(Path, sysconfig.get_paths().values())}
+    files = map(Path, re.findall(r'^ *File "([^"<]+)"', text, re.MULTILINE))
+    failed = type(error).__name__ == "PolicyError" and error.__cause__ is not None
+    return text if failed or any(not {file, *file.parents} & known for file in files) else ""
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
     if hasattr(sys.stdout, "reconfigure"):
@@ -129,6 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except (CcdiffError, OSError) as error:
         print(f"ccdiff-env {args.verb}: {error}", file=sys.stderr)
+        print(own_traceback(error), end="", file=sys.stderr)
         return 2
     except KeyboardInterrupt as interrupt:
         print("interrupted", file=sys.stderr)

@@ -269,7 +269,12 @@ def _planners(args: argparse.Namespace) -> int:
         {
             "Scores": scores,
             "Planners against one another": report.comparison(found),
-            "Worst scenes": report.worst_table(found, max(args.replays, 10), pages),
+            "Worst scenes": [
+                *report.worst_table(found, args.replays, pages),
+                escaped(
+                    f"ccdiff-env view {run.folder} --scene NAME --planner NAME shows any of them."
+                ),
+            ],
         },
         rows,
         files,
@@ -334,7 +339,7 @@ def _scenarios(args: argparse.Namespace) -> int:
         {
             "Cross matrix": report.tables(sets, rows, what),
             "Worst scenarios that can be avoided": worst_table(
-                avoidable, max(args.replays, 10), pages, "made against"
+                avoidable, args.replays, pages, "made against"
             ),
         },
         rows,

@@ -46,6 +46,7 @@ _REASONS = {
 }
 #: Planners that all others are compared with: from outside, and the privileged one.
 BASES = ("lane_idm", "idm")
+UNLINKED = 10  #: Worst scenes of a planner that are listed where none has a replay.
 BAD_BELOW = 0.7  #: Scenes with a lower score are listed; others where they have a replay.
 
 
@@ -189,14 +190,15 @@ def worst_scenes(found: Results, planner: str, count: int) -> list[tuple[str, Ro
 
 
 def worst_table(found: Results, count: int, pages: Pages, traffic: str = "traffic") -> list[Block]:
-    """Return the worst scenes of every planner, some per planner, linked to their replays.
+    """Return the ``count`` worst scenes of every planner, linked to their replays; some, without
+    links, for 0.
 
     ``traffic`` heads its column.
     """
     blocks: list[Block] = []
     for planner in dict.fromkeys(p for p, _ in found):
         rows: TableRows = []
-        for name, row in worst_scenes(found, planner, count):
+        for name, row in worst_scenes(found, planner, count or UNLINKED):
             page = pages.get((row["job"], row["scene"]))
             if row["score"] < BAD_BELOW or page is not None:
                 kind = TRAFFIC[name].label if name in TRAFFIC else short_name(name)

@@ -34,6 +34,7 @@ from ccdiff_env.worlds.policy_file import LEARNED
 
 #: Steps before an episode, and those that it lasts at most, in scenes of 9.1 s as Waymo's.
 SHORT_WINDOW = {"history_steps": 10, "horizon_steps": 80}
+_USUAL_WINDOW = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
 CHUNK: int = PROTOCOL.fields["batch"]  #: Scenes that share a batch of the network.
 #: Drivers of the world that know where the log goes, and how fast.
 READ_THE_LOG = ("replay", "idm")
@@ -118,9 +119,8 @@ def window_of(
     Raises:
         ConfigError: If a scene is shorter than that, or than what is asked for; names it.
     """
-    usual = {name: PROTOCOL.fields["world"][name] for name in SHORT_WINDOW}
     shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
-    window = dict(usual if shortest.num_steps > sum(usual.values()) else SHORT_WINDOW)
+    window = usual_window(shortest.num_steps)
     if (cut := place_of(source).window) is not None:
         window = dict(zip(window, cut.steps(shortest.dt), strict=True))
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
@@ -133,7 +133,12 @@ def window_of(
             f"{sum(window.values()) + 1}: {window['history_steps']} of history, the present one "
             f"and {window['horizon_steps']} to drive; see --history-steps and --horizon-steps"
         )
-    return None if window == usual else window
+    return None if window == _USUAL_WINDOW else window
+
+
+def usual_window(num_steps: int) -> dict[str, int]:
+    """Return the window of scenes of so many steps or more: that of the protocol, else of Waymo."""
+    return dict(_USUAL_WINDOW if num_steps > sum(_USUAL_WINDOW.values()) else SHORT_WINDOW)
 
 
 def planner_jobs(

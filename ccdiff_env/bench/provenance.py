@@ -27,7 +27,7 @@ from ccdiff_env.system.version import __version__
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 #: Files of the package that show results and decide none.
-_SHOW = ("view", "terminal.py", "progress.py", "page.py", "plots.py", "cli.py")
+_SHOW = ("view", "terminal.py", "progress.py", "page.py", "plots.py", "cli.py", "view_command.py")
 _SEEN: dict[str, str] = {}  #: Digest of each planner's source when this process first saw it.
 
 

@@ -65,11 +65,12 @@ class Tape:
 class Recorded:
     """A planner that does again what tapes of a batch hold.
 
-    ``rows`` are of the scenes of the batch in order, with :meth:`Tape.entries`; raises
-    :class:`DatasetError` if one is damaged.
+    ``rows`` are of the scenes of the batch in order, with :meth:`Tape.entries`; ``name`` is the
+    planner's. Raises :class:`DatasetError` if a tape is damaged.
     """
 
-    def __init__(self, rows: Sequence[Mapping[str, Any]]) -> None:
+    def __init__(self, rows: Sequence[Mapping[str, Any]], name: str = "recorded") -> None:
+        self.__name__ = name
         try:
             self._data = [np.frombuffer(base64.b64decode(row["actions"]), "<f4") for row in rows]
             #: What the actions mean.

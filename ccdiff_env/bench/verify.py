@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import random
 import secrets
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.provenance import scene_hashes
+from ccdiff_env.bench.provenance import scene_hashes, source_digest
 from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ConfigError, DatasetError
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant, unknown
 from ccdiff_env.planners.built_in import is_of_package
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.progress import shown
 
 
@@ -72,17 +74,101 @@ def verify(
         chosen = chosen[: sum(end < episodes for end in ends) + 1]
     differing: list[str] = []
     for entry in shown(chosen, what="episodes"):
-        if ":" in entry.traffic and (record.path.is_file() or not own_code):
-            raise ConfigError(
-                f"{entry.where}: custom traffic {entry.traffic!r} is only replayed from a run "
-                "folder, with --own-code: trust whoever made it"
-            )
-        differing += _differences(entry, record.path, dataroot)
+        rows, _ = _played(entry, record.path, dataroot, own_code=own_code)
+        differing += [
+            f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
+            for then, now in zip(entry.rows, rows, strict=True)
+            if (what := _difference(then, now))
+        ]
     played, there = (sum(len(e.rows) for e in part) for part in (chosen, record.entries))
     return Verified(played, there, drawn_by, tuple(differing))
 
 
-def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
+def replayed(
+    path: Path,
+    scene: str,
+    *,
+    planners: Sequence[str] = (),
+    traffic: Sequence[str] = (),
+    seed: int | None = None,
+    dataroot: str | None = None,
+) -> list[tuple[str, Rollout]]:
+    """Play episodes of a run or a submission again: titles, and what was recorded, of one scene.
+
+    A planner of a run folder whose code is here, unchanged, drives again, and is asked what it
+    meant to do; of others the recorded actions are played. Either way every bit is compared.
+
+    Args:
+        path: The run folder, or the submission.
+        scene: Name of the scene.
+        planners: Planners, by name or title; all by default.
+        traffic: Names of traffic, by default the one in which the first planner scores least.
+        seed: The seed, by default the one with which it scores least there.
+        dataroot: Folder of nuScenes, where it is another than that of the run.
+
+    Raises:
+        UnknownNameError, ConfigError: If the run has no such scene, planner, traffic or seed.
+        DatasetError: If an episode does not come out as it did.
+    """
+    record = Record.read(path)
+    there = {
+        (entry.planner, entry.traffic, entry.seed): (entry, row)
+        for entry in record.entries
+        for row in entry.rows
+        if row["scene"] == scene
+    }
+    if not there:
+        known = {name for entry in record.entries for name in entry.names}
+        raise UnknownNameError(f"no scene {scene!r} in {path}; {meant(scene, known)}")
+    names = list(dict.fromkeys(planner for planner, _, _ in there))
+    calls = {alias: name for name in names for alias in (name, short_name(name))}
+    who = [_known(calls, "planner of the run", name) for name in planners] or names
+
+    def least(worst_in: Collection[str]) -> tuple[str, int]:
+        keys = [key for key in there if key[0] == who[0] and (not worst_in or key[1] in worst_in)]
+        if not keys:
+            raise unknown("traffic of the run", next(iter(worst_in)), {key[1] for key in there})
+        return min(keys, key=lambda key: (there[key][1]["score"], key))[1:]
+
+    found = least(traffic)
+    chosen = [(p, t, found[1] if seed is None else seed) for p in who for t in traffic or found[:1]]
+    shown_as = []
+    for key in chosen:
+        if key not in there:
+            raise UnknownNameError("no {} in {} with seed {} in the run".format(*key))
+        entry, then = there[key]
+        rows, rollouts = _played(
+            entry, path, dataroot, own_code=path.is_dir(), own_planner=path.is_dir(), record=[scene]
+        )
+        now = next(row for row in rows if row["scene"] == scene)
+        if (what := _difference(then, now)) is not None:
+            raise DatasetError(f"{scene}, {key[0]} in {key[1]}, comes out otherwise: {what}")
+        words = [short_name(key[0])] + [TRAFFIC[key[1]].label] * (len(traffic) > 1)
+        shown_as.append((", ".join(words), rollouts[scene]))
+    return shown_as
+
+
+def _known(calls: Mapping[str, str], what: str, name: str) -> str:
+    if name not in calls:
+        raise unknown(what, name, calls)
+    return calls[name]
+
+
+def _played(
+    entry: Entry,
+    path: Path,
+    dataroot: str | None,
+    *,
+    own_code: bool,
+    own_planner: bool = False,
+    record: Collection[str] = (),
+) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
+    """Play a result again, all scenes of its batch, and record some; see :func:`.drive`."""
+    if ":" in entry.traffic and (path.is_file() or not own_code):
+        raise ConfigError(
+            f"{entry.where}: custom traffic {entry.traffic!r} is only replayed from a run "
+            "folder, with --own-code: trust whoever made it"
+        )
     place = place_of(entry.source)
     if path.is_file() and place.path is not None and dataroot is None:
         raise ConfigError(f"{path}: its scenes are of {place.source}, give --dataroot")
@@ -102,14 +188,24 @@ def _differences(entry: Entry, path: Path, dataroot: str | None) -> list[str]:
     if not is_of_package(planner):
         if any("actions" not in row for row in entry.rows):
             raise DatasetError(f"{entry.where}: {planner} without its actions")
-        planner = Recorded(entry.rows)
-    scenes = scenes_of(source, entry.names)
-    rows, _ = drive(scenes, planner, TRAFFIC[entry.traffic], seed=entry.seed, options=entry.window)
-    return [
-        f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
-        for then, now in zip(entry.rows, rows, strict=True)
-        if (what := _difference(then, now))
-    ]
+        if not (own_planner and _is_here(entry)):
+            planner = Recorded(entry.rows, planner)
+    return drive(
+        scenes_of(source, entry.names),
+        planner,
+        TRAFFIC[entry.traffic],
+        seed=entry.seed,
+        options=entry.window,
+        record=record,
+    )
+
+
+def _is_here(entry: Entry) -> bool:
+    """Return whether the code of a planner is here, as it was."""
+    try:
+        return source_digest(entry.planner) == entry.planner_source
+    except (ConfigError, DatasetError, ImportError):
+        return False
 
 
 def _difference(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:

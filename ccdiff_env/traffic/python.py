@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ConfigError, PolicyError, ShapeError
+from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import PythonOptions
@@ -193,7 +193,7 @@ class PythonTraffic(PythonOptions):
 class BoundTraffic:
     """A model in an environment: what is called with arrays, checks the answer and returns it.
 
-    ``name`` is that of the driver, for messages.
+    ``name`` is that of the driver; messages call the model by its path.
     """
 
     def __init__(self, name: str, traffic: PythonTraffic, scenes: SceneSet, dt_s: float) -> None:
@@ -202,7 +202,7 @@ class BoundTraffic:
                 f"named_drivers.{name}: the model {traffic.model!r} is a name, expected an object: "
                 "files do not import code, PythonTraffic.load does"
             )
-        self._name, self._model = name, traffic.model
+        self._name, self._model = traffic.described, traffic.model
         self._replan_steps = traffic.replan_steps
         self._scenes, self._dt_s = list(scenes), dt_s
 
@@ -214,7 +214,15 @@ class BoundTraffic:
         """
         scenes = tuple(self._scenes[i] for i in arrays["scene_idx"])
         batch = TrafficBatch(**arrays, scenes=scenes, dt_s=self._dt_s)
-        answer = self._model(batch)
+        try:
+            answer = self._model(batch)
+        except CcdiffError:
+            raise
+        except Exception as error:
+            where = ", ".join(scene.name for scene in scenes[:3])
+            raise PolicyError(
+                f"traffic {self._name!r}: {type(error).__name__}: {error} (in {where})"
+            ) from error
         if hasattr(answer, "detach"):
             answer = answer.detach().cpu().numpy()
         try:

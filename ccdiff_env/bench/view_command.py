@@ -4,30 +4,37 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+from ccdiff_env.bench.planners import TRAFFIC, drive, usual_window
+from ccdiff_env.bench.verify import replayed
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.system.files import file_name, naming, write_aside
 from ccdiff_env.system.terminal import say_page
-from ccdiff_env.traffic import NETWORKS, driver_names
+from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
-from ccdiff_env.view.sources import LOG, find_rollout, find_scene, play_scene
+from ccdiff_env.view.sources import LOG, find_rollout, find_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
+#: Traffic by name, for the help.
+TRAFFIC_HELP = ", ".join(TRAFFIC)
 #: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
     "driver": None,
-    "seed": 0,
-    "criticality": [0.0],
+    "seed": None,
+    "criticality": None,
+    "samples": None,
     "save": None,
     "slider": False,
 }
@@ -50,8 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="RUN_OR_SCENE",
-        help="rollout file, folder of rollouts, name of a scene, or link of the playground; "
-        "several are shown in a grid",
+        help="rollout file, folder of rollouts, run folder or submission of bench planners (with "
+        "--scene), name of a scene, or link of the playground; several are shown in a grid",
+    )
+    parser.add_argument(
+        "--scene",
+        metavar="NAME",
+        help="scene of a run of bench planners, whose episodes are played again, bit for bit: "
+        "those of --planner and --traffic (default: all planners, in the traffic and with the "
+        "seed in which the first one scores least)",
     )
     parser.add_argument(
         "--compare",
@@ -69,21 +83,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     play.add_argument(
         "--traffic",
         nargs="+",
-        help=f"simulate the scene with this traffic, of: {', '.join(driver_names())}; several are "
-        "shown beside each other (default: the log is shown)",
+        help=f"simulate the scene as bench planners does, with this traffic, of: {TRAFFIC_HELP}; "
+        "several are shown beside each other (default: the log is shown)",
     )
     play.add_argument(
         "--driver",
+        "--planner",
         nargs="+",
         help=f"{EGO_HELP}; several are shown beside each other (default: idm; replay where "
         "--compare has the log, so that the traffic alone differs)",
     )
-    play.add_argument("--seed", type=int, help="seed of the episode")
+    play.add_argument("--seed", type=int, help="seed of the episode (default: 0)")
     play.add_argument(
         "--criticality",
         type=float,
         nargs="+",
-        help="0: realistic traffic of a network; 1: critical; several are shown beside each other",
+        help="0: realistic traffic of a network; 1: critical; several are shown beside each other "
+        "(default: that of --traffic)",
+    )
+    play.add_argument(
+        "--samples",
+        type=int,
+        help="futures that a network draws for each plan, all of them shown (default: 1, as the "
+        "benchmark does; another number is another episode)",
     )
     play.add_argument(
         "--slider",
@@ -118,13 +140,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--traffic plays one scene: show others beside it with --compare")
     args.compare = others + args.compare
     folder = Path(args.what)
-    if not is_drive(args.what) and folder.is_dir():
+    if args.scene is None and not is_drive(args.what) and folder.is_dir():
         return _folder(args, folder)
     suffix = "html" if args.out is None else args.out.suffix.lower().lstrip(".")
     if suffix not in ("html", "htm", "", *IMAGES):
         listed = ", ".join(f".{name}" for name in ("html", *IMAGES))
         raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
-    if args.traffic is None:
+    if args.scene is None and args.traffic is None:
         _refuse(args, PLAYED, "plays a scene: give --traffic, too")
     if suffix not in IMAGES:
         _refuse(args, DRAWN, "goes with an image: --out that ends in .png, .svg, .gif or .mp4")
@@ -132,7 +154,12 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--open shows pages, not images")
     if args.slider and (suffix in IMAGES or args.compare):
         raise ConfigError("--slider is for a page of runs that are played, without --compare")
-    runs, titles = _played(args) if args.traffic is not None else _found(args, args.what)
+    if args.scene is not None:
+        runs, titles = _of_run(args, folder)
+    elif args.traffic is not None:
+        runs, titles = _played(args)
+    else:
+        runs, titles = _found(args, args.what)
     for word in args.compare:
         found, named = _found(args, word, like=runs[0])
         runs, titles = runs + found, titles + named
@@ -166,20 +193,33 @@ def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> 
     return [find_rollout(word, place_from(args), like=like)], [title]
 
 
+def _of_run(args: argparse.Namespace, path: Path) -> Runs:
+    unfit = {name: PLAYED[name] for name in ("criticality", "samples", "save", "slider")}
+    _refuse(args, unfit, "simulates a scene: a run has its episodes")
+    found = replayed(
+        path,
+        args.scene,
+        planners=args.driver or (),
+        traffic=args.traffic or (),
+        seed=args.seed,
+        dataroot=None if args.scenes is None else place_from(args).path,
+    )
+    return [rollout for _, rollout in found], [title for title, _ in found]
+
+
 def _played(args: argparse.Namespace) -> Runs:
     if Path(args.what).is_file():
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
-    levels = args.criticality
-    if args.slider and levels == PLAYED["criticality"]:
-        levels = LEVELS
+    levels = args.criticality or (LEVELS if args.slider else [])
     for level in levels:
         if not 0.0 <= level <= MAX_CRITICALITY:
             raise ConfigError(f"--criticality is {level:g}, expected 0 to {MAX_CRITICALITY:g}")
-    for traffic in args.traffic:
-        if any(levels) and not {traffic, *drivers} & set(NETWORKS):
-            raise ConfigError(f"--criticality guides networks, but --traffic is {traffic}")
-    choices = list(product(args.traffic, drivers, levels))
+    given = {"criticality": any(levels), "samples": args.samples}
+    for traffic, (name, value) in product(args.traffic, given.items()):
+        if value and not {TRAFFIC[traffic].driver, *drivers} & set(NETWORKS):
+            raise ConfigError(f"--{name} guides networks, but --traffic is {traffic}")
+    choices = list(product(args.traffic, drivers, levels or [None]))
     if args.save is not None and len(choices) > 1:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
@@ -187,13 +227,21 @@ def _played(args: argparse.Namespace) -> Runs:
     scene = find_scene(args.what, place_from(args))
     runs, titles = [], []
     for traffic, driver, level in choices:
-        ccdiff = {"criticality": level} if {traffic, driver} & set(NETWORKS) else {}
-        runs.append(
-            play_scene(scene, traffic=traffic, driver=driver, seed=args.seed, ccdiff=ccdiff)
+        asked = {"criticality": level, "num_samples": args.samples}
+        changed = {name: value for name, value in asked.items() if value is not None}
+        chosen = TRAFFIC[traffic]
+        _, rollouts = drive(
+            SceneSet([scene]),
+            driver,
+            replace(chosen, ccdiff={**chosen.ccdiff, **changed}),
+            seed=args.seed or 0,
+            options=usual_window(scene.num_steps),
+            record=[scene.name],
         )
+        runs.append(rollouts[scene.name])
         named = len(args.traffic) > 1 or len(choices) == 1
-        parts = [DRIVER_TITLES.get(traffic, traffic)] if named else []
-        parts += [f"criticality {level:g}"] if any(levels) else []
+        parts = [DRIVER_TITLES.get(traffic, chosen.label)] if named else []
+        parts += [f"criticality {level:g}"] if len(levels) > 1 or level else []
         parts += [f"ego {planner_title(driver)}"] if len(drivers) > 1 else []
         titles.append(", ".join(parts))
     if args.save is not None:
