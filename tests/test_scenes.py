@@ -296,5 +296,9 @@ def test_a_drive_does_not_depend_on_where_its_scene_lies(at):
 
     near = drive(0.0, 0.0, np.float64)
     np.testing.assert_allclose(drive(*at, np.float64), near, rtol=0, atol=0.01)
-    with pytest.warns(UserWarning, match="single precision"):
-        drive(*at, np.float32)
+    if max(at) < 2**20:
+        with pytest.warns(UserWarning, match="single precision"):
+            drive(*at, np.float32)
+    else:  # the next number in single precision is half a metre away
+        with pytest.raises(errors.SceneError, match=r"rounded to 0\.\d+ m; give float64"):
+            drive(*at, np.float32)

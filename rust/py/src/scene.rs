@@ -74,6 +74,9 @@ enum Positions<'py> {
 /// Places farther from the origin than this get a nearer one, metres: single precision has 0.5 mm there.
 const FAR_M: f64 = 5000.0;
 
+/// Positions in single precision that are rounded more coarsely than this, metres, are refused.
+const ROUNDING_M: f32 = 0.1;
+
 /// The whole metres to a frame in which the first valid place is near, in f64 [A, T, 2]; zero where it is.
 fn shift_of(position: &ndarray::Array3<f64>, valid: &[bool]) -> [f64; 2] {
     let first = position.rows().into_iter().zip(valid).find_map(|(p, ok)| ok.then(|| [p[0], p[1]]));
@@ -156,10 +159,15 @@ impl PyScene {
             |array: &PyReadonlyArray3<'_, f32>, i| masked(array.as_array().index_axis(ndarray::Axis(2), i));
         let shift = shift_of(&position, &shown);
         if is_single && shift != [0.0; 2] {
+            let far_m = shift.map(f64::abs).into_iter().fold(0.0, f64::max) as f32;
+            let rounding_m = far_m.next_up() - far_m;
             let text = format!(
-                "scene {:?}: positions near ({}, {}) in single precision are rounded to centimetres; give float64",
+                "scene {:?}: positions near ({}, {}) in single precision are rounded to {rounding_m} m; give float64",
                 name.0, shift[0], shift[1]
             );
+            if !(rounding_m <= ROUNDING_M) {
+                return Err(py::SceneError::new_err(text));
+            }
             PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(text).unwrap_or_default(), 1)?;
         }
         let near = |(p, ok): (ndarray::ArrayView1<'_, f64>, &bool)| {
