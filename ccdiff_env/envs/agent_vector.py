@@ -158,7 +158,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
         """Note who plays in the worlds that began an episode, and say so in their rows."""
         for e in np.flatnonzero(begun):
             names, adversaries = self._in_slots(int(e))
-            common = self.worlds.reset_info(int(e), self._info)
+            common = self.worlds.begin_episode(int(e), self._info)
             for c, name in enumerate(names):
                 role = "adversary" if adversaries[c] else "ego"
                 texts = {} if self._info == "none" else {"agent_id": name, "role": role}

@@ -135,7 +135,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         self.worlds.native.reset([normalized], [scene_idx], None, out)
         self.worlds.assign(0, drivers)
         self._begin()
-        common = self.worlds.reset_info(0, self._info)
+        common = self.worlds.begin_episode(0, self._info)
         infos = {}
         for name in self.agents:
             texts = {"agent_id": self._ids[self._slots[name]], "role": self.role(name)}

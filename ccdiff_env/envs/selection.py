@@ -340,7 +340,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
         super().reset(seed=None if seed is None else seed % 2**63)
         obs, _ = self.vector.reset(seed=seed, options=options)
         self._show()
-        return obs[0], {**self.worlds.reset_info(0, "full"), "agent_ids": self.agent_ids()}
+        return obs[0], {**self.worlds.begin_episode(0, "full"), "agent_ids": self.agent_ids()}
 
     def step(self, action: Any) -> tuple[F32, float, bool, bool, Info]:
         """Choose an adversary and advance until the next plan.

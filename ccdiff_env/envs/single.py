@@ -138,7 +138,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         self.worlds.assign(0, assigned)
         self._actions = bytearray()
         self._show()
-        return self._observation(out.obs, out.bev), self.worlds.reset_info(0, self._info)
+        return self._observation(out.obs, out.bev), self.worlds.begin_episode(0, self._info)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advance by one step.

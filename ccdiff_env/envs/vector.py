@@ -227,7 +227,7 @@ class EgoVectorEnv(OnWorlds, AsVector):
 
     def _reset_infos(self, infos: Info, which: Bool) -> Info:
         for i in np.flatnonzero(which):
-            self._put(infos, int(i), self.worlds.reset_info(int(i), self._info))
+            self._put(infos, int(i), self.worlds.begin_episode(int(i), self._info))
         return infos
 
     def _observation(self, out: StepArrays) -> Any:

@@ -43,19 +43,24 @@ class Curriculum:
     def __init__(self, criticality: Criticality) -> None:
         self.criticality = criticality  #: As given.
         self.progress = 0.0  #: Progress of training, 0 to 1.
-        self._range()
+        if callable(criticality):
+            try:
+                inspect.signature(criticality).bind(self.progress)
+            except TypeError as error:
+                raise ConfigError(
+                    f"criticality: {error}, expected a function of the progress of training, 0 to 1"
+                ) from None
+        # what is no function is read once, not at every draw
+        self._constant = self._read(criticality(0.0) if callable(criticality) else criticality)
 
-    def _range(self) -> list[tuple[float, float, float]]:
-        """Shares of the episodes, and from where to where their strengths are drawn."""
-        found = self.criticality
-        try:
-            if callable(found):
-                inspect.signature(found).bind(self.progress)
-        except TypeError as error:
-            raise ConfigError(
-                f"criticality: {error}, expected a function of the progress of training, 0 to 1"
-            ) from None
-        strength = found(self.progress) if callable(found) else found
+    def _ranges(self) -> list[tuple[float, float, float]]:
+        """Shares of the episodes, and from where to where their strengths are drawn, by now."""
+        given = self.criticality
+        return self._read(given(self.progress)) if callable(given) else self._constant
+
+    @staticmethod
+    def _read(strength: Strength) -> list[tuple[float, float, float]]:
+        """Shares and ranges that a strength stands for, checked."""
         parts = strength.items() if isinstance(strength, Mapping) else [(strength, 1.0)]
         wrong = ConfigError(
             f"criticality is {strength!r}, expected a number of at least 0, a pair (low, high) "
@@ -76,7 +81,7 @@ class Curriculum:
 
     def draw(self, seed: int, episode: int) -> float:
         """Return the criticality of an episode; the same seed and number give the same one."""
-        ranges = self._range()
+        ranges = self._ranges()
         rng = np.random.default_rng([seed, episode])
         chosen = 0
         if len(ranges) > 1:

@@ -395,13 +395,12 @@ class Worlds:
         self.native.set_scene_weights(weights)
         self.scene_weights = weights
 
-    def reset_info(self, world_idx: int, level: str) -> dict[str, Any]:
-        """Return what ``info`` says about a new episode: scene, its token, seed, episode, start.
+    def begin_episode(self, world_idx: int, level: str) -> dict[str, Any]:
+        """Draw the criticality of a new episode, where there is a curriculum, and return what
+        ``info`` says about it: scene, its token, seed, episode, start.
 
         An ego that is drawn is reported, too. Level ``"none"`` has numbers alone: some learners
         take no text.
-
-        With a curriculum, the episode's criticality is drawn and set here.
         """
         if self.curriculum is not None:
             status = self.native.status(world_idx)
