@@ -126,7 +126,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
                 that played.
 
         Raises:
-            ShapeError, ActionError: If the actions do not fit; nothing has moved then.
+            ShapeError, ActionError: If the actions are invalid; the worlds are unchanged.
             ResetNeededError: Before the first reset.
         """
         checked = self.worlds.actions(actions, self._action_shape)

@@ -47,8 +47,8 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name.
 
     Notes:
-        Agents end at different times. Who ends by an accident stays in the way of the others; who
-        reaches its goal leaves. With adversaries, the episode is truncated once no ego is left.
+        Agents end at different times. Crashed agents remain as obstacles; agents that reach their
+        goal are removed. With adversaries, the episode is truncated once no ego is left.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (PettingZoo's form)
@@ -164,7 +164,7 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
 
         Args:
             actions: An action of each of ``agents``; those of agents that have ended are ignored.
-                After the end of an episode, no actions lead to nothing.
+                After the end of an episode, no actions are expected and nothing happens.
 
         Returns:
             observations, rewards, terminations, truncations, infos: Of the agents that were there

@@ -105,7 +105,7 @@ class OnWorlds(Attributes):
         options = self._take(shared, options)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not an option of environments with one ego per world")
+                raise ConfigError(f"{name} is not supported with one ego per world; use AgentVectorEnv")
         config = shared.config
         if config and (config.controlled not in ("ego", "any") or config.num_slots != 1):
             raise ConfigError(
@@ -122,7 +122,7 @@ class OnWorlds(Attributes):
         options = self._take(shared, options)
         for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not an option of several agents: use agents")
+                raise ConfigError(f"{name} is not supported with several agents; pass agents= instead")
         chosen = scene_set(shared.scenes)
         resolved = world_config(chosen, shared.config, options, self._form)
         self._selection = AgentSelection.of(chosen, resolved, **choice)
@@ -152,7 +152,7 @@ class OnWorlds(Attributes):
         self.worlds.set_criticality(criticality)
 
     def set_progress(self, progress: float) -> None:
-        """Say how far training has come, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""
+        """Set the progress of training, see :meth:`ccdiff_env.worlds.Worlds.set_progress`."""
         self.worlds.set_progress(progress)
 
     def set_scene_weights(self, weights: Sequence[float] | npt.NDArray[np.float64] | None) -> None:

@@ -190,7 +190,7 @@ class AdversarySelectionVectorEnv(AsVector):
                 ``final_info`` (with ``metrics`` and ``is_success``) of episodes that ended.
 
         Raises:
-            ShapeError, ActionError: If the actions do not fit; nothing has moved then.
+            ShapeError, ActionError: If the actions are invalid; the worlds are unchanged.
             ResetNeededError: Before the first reset.
         """
         rewards, figures = self.decide(self.chosen(actions))

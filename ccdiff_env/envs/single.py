@@ -53,7 +53,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
     End
         Terminated: a collision, a corner off the road, or the goal (the logged position at the
         horizon). Truncated: the horizon (10 s), or the end of the log. ``info["metrics"]`` and
-        ``info["is_success"]`` sum up the episode.
+        ``info["is_success"]`` summarise the episode.
 
     Args:
         scenes: A :class:`SceneSet`, scenes, the text of a source (:func:`ccdiff_env.load`), or the
@@ -73,12 +73,12 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         **options: Fields of :class:`~ccdiff_env.config.WorldConfig` by name, such as
             ``traffic="idm"``, ``driver="idm"``, ``dynamics="bicycle"``, ``discrete=True``,
             ``bev={"size_px": 64}``. ``driver`` names a planner, too: ``"pdm"``, ``"ego"``,
-            ``"module:name"``, a policy's file (docs/planners.md). Whoever drives, the actions that
-            ``step`` is given do nothing.
+            ``"module:name"``, a policy's file (docs/planners.md). With any driver but an
+            external one, ``step`` ignores its action.
 
     Notes:
-        Environments can be pickled and deep-copied in the middle of an episode. A planner decides
-        again in a copy, in a fork and after :meth:`restore`.
+        Environments can be pickled and deep-copied in the middle of an episode. The state
+        of a planner is not copied: after a copy, a fork or :meth:`restore` it is called afresh.
     """
 
     metadata = {"render_modes": RENDER_MODES}  # noqa: RUF012 (Gymnasium's form)
@@ -151,7 +151,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
                 and, at the end of an episode, ``metrics``.
 
         Raises:
-            ShapeError, ActionError: If the action does not fit; nothing has moved then.
+            ShapeError, ActionError: If the action is invalid; the world is unchanged.
             ResetNeededError: Before the first reset and after the end of an episode.
         """
         if self._seat is not None and self.worlds.native.begun(0):

@@ -139,7 +139,7 @@ class Motion:
             there &= given
         sizes = _states("size", size, (shape[0], 2))
         if not ((sizes >= 0.0) & np.isfinite(sizes))[there.any(axis=1)].all():
-            raise SceneError("size has negative or unknown lengths, expected metres")
+            raise SceneError("size must be finite and not negative, in metres")
         self.num_agents, self.num_steps = shape
         self.valid: npt.NDArray[np.bool_] = there
         #: Positions [A, T, 2], metres, and headings [A, T], radians, as given.

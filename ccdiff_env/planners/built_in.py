@@ -92,7 +92,7 @@ _WORLD_DRIVERS = driver_names()
 
 
 class Seat:
-    """A planner in the egos' seats: checked, named in errors, its actions held as it was trained.
+    """A planner of the egos: its output is checked, its actions are held as long as in training.
 
     Args:
         planner: See :class:`Planner`; a class is made with the worlds where it takes an argument.

@@ -53,7 +53,7 @@ class RolloutEvent:
     #: One of :data:`EVENT_KINDS`. Collisions are listed from both sides, by the side of the agent
     #: that is hit; ``static`` is a collision with a static obstacle.
     kind: str
-    at_fault: bool = False  #: Whether a collision counts against this agent.
+    at_fault: bool = False  #: Whether this agent is at fault.
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

@@ -66,7 +66,7 @@ def _worlds(scenes: Scene | Sequence[Scene], world: Any, count: int) -> tuple[li
     """The scenes as a list, and the scene of each of ``count`` places."""
     listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
     if not listed or not all(isinstance(scene, Scene) for scene in listed):
-        raise ConfigError("scenes: expected a scene or several")
+        raise ConfigError("scenes must be a Scene or a sequence of them")
     if world is None:
         if len(listed) > 1:
             raise ConfigError(f"world is None, expected the number of one of {len(listed)} scenes")

@@ -361,7 +361,7 @@ class Worlds:
         self.curriculum.progress = progress
 
     def set_progress(self, progress: float) -> None:
-        """Say how far training has come, 0 to 1: episodes that begin later follow.
+        """Set the progress of training, 0 to 1; it applies from the next episodes.
 
         Raises:
             ConfigError: If there is no curriculum, or the number is out of range.

@@ -106,7 +106,7 @@ def worlds_view(worlds: Worlds, who: str) -> Any:
 
     There is no log, snapshot or plan of others, no name, token or hash of a scene, no seed, and
     nothing of who drives the others. Agents that are not there at present have size 0 and empty
-    types and categories. It is a rule that is kept, not a wall: code that digs through private
+    types and categories. This is a convention, not a sandbox: code that digs through private
     names gets through, and who knows all scenes can tell them apart by what is there.
     """
     return _View(worlds, _WORLDS, f"{who}: worlds")

@@ -159,7 +159,7 @@ pub(crate) fn boxed(
                 Box::new(PythonDriver::new(name, options, Python::attach(|py| model.clone_ref(py))))
             }
             _ => {
-                let message = format!("config: named_drivers: {name}: no network or model was handed over");
+                let message = format!("config: named_drivers: {name}: the driver has no network or Python model");
                 return Err(py::ConfigError::new_err(message));
             }
         };

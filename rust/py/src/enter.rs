@@ -50,7 +50,7 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Text {
         value.extract().map(Self).map_err(|error: PyErr| {
             if error.is_instance_of::<PyUnicodeError>(value.py()) {
                 let shown = value.repr().map_or_else(|_| String::new(), |r| r.to_string_lossy().into_owned());
-                py::SceneError::new_err(format!("text {shown} holds half a character, expected Unicode"))
+                py::SceneError::new_err(format!("text {shown} holds an unpaired surrogate, expected Unicode"))
             } else {
                 error
             }

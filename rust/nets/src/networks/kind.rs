@@ -56,7 +56,7 @@ fn by_distance(preset: ModelConfig) -> ModelConfig {
 }
 
 impl NetworkKind {
-    /// A network about which nothing special is known: it sees neighbours by distance.
+    /// A network with default capabilities: it sees neighbours by distance.
     pub const fn of(name: &'static str, title: &'static str, on_cpu: MakeOnCpu) -> Self {
         Self {
             kind: Kind { name, title, style: "ccdiff", options: None, always: false, make: None },

@@ -28,9 +28,9 @@ pub(super) fn is_slower(velocity: Vector2, speed_mps: Real) -> bool {
 /// Whether a contact counts against an agent, by nuPlan's `no_ego_at_fault_collisions`. `stands`: whether it and the other
 /// one drive at most [`STOPPED_MPS`](super::limits::STOPPED_MPS).
 ///
-/// An agent that stands is never to blame. One that moves is, when the other one stands, or is not behind it (more than 150
-/// degrees off, seen from the rear axle) and is hit by its front edge. All other contacts, those of the sides, count where
-/// the agent straddles lanes or is beside them.
+/// A stationary agent is never at fault. A moving agent is at fault if it hits a stationary one, or one that is not behind it
+/// (more than 150 degrees off, seen from the rear axle) with its front edge. All other contacts, those of the sides, count
+/// where the agent straddles lanes or is beside them.
 pub(crate) fn is_at_fault(
     own: &OrientedBox,
     other: &OrientedBox,

@@ -16,7 +16,7 @@ fn is_driven(e: &Episode, a: usize) -> bool {
     !matches!(e.drivers[a], Driver::External | Driver::REPLAY) && !e.has_slot(a)
 }
 
-/// Takes the contacts at the start of an episode as given.
+/// Records the contacts at the start of an episode, which are ignored until they end.
 pub(super) fn begin(e: &mut Episode, scene: &PreparedScene, collisions: &mut Collisions) {
     e.halted.clear();
     e.halted.resize(e.states.len(), false);
