@@ -105,7 +105,7 @@ class OnWorlds(Attributes):
         options = self._take(shared, options)
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not supported with one ego per world; use AgentVectorEnv")
+                raise ConfigError(f"{name} is not supported with one ego: use AgentVectorEnv")
         config = shared.config
         if config and (config.controlled not in ("ego", "any") or config.num_slots != 1):
             raise ConfigError(
@@ -122,7 +122,7 @@ class OnWorlds(Attributes):
         options = self._take(shared, options)
         for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
-                raise ConfigError(f"{name} is not supported with several agents; pass agents= instead")
+                raise ConfigError(f"{name} is not supported with several agents: pass agents=")
         chosen = scene_set(shared.scenes)
         resolved = world_config(chosen, shared.config, options, self._form)
         self._selection = AgentSelection.of(chosen, resolved, **choice)

@@ -159,7 +159,8 @@ pub(crate) fn boxed(
                 Box::new(PythonDriver::new(name, options, Python::attach(|py| model.clone_ref(py))))
             }
             _ => {
-                let message = format!("config: named_drivers: {name}: the driver has no network or Python model");
+                let message =
+                    format!("config: named_drivers: {name}: the driver has no network or Python model");
                 return Err(py::ConfigError::new_err(message));
             }
         };
