@@ -78,7 +78,7 @@ def run(desk):
     return desk
 
 
-def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, capsys):
+def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, monkeypatch, capsys):
     scene = json.loads((run / "run/raw/idm-replay-0-000.json").read_text())["arguments"]["names"][1]
     common = ["--scene", scene, "--traffic", "ccdiff-1", "--seed", "1", "-o", "page.html"]
     scenes = SceneSet([embedded_scenes()[scene]])
@@ -93,6 +93,12 @@ def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, capsys):
         rollouts[scene].save("alone.npz")
         assert cli.main(["view", "alone.npz", "-o", "alone.html"]) == 0
         assert shown[0][1] == states(run / "alone.html")[0][1]
+    # a folder of somebody else's runs no code, unless that is asked for
+    monkeypatch.delitem(sys.modules, "desk_planners")
+    assert cli.main(["view", "run", *common, "--planner", *planners]) == 0
+    assert "desk_planners" not in sys.modules
+    assert cli.main(["view", "run", *common, "--own-code", "--planner", *planners]) == 0
+    assert "desk_planners" in sys.modules
     # without its code the recorded actions are played, from a submission, too
     before = states(run / "page.html")
     (run / "desk_planners.py").write_text(PLANNERS.replace("-0.5", "-0.1"))

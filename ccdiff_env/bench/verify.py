@@ -92,11 +92,12 @@ def replayed(
     traffic: Sequence[str] = (),
     seed: int | None = None,
     dataroot: str | None = None,
+    own_code: bool = False,
 ) -> list[tuple[str, Rollout]]:
     """Play episodes of a run or a submission again: titles, and what was recorded, of one scene.
 
-    A planner of a run folder whose code is here, unchanged, drives again, and is asked what it
-    meant to do; of others the recorded actions are played. Either way every bit is compared.
+    The recorded actions are played. With ``own_code`` a planner of a run folder whose code is here,
+    unchanged, drives again, and is asked what it meant to do. Either way every bit is compared.
 
     Args:
         path: The run folder, or the submission.
@@ -105,6 +106,7 @@ def replayed(
         traffic: Names of traffic, by default the one in which the first planner scores least.
         seed: The seed, by default the one with which it scores least there.
         dataroot: Folder of nuScenes, where it is another than that of the run.
+        own_code: Whether code that the run names may run: planners, and custom traffic.
 
     Raises:
         UnknownNameError, ConfigError: If the run has no such scene, planner, traffic or seed.
@@ -138,7 +140,12 @@ def replayed(
             raise UnknownNameError("no {} in {} with seed {} in the run".format(*key))
         entry, then = there[key]
         rows, rollouts = _played(
-            entry, path, dataroot, own_code=path.is_dir(), own_planner=path.is_dir(), record=[scene]
+            entry,
+            path,
+            dataroot,
+            own_code=own_code,
+            own_planner=own_code and path.is_dir(),
+            record=[scene],
         )
         now = next(row for row in rows if row["scene"] == scene)
         if (what := _difference(then, now)) is not None:

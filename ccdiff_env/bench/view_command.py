@@ -68,6 +68,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "seed in which the first one scores least)",
     )
     parser.add_argument(
+        "--own-code",
+        action="store_true",
+        help="with --scene: run the code of custom planners and traffic of a run folder, which you "
+        "trust, so that planners show what they meant to do (default: recorded actions alone)",
+    )
+    parser.add_argument(
         "--compare",
         nargs="+",
         default=[],
@@ -203,6 +209,7 @@ def _of_run(args: argparse.Namespace, path: Path) -> Runs:
         traffic=args.traffic or (),
         seed=args.seed,
         dataroot=None if args.scenes is None else place_from(args).path,
+        own_code=args.own_code,
     )
     return [rollout for _, rollout in found], [title for title, _ in found]
 
