@@ -334,6 +334,9 @@ def _with_named_drivers(
         value = options.get(field_name)
         if isinstance(value, str) and ":" in value:
             made = named_instance(value, "traffic model")
+            if isinstance(made, CcdiffConfig):  # of the network that is called so
+                options = {**options, field_name: "ccdiff", "ccdiff": made}
+                continue
             value = made if isinstance(made, PythonTraffic) else PythonTraffic(made)
         if callable(value):
             raise ConfigError(

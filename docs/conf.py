@@ -8,6 +8,10 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
+from ccdiff_env.system.fields import Documented
+
+Documented.listed = False  # autodoc shows fields by itself
+
 project = "ccdiff-env"
 author = copyright = "the ccdiff-env authors"
 version = release = re.search(

@@ -164,7 +164,7 @@ def test_a_line_of_a_thousand_kilometres_costs_little():
 def test_a_network_plans_for_agents_a_thousand_kilometres_apart():
     scene = array_scene(agent("ego", np.arange(STEPS) * 1.0), agent("other", 9e5), name="far")
     (plan,) = TrajectoryModel(shipped_weights()).plan([scene], [40])
-    assert np.isfinite(plan.states).all()
+    assert np.isfinite(plan.samples).all()
 
 
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])

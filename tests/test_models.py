@@ -62,12 +62,18 @@ def test_plans_have_the_documented_shapes_and_start_at_the_vehicles(weights):
     scene = road()
     (plan,) = TrajectoryModel(weights).plan([scene], [40], num_samples=3)
     assert plan.actions.shape == (3, 2, 52, 2)
-    assert plan.states.shape == (3, 2, 52, 6)
+    assert plan.samples.shape == (3, 2, 52, 3)
+    assert plan.speed_mps.shape == (3, 2, 52)
     assert plan.graph.tolist() == [[True, True], [True, True]]
-    np.testing.assert_allclose(plan.states[..., 4:], plan.actions, atol=1e-6)
+    assert "samples=float32[3, 2, 52, 3]" in repr(plan)
     start = np.array([[12.0 * 4 - 0.25 * 16, 0.0], [45 + 16.0, 0.0]])
-    np.testing.assert_allclose(plan.poses[:, :2], start, atol=1e-3)
-    assert np.abs(plan.states[:, :, 0, :2]).max() < 3.0
+    assert np.abs(plan.samples[:, :, 0, :2] - start).max() < 3.0
+    # places are those that the speeds lead to, along the headings
+    way = np.stack([np.cos(plan.samples[..., 2]), np.sin(plan.samples[..., 2])], axis=-1)
+    moved = np.diff(plan.samples[..., :2], axis=2)
+    mean = (plan.speed_mps[..., 1:] + plan.speed_mps[..., :-1]) / 2.0
+    assert np.abs(np.linalg.norm(moved, axis=-1) - 0.1 * mean).max() < 0.05
+    assert (np.abs((moved * way[:, :, 1:]).sum(axis=-1) - 0.1 * mean) < 0.1).mean() > 0.95
 
 
 def test_plans_are_repeatable_and_follow_their_seed():
@@ -187,7 +193,7 @@ def test_the_shipped_network_follows_a_straight_road():
     assert model.header["notes"]["licence"] == "CC-BY-NC-SA-4.0"
     assert shipped_weights().stat().st_size < 15_000_000
     (plan,) = model.plan([road()], [30], num_samples=8)
-    end = plan.states[:, :, -1]
+    end = plan.samples[:, :, -1] - plan.samples[:, :, 0].mean(axis=0)
     assert (np.abs(end[..., 1]) < 3.0).all()
     assert (end[..., 0] > 5.0).all()
     assert (end[..., 0] < 80.0).all()
@@ -206,7 +212,7 @@ def test_one_step_of_the_taught_network_is_near_to_five_of_its_teacher(routes):
         options = {"solver_steps": solver_steps, "num_samples": 4, "follow_route": routes}
         seeds = [100 * seed + i for i in range(len(scenes))]
         plans = model.plan(scenes, steps, seeds=seeds, **options)
-        return np.concatenate([plan.states[:, :, -1, :2] for plan in plans], axis=1)
+        return np.concatenate([plan.samples[:, :, -1, :2] for plan in plans], axis=1)
 
     five = ends(teacher, 5, 0)
     near = np.linalg.norm(ends(taught, 1, 0) - five, axis=-1).mean()
@@ -268,7 +274,7 @@ def test_a_guided_vehicle_takes_the_best_of_its_draws_and_one_beside_it_its_firs
     assert score[0, 0] > score[:, 0].min()
     # draws do not depend on their number
     (one,) = loaded.plan([road()], [40], num_samples=1, follow_route=True)
-    np.testing.assert_array_equal(one.states[0], plan.states[0])
+    np.testing.assert_array_equal(one.samples[0], plan.samples[0])
 
 
 def test_every_shipped_file_of_weights_names_its_licence():

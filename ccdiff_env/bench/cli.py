@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from ccdiff_env.bench.methods import METHODS, PAPER_METHODS
+from ccdiff_env.bench.methods import METHODS, PAPER_METHODS, titled
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.run import Run
 from ccdiff_env.errors import ConfigError
@@ -138,7 +138,7 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import traffic_report as report
     from ccdiff_env.bench.traffic import traffic_jobs
 
-    methods = list(PAPER_METHODS) if args.methods == "all" else args.methods.split(",")
+    methods = list(PAPER_METHODS) if args.methods == "all" else titled(args.methods.split(","))
     match = _listed("--match", args.match, float, "rates") if args.match else []
     strengths = _listed("--strengths", args.strengths, float, "criticalities") if match else []
     run = Run(args, "traffic")
@@ -202,6 +202,13 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"
     )
+    parser.add_argument(
+        "--metric",
+        action="append",
+        metavar="MODULE:FUNCTION",
+        help="a figure of your own, from a rollout to a number, as a column of all tables and "
+        "tests; may be given more than once (default: none)",
+    )
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -209,7 +216,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import planner_report as report
     from ccdiff_env.bench.intervals import grouped
-    from ccdiff_env.bench.planners import planner_jobs, window_of
+    from ccdiff_env.bench.planners import metric_names, planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
     from ccdiff_env.bench.provenance import scene_hashes
@@ -220,8 +227,10 @@ def _planners(args: argparse.Namespace) -> int:
     fixed = PROTOCOL.fix(args)
     if args.nuplan_score:
         find_devkit()
-    planners = list(dict.fromkeys(args.planners.split(",")))
-    traffic = (_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(",")
+    planners = titled(args.planners.split(","))
+    traffic = titled((_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(","))
+    metrics = list(dict.fromkeys(args.metric or ()))
+    own = metric_names(metrics)
     seeds = list(dict.fromkeys(_listed("--seeds", args.seeds or "0,1,2", int, "integers")))
     source = str(place_from(args))
     window = window_of(source, args.history_steps, args.horizon_steps)
@@ -229,7 +238,13 @@ def _planners(args: argparse.Namespace) -> int:
         job
         for seed in seeds
         for job in planner_jobs(
-            source, planners, traffic, seed=seed, window=window, by_nuplan=args.nuplan_score
+            source,
+            planners,
+            traffic,
+            seed=seed,
+            window=window,
+            by_nuplan=args.nuplan_score,
+            metrics=metrics,
         )
     ]
     scenes = scene_hashes(source)
@@ -254,11 +269,11 @@ def _planners(args: argparse.Namespace) -> int:
     scores = [
         report.verdict(found),
         *report.summary(found, privileged),
-        *report.parts_tables(found),
+        *report.parts_tables(found, own),
     ]
-    files = {"figures.csv": report.figures_table(found)}
+    files = {"figures.csv": report.figures_table(found, own)}
     if len(planners) > 1:
-        files["pairs.csv"] = report.pairs_table(found)
+        files["pairs.csv"] = report.pairs_table(found, own)
     criticality = {
         name: float(TRAFFIC[name].ccdiff.get("criticality", 0.0))
         for name in traffic
@@ -268,7 +283,7 @@ def _planners(args: argparse.Namespace) -> int:
         title,
         {
             "Scores": scores,
-            "Planners against one another": report.comparison(found),
+            "Planners against one another": report.comparison(found, extra=own),
             "Worst scenes": [
                 *report.worst_table(found, args.replays, pages),
                 escaped(
@@ -307,7 +322,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.scenarios import cross_jobs, generation_jobs, set_digest, set_folders
     from ccdiff_env.bench.scenes import source_title
 
-    generators, planners = args.generators.split(","), args.planners.split(",")
+    generators, planners = titled(args.generators.split(",")), titled(args.planners.split(","))
     run = Run(
         args,
         "scenarios",
@@ -369,7 +384,7 @@ def _realism(args: argparse.Namespace) -> int:
     run = Run(args, "realism", samples=args.samples)
     jobs = likelihood_jobs(
         run.source,
-        args.methods.split(","),
+        titled(args.methods.split(",")),
         num_samples=args.samples,
         weights=run.own_weights,
         seed=args.seed,

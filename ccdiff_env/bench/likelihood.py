@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import METHODS, on_device
+from ccdiff_env.bench.methods import METHODS, on_device, resolved
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, Episode, episodes, off_road
 from ccdiff_env.errors import ConfigError
@@ -322,7 +322,7 @@ def evaluate(
 
     ``processor_s``: processor seconds of an episode, mean of the chunk.
     """
-    chosen = on_device(METHODS[method].with_weights(weights or {}), device)
+    chosen = on_device(resolved(METHODS[method].with_weights(weights or {})), device)
     # without a network there is no chance
     draws = chosen.driver in NETWORKS or ":" in chosen.driver
     count = num_samples if draws else 1

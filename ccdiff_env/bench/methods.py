@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from typing import Any, TypeVar
+from urllib.parse import quote
 
-from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError, meant
+from ccdiff_env.interop.nuplan import PREFIX
 from ccdiff_env.models import guidance_preset, shipped_weights
-from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
+from ccdiff_env.planners.built_in import is_of_package
+from ccdiff_env.system.named_objects import named_object, title_of, untitled
+from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig
+from ccdiff_env.view.captions import is_taken
 
 _T = TypeVar("_T")
 
@@ -56,6 +61,24 @@ def on_device(drivers: _T, device: str) -> _T:
     return moved
 
 
+def resolved(drivers: _T) -> _T:
+    """Return a method, or traffic, by path, whose object is options of a planning network, as
+    CCDiff with these options; others as they are.
+    """
+    found: Any = drivers
+    if ":" not in found.driver:
+        return drivers
+    options = named_object(found.driver, "traffic")
+    if not isinstance(options, CcdiffConfig):
+        return drivers
+    usual = CcdiffConfig()
+    names = (f.name for f in fields(usual) if getattr(options, f.name) != getattr(usual, f.name))
+    made: _T = replace(
+        found, driver="ccdiff", ccdiff={name: getattr(options, name) for name in names}
+    )
+    return made
+
+
 _GUIDED: dict[str, Any] = {"criticality": 1.0, "num_samples": 5, "guidance": "rl"}
 
 OWN_RANKINGS = ("greedy", "gradient", "reach")  #: Rankings that only a planning network can make.
@@ -79,12 +102,41 @@ class NamedDrivers(dict[str, _T]):
 
     def __missing__(self, name: str) -> _T:
         if ":" not in name:
-            raise UnknownNameError(f"no {self._what} {name!r}, there are {', '.join(self)}")
-        own, taken = (
-            name.partition(":")[2],
-            {getattr(entry, "label", "") for entry in self.values()},
-        )
+            near = meant(name, self) or f"--help lists them, {', '.join([*self][:5])} and more"
+            raise UnknownNameError(f"no {self._what} {name!r}; {near}")
+        own = title_of(name) or name.partition(":")[2]
+        taken = {getattr(entry, "label", "") for entry in self.values()}
         return self._kind(name if own in taken else own, name)
+
+
+def titled(names: Iterable[str]) -> list[str]:
+    """Return who drives, each once, with titles: those given (``?title=Ours``), and ``name`` of
+    classes and objects that are given by path.
+
+    A title of the package, or of another one of them, is a :class:`ConfigError`.
+    """
+    found: dict[str, str] = {}
+    for text in dict.fromkeys(names):
+        title = title_of(text)
+        own = None if title or ":" not in text or text.startswith(PREFIX) else _name_of(text)
+        if own:
+            text = f"{text}{'&' if '?' in text else '?'}title={quote(own)}"
+        title = title or own
+        taken = title is not None and (is_taken(title) or title in found)
+        if title is not None and (
+            taken or not title.isprintable() or is_of_package(untitled(text))
+        ):
+            raise ConfigError(f"{text}: the title {title!r} is another one's, or no line of words")
+        found[title or text] = text
+    return list(found.values())
+
+
+def _name_of(path: str) -> str | None:
+    """Return the ``name`` of what a path leads to, where that is a text."""
+    if path.startswith("adversary:"):
+        return None
+    name = getattr(named_object(path, "name"), "name", None)
+    return name if isinstance(name, str) else None
 
 
 class _Methods(NamedDrivers[Method]):

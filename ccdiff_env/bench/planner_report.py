@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -59,10 +59,10 @@ def _few(found: Results) -> bool:
     return any(map(are_few, found.values()))
 
 
-def _parts(found: Results) -> tuple[str, ...]:
-    """Figures of a planner: nuPlan's own score where all episodes have it."""
+def _parts(found: Results, extra: Sequence[str] = ()) -> tuple[str, ...]:
+    """Figures of a planner: nuPlan's own score where all episodes have it, and further ones."""
     by_nuplan = all(NUPLAN in row for rows in found.values() for row in rows)
-    return (_PARTS[0], *[NUPLAN] * by_nuplan, *_PARTS[1:])
+    return (_PARTS[0], *[NUPLAN] * by_nuplan, *extra, *_PARTS[1:])
 
 
 def _scores(
@@ -87,9 +87,11 @@ def headlines(found: Results) -> dict[str, dict[str, Figure]]:
     return heads
 
 
-def figures_table(found: Results) -> Table:
-    """Return score and parts of every planner in every traffic; their mean and worst traffic."""
-    parts, (_, traffic) = _parts(found), _names(found)
+def figures_table(found: Results, extra: Sequence[str] = ()) -> Table:
+    """Return score, parts and ``extra`` figures of every planner in every traffic; scores of their
+    mean and worst traffic.
+    """
+    parts, (_, traffic) = _parts(found, extra), _names(found)
     table = figures((row for of in found.values() for row in of), ("planner", "traffic"), parts)
     ends: TableRows = []
     for planner, heads in headlines(found).items():
@@ -99,32 +101,64 @@ def figures_table(found: Results) -> Table:
     return Table(table.heads, [*table.rows, *ends])
 
 
-def comparison(found: Results, bases: Sequence[str] = BASES) -> list[Block]:
-    """Return paired differences of planners: from ``bases``, both IDM, and the best other one."""
+def comparison(
+    found: Results, bases: Sequence[str] = BASES, extra: Sequence[str] = ()
+) -> list[Block]:
+    """Return paired differences of planners, of the score and ``extra`` figures: from ``bases``,
+    both IDM, and the one that scores best of the others.
+    """
     planners, traffic = _names(found)
     if len(planners) < 2:
         return ["One planner alone."]
     if _few(found):
         return [FEW]
-    rows: TableRows = []
-    scores = {p: _scores(found, p, traffic).mean(axis=0) for p in planners}
-    for planner in planners:
-        best = max((p for p in planners if p != planner), key=lambda p: float(scores[p].mean()))
-        for other in dict.fromkeys([*bases, best]):
-            if other in scores and other != planner:
-                figure, p = difference(scores[planner] - scores[other])
-                same = "not significant" if p >= PROTOCOL.fields["statistics"]["level"] else ""
-                rows.append([short_name(planner), short_name(other), figure, p, same])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
-    count = len(scores[planners[0]])
+    level = PROTOCOL.fields["statistics"]["level"]
+    order = {p: float(_scores(found, p, traffic).mean()) for p in planners}
+    tables: list[Block] = []
+    for name in ("score", *extra):
+        rows: TableRows = []
+        for planner, other in _pairs(planners, bases, order):
+            pairs = _paired(found, planner, other, traffic, name)
+            figure, p = difference(pairs)
+            same = "not significant" if p >= level else ""
+            rows.append([short_name(planner), short_name(other), figure, p, same])
+        title = "" if name == "score" else name.replace("_", " ")
+        tables.append(Table(["planner", "against", *columns, ""], rows, title))
+    count = len(scene_means(found[planners[0], traffic[0]], "score"))
     return [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "
         "bootstrap over scenes, p of the permutation test of signs.",
-        Table(["planner", "against", *columns, ""], rows),
+        *tables,
     ]
 
 
-def pairs_table(found: Results) -> Table:
+def _pairs(
+    planners: Sequence[str], bases: Sequence[str], order: Mapping[str, float]
+) -> Iterator[tuple[str, str]]:
+    """Yield each planner with those of ``bases``, and with the best of the others."""
+    for planner in planners:
+        best = max((p for p in planners if p != planner), key=order.__getitem__)
+        for other in dict.fromkeys([*bases, best]):
+            if other in order and other != planner:
+                yield planner, other
+
+
+def _paired(
+    found: Results, one: str, other: str, traffic: Sequence[str], name: str
+) -> npt.NDArray[np.float64]:
+    """One planner less another in a figure, by scene, where both are known in all traffic [S]."""
+    means = [[scene_means(found[p, t], name) for t in traffic] for p in (one, other)]
+    known = set.intersection(*(set(by_scene) for of in means for by_scene in of))
+    mine, theirs = (
+        np.array([[by_scene[scene] for scene in sorted(known)] for by_scene in of]).mean(axis=0)
+        for of in means
+    )
+    less: npt.NDArray[np.float64] = mine - theirs
+    return less
+
+
+def pairs_table(found: Results, extra: Sequence[str] = ()) -> Table:
     """Return the scores of each two planners, their difference and its p, by traffic and over all.
 
     ``value`` is that of the planner, ``other`` that of the one that it is compared with.
@@ -132,22 +166,25 @@ def pairs_table(found: Results) -> Table:
     planners, traffic = _names(found)
     rows: TableRows = []
     for label, some in [*((t, [t]) for t in traffic), ("mean", traffic)]:
-        for name in (name for name in ("score", NUPLAN) if name in _parts(found)):
-            scores = {p: _scores(found, p, some, name).mean(axis=0) for p in planners}
-            means = {p: mean_of(values) for p, values in scores.items()}
+        for name in ("score", *[NUPLAN] * (NUPLAN in _parts(found)), *extra):
+            rows_of = {p: [row for t in some for row in found[p, t]] for p in planners}
+            means = {p: mean_interval(of, name) for p, of in rows_of.items()}
             for one, other in permutations(planners, 2):
-                less = difference(scores[one] - scores[other])
+                less = difference(_paired(found, one, other, some, name))
                 rows.append([one, other, label, name, means[one], means[other], *less])
     columns = ["planner", "against", "traffic", "figure", "value", "other", "difference", "p"]
     return Table(columns, rows)
 
 
-def parts_tables(found: Results) -> list[Block]:
+def parts_tables(found: Results, extra: Sequence[str] = ()) -> list[Block]:
     """Return a table of score and parts for each traffic, without parts that never differ."""
     planners, traffic = _names(found)
-    means = {p: {mean_interval(rows, p)[0] for rows in found.values()} for p in _parts(found)}
-    parts = [p for p, seen in means.items() if p == "score" or len(seen) > 1]
-    columns = [Column(part, interval=part == "score") for part in parts]
+    means = {
+        p: {mean_interval(rows, p)[0] for rows in found.values()} for p in _parts(found, extra)
+    }
+    shown = ("score", *extra)
+    parts = [p for p, seen in means.items() if p in shown or len(seen) > 1]
+    columns = [Column(part, interval=part in shown) for part in parts]
     tables = [
         Table(
             ["planner", *columns],

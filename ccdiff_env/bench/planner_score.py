@@ -29,6 +29,12 @@ _SCORE = PROTOCOL.fields["score"]
 COMFORT: Mapping[str, tuple[float, float]] = {k: (a, b) for k, (a, b) in _SCORE["comfort"].items()}
 TTC_BOUND_S: float = _SCORE["least_ttc_s"]
 _OBJECTS = ("static",)  #: Kinds of agents of which one contact at fault costs half.
+#: Names of an episode's entries that are not for figures of somebody's own.
+ROW = (
+    *_SCORE["gates"], *_SCORE["weights"], "comfort_share", "collision", "success", "min_ttc_s",
+    "score", "nuplan_score", "scene", "seed", "digest", "actions", "action", "planner", "traffic",
+    "own_weights", "job", "city", "tags",
+)  # fmt: skip
 _DIGITS = 8  #: nuPlan rounds smoothed figures to so many digits.
 
 

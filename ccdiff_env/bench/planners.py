@@ -15,20 +15,21 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import NamedDrivers, on_device
+from ccdiff_env.bench.methods import NamedDrivers, on_device, resolved
 from ccdiff_env.bench.nuplan_score import nuplan_score
-from ccdiff_env.bench.planner_score import Judge
+from ccdiff_env.bench.planner_score import ROW, Judge
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import source_digest
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Tape
-from ccdiff_env.errors import ConfigError
+from ccdiff_env.errors import ConfigError, PolicyError
 from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, recorders_of
 from ccdiff_env.record.episode import play as played
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
+from ccdiff_env.system.named_objects import named_object, title_of
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
 from ccdiff_env.worlds.policy_file import LEARNED
 
@@ -149,6 +150,7 @@ def planner_jobs(
     seed: int = 0,
     window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
+    metrics: Sequence[str] = (),
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
@@ -159,6 +161,7 @@ def planner_jobs(
         window: As :func:`window_of` returns it.
         by_nuplan: Whether nuPlan's own score is taken, too, see
             :mod:`ccdiff_env.bench.nuplan_score`.
+        metrics: Paths of further figures, see :func:`measured`.
 
     Scenes are dealt to the chunks in an order that the seed draws: a planner, whose worlds are in
     that of the chunk, does not know a scene by its number.
@@ -169,6 +172,8 @@ def planner_jobs(
         PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
     given: dict[str, Any] = {"window": dict(window)} if window else {}
     given |= {"by_nuplan": True} if by_nuplan else {}
+    given |= {"metrics": list(metrics)} if metrics else {}
+    metric_names(metrics)
     made_from = {
         planner: {"protocol": PROTOCOL.sha256, "privileged": is_privileged(planner)}
         for planner in planners
@@ -180,7 +185,7 @@ def planner_jobs(
         for job in chunk_jobs(
             f"{file_name(planner)}-{file_name(name)}-{seed}", f"{__name__}:evaluate", source, CHUNK,
             shuffle=seed, planner=planner, traffic=name, seed=seed,
-            sources=_sources(planner, name), **given,
+            sources=_sources(planner, name, metrics), **given,
         )
     ]  # fmt: skip
 
@@ -191,9 +196,50 @@ def is_privileged(planner: str) -> bool:
     return driver in READ_THE_LOG if seat is None else seat.privileged
 
 
-def _sources(planner: str, traffic: str) -> dict[str, str | None]:
-    """Digests of what drives, where it is no part of the package."""
-    return {"planner": source_digest(planner), "traffic": source_digest(traffic)}
+def _sources(planner: str, traffic: str, metrics: Sequence[str] = ()) -> dict[str, str | None]:
+    """Digests of what drives and measures, where it is no part of the package."""
+    named = {"planner": planner, "traffic": traffic, **{metric: metric for metric in metrics}}
+    return {what: source_digest(name) for what, name in named.items()}
+
+
+def metric_name(path: str) -> str:
+    """Return the column of a metric given by path."""
+    return title_of(path) or path.partition("?")[0].partition(":")[2]
+
+
+def metric_names(metrics: Sequence[str]) -> list[str]:
+    """Return the columns of metrics given by path, ``module:name``: their names, or titles.
+
+    One that is taken is a :class:`ConfigError`, as a path that leads to nothing is.
+    """
+    found: list[str] = []
+    for path in metrics:
+        if not callable(named_object(path, "metric")):
+            raise ConfigError(f"metric {path!r}: expected a function of a rollout")
+        name = metric_name(path)
+        if not name.isidentifier() or name in (*found, *ROW):
+            raise ConfigError(f"metric {path!r}: the column {name!r} is taken or no name")
+        found.append(name)
+    return found
+
+
+def measured(metrics: Sequence[str], rollout: Rollout) -> dict[str, float | None]:
+    """Return further figures of an episode: what functions of a rollout, by path, return.
+
+    ``None`` for one that is not finite. What a function raises, or returns beside a number, is a
+    :class:`PolicyError` that names it and the scene.
+    """
+    found: dict[str, float | None] = {}
+    for path, name in zip(metrics, metric_names(metrics), strict=True):
+        try:
+            value = float(named_object(path, "metric")(rollout))
+        except Exception as error:
+            where = f"{rollout.scene.name} of {rollout.meta.get('planner')}"
+            raise PolicyError(
+                f"metric {path}: {type(error).__name__}: {error} (in {where})"
+            ) from error
+        found[name] = value if np.isfinite(value) else None
+    return found
 
 
 def evaluate(
@@ -206,6 +252,7 @@ def evaluate(
     sources: Mapping[str, str | None] | None = None,
     window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
+    metrics: Sequence[str] = (),
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
@@ -216,8 +263,9 @@ def evaluate(
             digests of.
         MissingFeatureError: With ``by_nuplan``, if there is no nuplan-devkit.
     """
-    if sources is not None and dict(sources) != _sources(planner, traffic):
-        raise ConfigError(f"{planner} or {traffic} has changed since the run began: start it again")
+    if sources is not None and dict(sources) != _sources(planner, traffic, metrics):
+        changed = " or ".join([planner, traffic, *metrics])
+        raise ConfigError(f"{changed} has changed since the run began: start it again")
     scenes = scenes_of(source, names)
     rows, rollouts = drive(
         scenes,
@@ -225,12 +273,14 @@ def evaluate(
         on_device(TRAFFIC[traffic], device),
         seed=seed,
         options=window,
-        record=names if by_nuplan else record,
+        record=names if by_nuplan or metrics else record,
     )
     if by_nuplan:
         steps = {**PROTOCOL.fields["world"], **(window or {})}["horizon_steps"]
         for row in rows:
             row["nuplan_score"] = nuplan_score(rollouts[row["scene"]], steps)["score"]
+    for row in rows if metrics else ():
+        row |= measured(metrics, rollouts[row["scene"]])
     chosen = {name: rollout for name, rollout in rollouts.items() if name in record}
     return rows, chosen
 
@@ -266,6 +316,7 @@ def drive(
         tuple: Figures and score of each scene, see :meth:`.Judge.row`; its actions and its digest,
             see :class:`~ccdiff_env.bench.tape.Tape`; the recorded episodes by name of the scene.
     """
+    traffic = resolved(traffic)
     driver, seat = ego_driver(planner)
     who = driver if seat is None else seat.name
     config = PROTOCOL.world(seat, who, scenes[0].dt).with_options(

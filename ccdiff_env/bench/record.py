@@ -16,7 +16,7 @@ from typing import Any
 
 from ccdiff_env.bench.planner_report import NUPLAN, Label, short_name
 from ccdiff_env.bench.planner_score import score_of
-from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged
+from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged, metric_name
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
@@ -31,6 +31,7 @@ from ccdiff_env.system.files import (
     reading,
     write_aside,
 )
+from ccdiff_env.system.named_objects import title_of
 from ccdiff_env.view.captions import is_taken
 
 FORMAT = "ccdiff-env submission 1"
@@ -180,6 +181,8 @@ class Record:
             return Label(short_name(result.planner))
         file = re.fullmatch(r"(?:.*/)?([^/:]+)", result.planner)
         name = result.planner if file is None or is_taken(file[1]) else file[1]
+        title = title_of(result.planner)
+        name = title if title and title.isascii() and title.isprintable() else name
         marks = [" (not of the package)"] * is_taken(name) + [" (no code)"] * (self.code is None)
         return Label(name + "".join(marks))
 
@@ -267,7 +270,8 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
             for steps in (window or {}).values()
         ):
             raise ValueError(f"window {window!a:.80}")
-        rows = tuple(_row(row, names, seed) for row in fields["result"])
+        own = [metric_name(metric) for metric in given.get("metrics", ())]
+        rows = tuple(_row(row, names, seed, own) for row in fields["result"])
         moves = frozenset(
             name for row in rows for name in row.get("action", {}).get("dynamics", ())
         )
@@ -284,7 +288,7 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
     )
 
 
-def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, Any]:
+def _row(row: Mapping[str, Any], names: list[str], seed: int, own: list[str]) -> Mapping[str, Any]:
     if row["scene"] not in names or row["seed"] != seed or not isinstance(row["digest"], str):
         raise ValueError(f"scene {row['scene']!r}")
     parts = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]
@@ -296,8 +300,8 @@ def _row(row: Mapping[str, Any], names: list[str], seed: int) -> Mapping[str, An
     made = score_of(row)
     if made != row["score"]:
         raise ValueError(f"score of {row['scene']} is {row['score']}, its parts make {made}")
-    # no check plays nuPlan's metrics again, and no leaderboard shows them
-    return {name: value for name, value in row.items() if name not in (NUPLAN, *_FORMER)}
+    # no check measures nuPlan's metrics, or somebody's own, again, and no leaderboard shows them
+    return {name: value for name, value in row.items() if name not in (NUPLAN, *_FORMER, *own)}
 
 
 def submit(

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device
+from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device, resolved
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
@@ -138,6 +138,7 @@ def episodes(
     K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
     ``replan_steps``.
     """
+    method = resolved(method)
     # the control set is named below, so that everybody else replays the log by its driver
     ccdiff = {
         **PAPER_PROTOCOL["ccdiff"],

@@ -16,19 +16,21 @@ from ccdiff_env import _native
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.weights import needs_torch, require_networks
 from ccdiff_env.scenes import Scene
+from ccdiff_env.system.fields import documented, shapes
 from ccdiff_env.system.files import reading
 
 
-@dataclass(frozen=True)
+@documented
+@dataclass(frozen=True, eq=False, repr=False)
 class ScenePlan:
     """Plans for the M vehicles of one scene at one step: N samples of T steps."""
 
     agents: npt.NDArray[np.int64]  #: Indices of the vehicles in the scene, ``[M]``.
     actions: npt.NDArray[np.float32]  #: Accelerations (m/s²), yaw rates (rad/s), ``[N, M, T, 2]``.
-    #: x, y (m), speed (m/s), yaw (rad) and the actions, ``[N, M, T, 6]``, each vehicle in its own
-    #: frame at the step: origin at its centre, +x along its heading.
-    states: npt.NDArray[np.float32]
-    poses: npt.NDArray[np.float32]  #: x, y (m), heading (rad) of those frames in the scene, [M, 3].
+    #: x, y (m) and heading (rad) in the scene frame after each step, as those of
+    #: :class:`~ccdiff_env.traffic.TrafficPlan`, ``[N, M, T, 3]``.
+    samples: npt.NDArray[np.float32]
+    speed_mps: npt.NDArray[np.float32]  #: Speeds along the heading after each step, ``[N, M, T]``.
     graph: npt.NDArray[np.bool_]  #: Decision causal graph: (i, j): j may influence i, ``[M, M]``.
     ttc: npt.NDArray[np.float32]  #: Times to contact, seconds, ``[M, M]``.
     #: Attention of vehicle i to vehicle j, zero outside of the graph, ``[M, M]``, if asked for.
@@ -39,6 +41,22 @@ class ScenePlan:
     #: variation in [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and
     #: ``moved_m [M]`` (by 2 s, metres; NaN where plans are moved before they are finished).
     guidance: dict[str, npt.NDArray[np.float32]] | None
+
+    __repr__ = shapes
+
+    @classmethod
+    def of(
+        cls, *, states: npt.NDArray[np.float32], poses: npt.NDArray[np.float32], **fields: Any
+    ) -> ScenePlan:
+        """Return a plan from states [N, M, T, 6] in the vehicles' frames, which ``poses`` [M, 3]
+        place in the scene.
+        """
+        x, y, speed_mps, yaw = np.moveaxis(states[..., :4].astype(np.float64), -1, 0)
+        x0, y0, turned = poses.T[:, None, :, None].astype(np.float64)
+        cos, sin = np.cos(turned), np.sin(turned)
+        parts = x0 + cos * x - sin * y, y0 + sin * x + cos * y, turned + yaw
+        samples = np.stack(parts, axis=-1).astype(np.float32)
+        return cls(samples=samples, speed_mps=speed_mps.astype(np.float32), **fields)
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
@@ -151,4 +169,4 @@ class TrajectoryModel:
             attention=attention,
             follow_route=follow_route,
         )
-        return [ScenePlan(**plan) for plan in plans]
+        return [ScenePlan.of(**plan) for plan in plans]

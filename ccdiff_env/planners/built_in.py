@@ -28,7 +28,7 @@ from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
 from ccdiff_env.planners.rules import LaneIdm, NoOp, PdmClosed
 from ccdiff_env.planners.sb3_policy import Sb3Policy
-from ccdiff_env.system.named_objects import named_object
+from ccdiff_env.system.named_objects import named_object, untitled
 from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
@@ -335,8 +335,8 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     Raises:
         ConfigError: For another name.
     """
-    if isinstance(ego, str) and ego in _WORLD_DRIVERS:
-        return ego, None
+    if isinstance(ego, str) and (name := untitled(ego)) in _WORLD_DRIVERS:
+        return name, None
     return "external", seat_of(ego)
 
 
@@ -348,9 +348,10 @@ def seat_of(ego: Ego) -> Seat:
         if hasattr(ego, "predict") and not callable(ego):
             planner = Sb3Policy(ego, name)
         return Seat(planner, name, ego)
-    name = os.fspath(ego)
+    given = os.fspath(ego)
+    name = untitled(given)
     if name.endswith(".zip") and "?" not in name:
-        return Seat(load(ego), Path(ego).name, ego)
+        return Seat(load(name), Path(given).name, ego)
     if name.startswith(PREFIX):
         planner = nuplan_planner(name)
     elif ":" in name:
@@ -361,4 +362,4 @@ def seat_of(ego: Ego) -> Seat:
         planner = BUILT_IN[name]
     else:
         raise unknown("driver of the ego", name, [*_WORLD_DRIVERS, *BUILT_IN, *SHIPPED])
-    return Seat(planner, name, ego)
+    return Seat(planner, given, ego)

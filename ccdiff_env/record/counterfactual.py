@@ -20,6 +20,7 @@ from ccdiff_env.record.episode import begin, play
 from ccdiff_env.record.recorder import HasWorlds, Recorder, worlds_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet, with_tracks
+from ccdiff_env.system.fields import documented
 from ccdiff_env.worlds import Worlds, normalize_seed
 from ccdiff_env.worlds.snapshot import Snapshot
 
@@ -28,6 +29,7 @@ Bool = npt.NDArray[np.bool_]
 Cause: TypeAlias = Literal["none", "adversaries", "ego", "either", "both"]
 
 
+@documented
 @dataclass(frozen=True)
 class EgoPlan:
     """A way to drive on: two accelerations one after the other, along a shifted route."""
@@ -43,6 +45,7 @@ HOLD_S = 2.1  #: How long a steady plan lasts.
 STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2, 2, -4, -6))
 
 
+@documented
 @dataclass(frozen=True)
 class Avoidability:
     """Whether some ego plan avoids every collision.
@@ -61,6 +64,7 @@ class Avoidability:
     unchanged: float | None = None
 
 
+@documented
 @dataclass(frozen=True)
 class Attribution:
     """Who a collision of the ego comes from, by taking one cause away at a time."""

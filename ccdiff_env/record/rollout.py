@@ -10,14 +10,16 @@ import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import DatasetError, ShapeError, expect_shape
+from ccdiff_env.errors import DatasetError, MissingFeatureError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
+from ccdiff_env.system.fields import documented
 from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import TrafficPlan, driver_names
 from ccdiff_env.traffic.ccdiff import PLAN_ARRAYS
@@ -43,6 +45,7 @@ _TRACKS: dict[str, tuple[Any, tuple[int, ...]]] = {
 }
 
 
+@documented
 @dataclass(frozen=True)
 class RolloutEvent:
     """Something that happened."""
@@ -56,6 +59,7 @@ class RolloutEvent:
     at_fault: bool = False  #: Whether this agent is at fault.
 
 
+@documented
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps, in the scene frame.
@@ -151,6 +155,39 @@ class Rollout:
             event
             for event in self.events
             if event.partner_id is not None and agent_id in (None, event.agent_id)
+        )
+
+    def frame(self) -> Any:
+        """Return the states as a ``DataFrame`` of pandas: a row per agent and step at which it is
+        there, with who it is and who drives it; ``step`` counts from the start, ``time_s`` too.
+
+        Raises:
+            MissingFeatureError: Without pandas.
+        """
+        try:
+            pandas: Any = import_module("pandas")
+        except ImportError:
+            raise MissingFeatureError("a data frame needs pandas: pip install pandas") from None
+        agent, step = np.nonzero(self.valid)
+        named = {
+            "agent": self.agent_ids,
+            "type": self.scene.agent_types,
+            "driver": self.driver_names,
+        }
+        x_m, y_m = self.position[agent, step].T
+        vx_mps, vy_mps = self.velocity[agent, step].T
+        return pandas.DataFrame(
+            {
+                "step": step,
+                "time_s": step * self.dt_s,
+                **{name: np.array(texts, object)[agent] for name, texts in named.items()},
+                "x_m": x_m,
+                "y_m": y_m,
+                "heading_rad": self.heading[agent, step],
+                "vx_mps": vx_mps,
+                "vy_mps": vy_mps,
+                "speed_mps": np.hypot(vx_mps, vy_mps),
+            }
         )
 
     def to_scene(self, name: str | None = None) -> Scene:

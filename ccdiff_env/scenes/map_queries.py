@@ -29,6 +29,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, ShapeError
+from ccdiff_env.system.fields import documented
 
 __all__ = ["LaneAhead", "lane_ahead", "road_distance"]
 
@@ -37,6 +38,7 @@ I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
 
+@documented
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LaneAhead:
     """The lanes of M agents, and the way along them in the agents' frames; zero where not valid."""

@@ -9,6 +9,7 @@ import json
 import os
 import sys
 from typing import Any
+from urllib.parse import unquote
 
 from ccdiff_env.errors import ConfigError
 
@@ -17,10 +18,12 @@ def named_object(text: str, what: str) -> Any:
     """Import ``module:name``; modules of the working folder are found, too.
 
     Options follow as ``?name=value&name=value``: numbers, ``true``, ``false``, ``null`` and quoted
-    texts of JSON; everything else is a text itself. With options, the result is a class whose
-    options are given, or a function likewise. A :class:`ConfigError` names a module, object or
-    option that is not there; ``what`` says in it what the object is.
+    texts of JSON; everything else is a text itself, and ``title`` is for tables alone. With
+    options, the result is a class whose options are given, or a function likewise. A
+    :class:`ConfigError` names a module, object or option that is not there; ``what`` says in it
+    what the object is.
     """
+    text = untitled(text)
     path, _, options = text.partition("?")
     module, _, name = path.partition(":")
     if "" not in sys.path and os.getcwd() not in sys.path:
@@ -40,6 +43,19 @@ def named_object(text: str, what: str) -> Any:
     return (
         _with_options(found, option_values(options, what, text), what, text) if options else found
     )
+
+
+def title_of(text: str) -> str | None:
+    """Return what a text asks to be called in tables and on pages, ``?title=Ours``, if it does."""
+    parts = text.partition("?")[2].split("&")
+    return next((unquote(p.removeprefix("title=")) for p in parts if p.startswith("title=")), None)
+
+
+def untitled(text: str) -> str:
+    """Return a text without its title."""
+    path, _, options = text.partition("?")
+    kept = "&".join(part for part in options.split("&") if not part.startswith("title="))
+    return f"{path}?{kept}" if kept else path
 
 
 def object_name(found: Any, what: str) -> str:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ShapeError, expect_shape
+from ccdiff_env.system.fields import documented, shapes
 
 _KINDS = {"Vec<usize>": np.int64, "Vec<bool>": np.bool_, "Vec<Real>": np.float32}
 #: Arrays of a plan: type, axes (as in :class:`TrafficPlan`), whether it may be missing.
@@ -22,7 +23,8 @@ PLAN_ARRAYS: dict[str, tuple[Any, str, bool]] = {
 }
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@documented
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class TrafficPlan:
     """A plan that a world follows, and what it was made from: M planned and R ranked agents, N
     samples, T steps, J objectives.
@@ -71,6 +73,8 @@ class TrafficPlan:
     #: Share of samples and denoising steps in which that cosine is negative. Not kept likewise.
     #: [M].
     conflict_share: npt.NDArray[np.float32] | None
+
+    __repr__ = shapes
 
     def __post_init__(self) -> None:
         sizes = {"M": len(self.agents), "R": len(self.ranking), "J": len(self.objectives), "3": 3}

@@ -10,12 +10,16 @@ from typing import Any, TypeVar
 
 from ccdiff_env import _native
 from ccdiff_env.errors import unknown_option
+from ccdiff_env.system.fields import documented
 
 _T = TypeVar("_T")
 
 
 class Options:
-    """Keywords that are no field are refused by name."""
+    """Keywords that are no field are refused by name; ``help()`` lists what fields mean."""
+
+    def __init_subclass__(cls) -> None:
+        documented(cls)
 
     def __new__(cls: type[_T], *_: Any, **options: Any) -> _T:
         """Refuse unknown keywords with an :class:`~ccdiff_env.errors.UnknownOptionError`."""

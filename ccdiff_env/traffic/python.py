@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError
+from ccdiff_env.system.fields import documented
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import PythonOptions
@@ -30,6 +31,7 @@ AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
 ROUTE_SPACING_M: float = _native.ROUTE_SPACING_M
 
 
+@documented
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrafficBatch:
     """What a traffic model sees: all agents of all worlds for which a plan is due.
@@ -118,6 +120,7 @@ class TrafficBatch:
         return cls(**arrays, scenes=tuple(listed), dt_s=listed[0].dt), LoggedFuture(**after)
 
 
+@documented
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LoggedFuture:
     """Logged states of the M agents of a batch after its step; zero where not valid."""

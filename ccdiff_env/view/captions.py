@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes import Scene
+from ccdiff_env.system.named_objects import title_of
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import driver_titles
 from ccdiff_env.view.render import LOOK
@@ -43,10 +44,13 @@ def _letters(text: str) -> str:
 
 
 def planner_title(name: str) -> str:
-    """Return in words who drives the ego: of a file, its name without folder and suffix.
+    """Return in words who drives the ego: a title that it was given (``?title=Ours``), else of a
+    file its name without folder and suffix.
 
     A file keeps its path where its name is one of the package.
     """
+    if (title := title_of(name)) is not None:
+        return title
     path, asked, options = name.partition("?")
     if ":" in path:  # of one's own
         return name

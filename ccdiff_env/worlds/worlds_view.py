@@ -57,6 +57,15 @@ class _View:
             return _Scenes(found, parts, f"{self._path}.{name}", self._target)
         return found if parts is None else _View(found, parts, f"{self._path}.{name}")
 
+    def __repr__(self) -> str:
+        """Return what can be read, with the values where they are numbers."""
+        parts = (
+            self._shown
+            if self._shown is not _STATUS
+            else [f"{name}={getattr(self._target, name)}" for name in _STATUS]
+        )
+        return f"{self._path}({', '.join(parts)})"
+
     def __call__(self, *given: Any) -> _View:
         return _View(self._target(*given), self._shown, f"{self._path}()")
 

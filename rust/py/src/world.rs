@@ -62,6 +62,17 @@ pub(crate) struct PyWorldStatus {
     ego_idx: Option<usize>,
 }
 
+#[pymethods]
+impl PyWorldStatus {
+    fn __repr__(&self) -> String {
+        let ego = self.ego_idx.map_or_else(|| "None".to_owned(), |ego| ego.to_string());
+        format!(
+            "WorldStatus(scene_idx={}, seed={}, episode={}, step_idx={}, elapsed_steps={}, ego_idx={ego})",
+            self.scene_idx, self.seed, self.episode, self.step_idx, self.elapsed_steps
+        )
+    }
+}
+
 impl PyVecWorld {
     /// The worlds, for the calling thread alone.
     fn lock(&self) -> PyResult<MutexGuard<'_, Held>> {

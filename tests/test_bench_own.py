@@ -1,0 +1,185 @@
+"""Figures, titles and traffic of one's own in the benchmarks."""
+
+import csv
+import sys
+
+import numpy as np
+import pytest
+
+import ccdiff_env
+import ccdiff_env.view
+from ccdiff_env import cli
+from ccdiff_env.bench import provenance
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.errors import MissingFeatureError
+from ccdiff_env.record.counterfactual import Avoidability, EgoPlan
+from ccdiff_env.scenes.map_queries import LaneAhead
+from ccdiff_env.traffic import CcdiffConfig, TrafficBatch, TrafficPlan
+
+DESK = """
+import numpy as np
+
+from ccdiff_env.traffic import CcdiffConfig
+
+calm = CcdiffConfig(careful=True, num_samples=1)
+
+
+class Brakes:
+    name = "Ours, braking"
+
+    def __init__(self, worlds):
+        self.count = worlds.num_worlds
+
+    def __call__(self, obs):
+        return np.tile(np.float32([-0.5, 0.0]), (self.count, 1))
+
+
+def way_m(rollout):
+    ego = rollout.agent_ids.index("ego")
+    way = rollout.position[ego, rollout.valid[ego]]
+    return np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+
+
+def breaks(rollout):
+    return 1 / 0
+"""
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """A working folder with code of one's own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "desk_own", raising=False)
+    monkeypatch.setattr(provenance, "_SEEN", {})
+    (tmp_path / "desk_own.py").write_text(DESK)
+    return tmp_path
+
+
+def rows(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def bench(words, out="run"):
+    words = ["bench", *words.split(), "--out", out, "--quiet"]
+    return cli.main(words)
+
+
+def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
+    planners = "idm,desk_own:Brakes"
+    words = f"planners --planners {planners} --traffic replay,idm --seeds 0 --metric desk_own:way_m"
+    assert bench(words) == 0
+    scenes = ccdiff_env.embedded_scenes("val")
+    _, rollouts = drive(scenes, "idm", TRAFFIC["replay"], seed=0, record=[s.name for s in scenes])
+    expected = {}
+    for name, rollout in rollouts.items():
+        frame = rollout.frame()
+        ego = frame[frame.agent == "ego"].sort_values("step")
+        expected[name] = np.hypot(ego.x_m.diff(), ego.y_m.diff()).sum()
+    episodes = rows(desk / "run/episodes.csv")
+    found = {
+        row["scene"]: float(row["way_m"])
+        for row in episodes
+        if (row["planner"], row["traffic"]) == ("idm", "replay")
+    }
+    assert found == pytest.approx(expected, rel=1e-4)
+    figure = next(r for r in rows(desk / "run/figures.csv") if r["planner"] == "idm")
+    assert float(figure["way_m"]) == pytest.approx(np.mean([*expected.values()]), rel=1e-4)
+    assert float(figure["way_m_low"]) < float(figure["way_m"]) < float(figure["way_m_high"])
+    pairs = [r for r in rows(desk / "run/pairs.csv") if r["figure"] == "way_m"]
+    assert {r["traffic"] for r in pairs} == {"replay", "idm", "mean"}
+    assert all(0.0 < float(r["p"]) <= 1.0 for r in pairs)
+    report = (desk / "run/report.html").read_text(encoding="utf-8")
+    assert report.count("way m") > 2
+    # the name of the class is that of the row, everywhere
+    assert "Ours, braking" in report
+    assert "desk_own:Brakes" not in report.partition("made by")[0]
+    assert "Ours, braking" in (desk / "run/table.tex").read_text()
+    # bits follow without the metric, and the zip keeps the title
+    assert cli.main(["bench", "verify", "run"]) == 0
+    assert cli.main(["bench", "submit", "run", "--out", "it.zip"]) == 0
+    capsys.readouterr()
+    assert cli.main(["bench", "leaderboard", "it.zip", "--out", "all.html"]) == 0
+    assert "Ours, braking (no code)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--planners idm --metric desk_own:breaks", "metric desk_own:breaks: ZeroDivisionError"),
+        ("--planners idm --metric desk_own:nothing", "no 'nothing' in module 'desk_own'"),
+        ("--planners idm --metric desk_own:way_m?title=score", "column 'score' is taken"),
+        ("--planners desk_own:Brakes?title=PDM-Closed", "the title 'PDM-Closed' is another one's"),
+        ("--planners desk_own:Brakes,desk_own:Brakes?title=Ours%2C%20braking", "is another one's"),
+        ("--planners pdm?title=Ours", "the title 'Ours' is another one's"),
+        ("--planners idm --traffic ccdif-1", "did you mean 'ccdiff-1'"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(desk, capsys, words, said):
+    assert bench(f"planners --limit 1 --seeds 0 --traffic replay {words}") == 2
+    first, *below = capsys.readouterr().err.splitlines()
+    assert said in first
+    assert bool(below) == ("breaks" in words)
+
+
+def test_a_title_is_the_name_of_a_row_and_a_run_apart(desk):
+    planners = "desk_own:Brakes?title=A,desk_own:Brakes?title=B%20two"
+    assert bench(f"planners --planners {planners} --limit 2 --seeds 0 --traffic replay") == 0
+    text = (desk / "run/table.md").read_text(encoding="utf-8")
+    assert "| A |" in text
+    assert "| B two |" in text
+
+
+def test_options_of_ccdiff_by_path_are_traffic(desk):
+    words = "planners --planners idm --limit 3 --seeds 0 --traffic desk_own:calm?title=Calm"
+    assert bench(words) == 0
+    scenes = ccdiff_env.embedded_scenes("val")[:3]
+    like = ccdiff_env.bench.planners.Traffic("x", "ccdiff", {"careful": True, "num_samples": 1})
+    expected = {row["scene"]: row["score"] for row in drive(scenes, "idm", like, seed=0)[0]}
+    found = {r["scene"]: float(r["score"]) for r in rows(desk / "run/episodes.csv")}
+    assert found == expected
+    assert "Calm" in (desk / "run/table.md").read_text(encoding="utf-8")
+    env = ccdiff_env.EgoEnv(traffic="desk_own:calm")
+    assert env.worlds.config.ccdiff == CcdiffConfig(careful=True, num_samples=1)
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        TrafficPlan, LaneAhead, TrafficBatch, CcdiffConfig, ccdiff_env.Rollout, EgoPlan,
+        Avoidability, ccdiff_env.WorldConfig,
+    ],
+)  # fmt: skip
+def test_help_lists_every_field(of):
+    listed = of.__doc__.partition("Fields:")[2]
+    names = [name for name in of.__dataclass_fields__ if not name.startswith("_")]
+    assert [name for name in names if f"\n    {name}: " not in listed] == []
+
+
+def test_states_and_plans_print_what_they_hold():
+    env = ccdiff_env.EgoEnv(traffic="ccdiff")
+    env.reset(seed=3)
+    env.step(env.action_space.sample())
+    status = repr(env.worlds.native.status(0))
+    assert status.startswith("WorldStatus(scene_idx=")
+    assert "seed=3, " in status
+    assert "elapsed_steps=1, ego_idx=0)" in status
+    plan = env.explain()
+    assert f"samples=float32{list(plan.samples.shape)}" in repr(plan)
+
+
+def test_a_data_frame_has_a_row_for_who_is_there(monkeypatch):
+    scene = ccdiff_env.embedded_scenes("val")[0]
+    rollout = ccdiff_env.view.log_rollout(scene)
+    frame = rollout.frame()
+    assert len(frame) == rollout.valid.sum()
+    one = frame[(frame.agent == scene.agent_ids[1])]
+    there = rollout.valid[1]
+    np.testing.assert_array_equal(one.x_m, rollout.position[1, there, 0])
+    np.testing.assert_array_equal(one.step, np.flatnonzero(there))
+    np.testing.assert_allclose(one.time_s, np.flatnonzero(there) * 0.1)
+    assert set(one.type) == {scene.agent_types[1]}
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingFeatureError, match="pip install pandas"):
+        rollout.frame()
