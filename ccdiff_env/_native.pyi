@@ -13,6 +13,7 @@ from ccdiff_env.scenes.scene_types import (
     F64,
     U8,
     Bool,
+    Light,
     MapLayers,
     Polygon,
     StateArrays,
@@ -32,8 +33,8 @@ def causal_rank(
 ) -> tuple[list[int], int, bool]: ...
 def render_arrays(
     position_m: F32, heading_rad: F32, size_m: F32, kind: U8, driver: U8, collided: Bool,
-    parked: Bool, arrived: Bool, *, scene: Scene | None, size: tuple[int, int], span_m: float,
-    centre_m: tuple[float, float], up_rad: float, route_m: F32,
+    parked: Bool, arrived: Bool, *, scene: Scene | None, step_idx: int, size: tuple[int, int],
+    span_m: float, centre_m: tuple[float, float], up_rad: float, route_m: F32,
     trails: list[tuple[F32, int]] = ..., samples: list[tuple[F32, int]] = ...,
     plans: list[tuple[F32, int]] = ..., collisions_m: F32, names: list[str], caption: str,
     scale_bar: bool, legend: list[tuple[tuple[int, int, int], str]], theme: str, svg: bool = False,
@@ -147,6 +148,15 @@ class Scene:
 
     def map_layers(self) -> MapLayers:
         """Return map layers as new arrays [P, 2] in metres; rings are not closed."""
+
+    def with_lights(self, lights: Sequence[Light]) -> Scene:
+        """Return the scene with these traffic lights in place of its own, as ``map_layers`` has
+        them, ``stop_line`` in the scene frame.
+
+        Raises:
+            DatasetError: If there is no such lane or state.
+            SceneError: If there are not as many states as logged steps.
+        """
 
     def with_ego(self, agent_id: str) -> Scene:
         """Return the scene with another agent as its ego; the former one is ``"former ego"``.

@@ -1,5 +1,9 @@
 """Traffic lights: in scenes and files, passed in red by geometry, and waited for by drivers."""
 
+import base64
+import json
+import zlib
+
 import numpy as np
 import pytest
 import shapely
@@ -11,6 +15,10 @@ from ccdiff_env import EgoEnv, Scene
 from ccdiff_env.errors import DatasetError, SceneError, ShapeError
 from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
+from ccdiff_env.view.pack import pack
+from ccdiff_env.view.render import legend
+from ccdiff_env.view.sources import play_scene
+from ccdiff_env.view.video import Video
 
 UNKNOWN, GREEN, YELLOW, RED = range(4)
 STOP_X = 40.0  # where the controlled lanes begin
@@ -130,6 +138,71 @@ def test_passing_in_red_is_seen_at_the_front():
     assert ran(array_scene(agent("ego", x), layers=both))[0] == []
 
 
+def test_passing_in_red_ends_an_episode_where_asked():
+    scene = array_scene(agent("ego", 8.0 * TIMES_S), layers=layers((0, always(RED))))
+    for ends in ("terminate", "ignore"):
+        env = EgoEnv(scenes=[scene], driver="replay", **{**GOES_ON, "on_red_light": ends})
+        env.reset(seed=0)
+        done = False
+        while not done:
+            *_, done, truncated, info = env.step(np.zeros(2, np.float32))
+            assert done == (ends == "terminate" and bool(info["ran_red"]))
+            done |= truncated
+        assert info["is_success"] == (ends == "ignore")
+
+
+LIGHT_COLUMNS = ["light_green", "light_yellow", "light_red", "light_distance", "light_since",
+                 "light_braking"]  # fmt: skip
+
+
+def test_the_next_light_is_observed_on_request():
+    """Its columns against geometry, by the log; none of them is in the default layout."""
+    x, states = 8.0 * TIMES_S, np.where(np.arange(STEPS) < 35, GREEN, RED)
+    states[45:50] = YELLOW
+    given = layers((0, states), (1, always(GREEN)), y=(0.0, 4.0))
+    scene = array_scene(agent("ego", x), layers=given)
+    options = {"scenes": [scene], "driver": "replay", **GOES_ON, "history_steps": 0}
+    options["horizon_steps"] = STEPS
+    usual = EgoEnv(**options).worlds.layout
+    assert not set(LIGHT_COLUMNS) & {name for entry in usual.entries for name in entry.columns}
+    env = EgoEnv(**options, observation={"ego_columns": LIGHT_COLUMNS, "num_neighbors": 0,
+                                         "num_route_points": 0})  # fmt: skip
+    row, _ = env.reset(seed=0)
+    for k in range(STEPS - 1):
+        gap = STOP_X - (x[k] + 2.25)
+        shown, since = (
+            states[k],
+            k - max((j for j in range(1, k + 1) if states[j] != states[j - 1]), default=0),
+        )
+        seen = [shown == s for s in (GREEN, YELLOW, RED)]
+        braking = 64 / (2 * max(gap, 0.1)) if shown == RED else 0.0
+        expected = [*seen, min(gap / 60, 1), min(0.1 * since / 30, 1), min(braking / 10, 1)]
+        if gap <= 0:
+            expected = [0, 0, 0, 1, 0, 0]
+        if abs(gap) > 0.01:
+            assert np.allclose(row, expected, atol=2e-3), (k, row, expected)
+        row, *_ = env.step(np.zeros(2, np.float32))
+
+
+def test_lights_are_a_channel_of_the_raster_on_request():
+    x = 8.0 * TIMES_S
+    for state, byte in ((UNKNOWN, 0), (GREEN, 85), (YELLOW, 170), (RED, 255)):
+        scene = array_scene(agent("ego", x), layers=layers((0, always(state))))
+        env = EgoEnv(scenes=[scene], observation="bev", driver="replay", history_steps=20,
+                     bev={"lights": True, "metres_per_px": 0.5, "size_px": 100})  # fmt: skip
+        seen, _ = env.reset(seed=0)
+        assert env.worlds.layout.channels[-1] == "lights"
+        assert EgoEnv(scenes=[scene], observation="bev").observation_space.shape[0] == 5
+        row, left = 75 - (STOP_X - x[20]) / 0.5, 50 - 1.75 / 0.5
+        expected = np.zeros((100, 100), np.uint8)
+        expected[int(row), int(left) : int(left) + 7] = byte
+        where = np.argwhere(seen[-1] > 0)
+        assert set(seen[-1][seen[-1] > 0]) == ({byte} if byte else set())
+        if byte:
+            assert np.abs(where.mean(axis=0) + 0.5 - [row, 50]).max() < 0.6
+            assert np.ptp(where[:, 1]) in (6, 7)
+
+
 def test_passing_in_red_against_shapely():
     rng = np.random.default_rng(0)
     count = 0
@@ -156,18 +229,62 @@ def test_passing_in_red_against_shapely():
     assert count > 4
 
 
-@pytest.mark.parametrize("driver", ["traffic", "idm", "pdm", "lane_idm"])
+def test_crossings_of_the_city_have_two_phases():
+    """Ways that cross at an angle are never both free; nothing but lights is new."""
+    lit, bare = (ccdiff_env.load(f"embedded/{split}") for split in ("city-lights", "city"))
+    assert lit.names == bare.names
+    for scene, own in list(zip(lit, bare, strict=True))[::10]:
+        assert scene.with_lights([]) == own
+        assert scene.with_lights(scene.map_layers()["lights"]) == scene
+        layers = scene.map_layers()
+        lines = [shapely.LineString(lane["centreline"]) for lane in layers["lanes"]]
+        first = [np.subtract(*lane["centreline"][1::-1]) for lane in layers["lanes"]]
+        lights = layers["lights"]
+        assert {layers["lanes"][light["lane"]]["kind"] for light in lights} == {"connector"}
+        for i, a in enumerate(lights):
+            assert set(a["states"]) == {GREEN, YELLOW, RED}
+            for b in lights[:i]:
+                axes = [np.arctan2(*first[light["lane"]][::-1]) for light in (a, b)]
+                if (
+                    lines[a["lane"]].crosses(lines[b["lane"]])
+                    and np.cos(2 * np.subtract(*axes)) < -0.5
+                ):
+                    assert ((a["states"] == RED) | (b["states"] == RED)).all()
+
+
+def test_pictures_and_pages_have_the_state_of_their_step():
+    scene = ccdiff_env.load("embedded/city-lights")["tee-crossing-005"]
+    run = play_scene(scene, traffic="idm", driver="pdm")
+    text = zlib.decompress(base64.b64decode(pack(run, "run")))
+    lights = scene.map_layers()["lights"]
+    for light, told in zip(lights, json.loads(text)["run"]["lights"], strict=True):
+        assert np.allclose(told["line"], light["stop_line"], atol=0.01)
+        firsts, names = zip(*told["shows"], strict=True)
+        assert len(names) > 1
+        for k in range(run.num_steps):
+            state = LIGHT_STATES[light["states"][run.start_step + k]]
+            assert names[np.searchsorted(firsts, k, side="right") - 1] == state
+    red = next(light for light in lights if light["states"][run.start_step] == RED)
+    centre = tuple(red["stop_line"].mean(axis=0).tolist())
+    for step in range(0, run.num_steps, 10):
+        drawn = Video(run, size=(60, 60), span_m=6, centre_m=centre, captions=False).frame(step)
+        colour = legend()[f"{LIGHT_STATES[red['states'][run.start_step + step]]} light"]
+        assert (drawn == np.array(colour, np.uint8)).all(axis=2).sum() > 50
+
+
+@pytest.mark.parametrize("driver", ["idm", "swift", "ego idm", "ego pdm", "ego lane_idm"])
 def test_drivers_wait_in_red_and_go_in_green(driver):
-    """IDM as traffic, and drivers of the ego; beside, where the light is green, others go on."""
-    turns = 110
+    """Traffic, and drivers of the ego; beside, where the light is green, others go on."""
+    turns, in_ego = 110, driver.startswith("ego ")
     states = np.where(np.arange(STEPS) < turns, RED, GREEN)
     given = layers((0, states), (1, always(GREEN)), y=(0.0, 4.0))
     x = 8.0 * TIMES_S
     scene = array_scene(agent("ego", x, 30.0), agent("a", x), agent("b", x, 4.0), layers=given)
-    if driver != "traffic":
+    if in_ego:
         scene = scene.with_ego("a")
     env = EgoEnv(
-        scenes=[scene], traffic="idm", driver="replay" if driver == "traffic" else driver,
+        scenes=[scene], traffic="idm" if in_ego else driver,
+        driver=driver.removeprefix("ego ") if in_ego else "replay",
         history_steps=10, horizon_steps=STEPS, **GOES_ON,
     )  # fmt: skip
     env.reset(seed=0)

@@ -25,8 +25,9 @@ def test_scenes_load_without_losses_and_only_once():
     assert scenes is ccdiff_env.embedded_scenes()
     assert "tracks dropped                   0" in str(scenes.report)
     by_split = embedded_splits()
-    assert set(by_split) == {"train", "val", "city"}
-    every = [name for names in by_split.values() for name in names]
+    names = {"train", "val", "city"}
+    assert set(by_split) == names | {f"{name}-lights" for name in names}
+    every = [name for split in names for name in by_split[split]]
     assert len(set(every)) == len(every)
     for split, names in by_split.items():
         assert ccdiff_env.embedded_scenes(split).names == names

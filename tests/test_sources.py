@@ -68,7 +68,8 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("", "no source ''"),
         (
             "embedded/vall",
-            "no split 'vall', expected one of train, val, city, all (did you mean 'val'",
+            "no split 'vall', expected one of train, val, city, train-lights, val-lights, "
+            "city-lights, all (did you mean 'val'",
         ),
         ("embedded:/a", "':/a' after 'embedded'"),
         ("embedded/", "no split ''"),

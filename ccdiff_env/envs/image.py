@@ -130,6 +130,7 @@ def image(
         (_parked(scene) & (states["speed"] < _STANDS_MPS))[there],
         np.zeros(len(there), bool),
         scene=scene,
+        step_idx=status.step_idx,
         size=size,
         span_m=span_m,
         centre_m=(float(middle[0]), float(middle[1])),

@@ -1,6 +1,6 @@
 """Embedded scenes: a small procedural city and its traffic, shipped as a data set in the nuScenes
 schema. A second set, the split ``city``, has 200 other scenes of the same streets: planners are
-compared on it.
+compared on it. With ``-lights`` behind its name a split has traffic lights at crossings.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 from ccdiff_env.errors import DatasetError, UnknownNameError
 from ccdiff_env.scenes import SceneSet, load_nuscenes
+from ccdiff_env.scenes.signals import with_signals
 from ccdiff_env.system.files import write_aside
 
 __all__ = ["CITY", "SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "shipped", "unpack"]
@@ -21,13 +22,17 @@ __all__ = ["CITY", "SHIPPED", "VERSION", "embedded_scenes", "embedded_splits", "
 VERSION = "v1.0-embedded"
 SHIPPED = "data/embedded.zip"  #: The zipped data set, in the package.
 CITY = "data/city.zip"  #: The set that planners are compared on, zipped.
+LIGHTS = "-lights"  #: Ends the names of splits with traffic lights.
 
 
 @cache
 def embedded_splits() -> dict[str, tuple[str, ...]]:
-    """Return the names of the embedded scenes by split: ``train``, ``val`` and ``city``."""
+    """Return the names of the embedded scenes by split; ``city-lights`` has those of ``city``, and
+    so on.
+    """
     files = [shipped(file, "splits.json")["splits.json"] for file in (SHIPPED, CITY)]
-    return {name: tuple(names) for text in files for name, names in json.loads(text).items()}
+    found = {name: tuple(names) for text in files for name, names in json.loads(text).items()}
+    return found | {f"{name}{LIGHTS}": names for name, names in found.items()}
 
 
 @cache
@@ -37,7 +42,8 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
     They are loaded like any other nuScenes data set, once a process for each split.
 
     Args:
-        split: ``"train"``, ``"val"``, ``"city"``, or ``"all"`` of train and val (``None``).
+        split: ``"train"``, ``"val"``, ``"city"``, one of them with lights (``"city-lights"``), or
+            ``"all"`` of train and val (``None``).
 
     Returns:
         SceneSet: The scenes, named by kind (``left-turn-00``), and ``.report``.
@@ -53,6 +59,9 @@ def embedded_scenes(split: str | None = None) -> SceneSet:
         raise UnknownNameError(
             f"unknown split {split!r}, expected one of all, {', '.join(splits)}{near}"
         )
+    if split is not None and split.endswith(LIGHTS):
+        bare = embedded_scenes(split.removesuffix(LIGHTS))
+        return SceneSet(map(with_signals, bare), bare.report)
     names = splits["train"] + splits["val"] if split is None else splits[split]
     with TemporaryDirectory(prefix="ccdiff-env-") as folder:
         unpack(Path(folder), CITY if split == "city" else SHIPPED)

@@ -136,7 +136,7 @@ SOURCES: dict[str, Source] = {
             _embedded,
             splits=embedded_splits,
             usual={"": {"train": "train", "test": "val"}},
-            kept_out=("val", "city"),
+            kept_out=("val", "city", "val-lights", "city-lights"),
             lacks="recorded traffic: it is simulated",
         ),
         Source(

@@ -164,6 +164,7 @@ class BevConfig(Options):
     metres_per_px: float = 0.6  #: Side of a pixel (m, in [0.05, 10]).
     #: Share of the rows that lies behind the observing agent's centre (in [0, 1]).
     behind_share: float = 0.25
+    lights: bool = False  #: Whether there is a channel of traffic lights.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,6 +298,8 @@ class WorldOptions(Options):
     on_traffic_collision: TrafficCollision = "stop"
     #: Consequence of a box corner off the road for a controlled agent.
     on_off_road: Consequence = "terminate"
+    #: Consequence of passing a stop line in red for a controlled agent.
+    on_red_light: Consequence = "ignore"
     #: Whether an agent's episode ends at its goal, the logged position at the episode's last step;
     #: else it drives on.
     terminate_at_goal: bool = True

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes.scene_types import LIGHT_STATES
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import (
     agent_titles,
@@ -101,7 +102,19 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         "events": [_event(happening) for happening in happenings(rollout)],
         "outcome": {name: getattr(fate, name) for name in ("tone", "text", "fault", "others")},
         "opening": round(fate.opening_s, 3),
+        "lights": [*_lights(rollout)],
     }
+
+
+def _lights(rollout: Rollout) -> Iterator[dict[str, Any]]:
+    """Yield the stop line of each traffic light, and from which steps on it shows what."""
+    for light in rollout.scene.map_layers().get("lights", []):
+        first, states = rollout.start_step, light["states"]
+        steps = np.minimum(np.arange(first, first + rollout.num_steps), len(states) - 1)
+        shown = states[steps]
+        changes = np.flatnonzero(np.diff(shown, prepend=255))
+        line = light["stop_line"].astype(float).round(2).tolist()
+        yield {"line": line, "shows": [[int(k), LIGHT_STATES[shown[k]]] for k in changes]}
 
 
 def _event(happening: Happening) -> dict[str, Any]:

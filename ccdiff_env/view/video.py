@@ -114,6 +114,7 @@ class Video:
             self._parked[there],
             (there == self._number.get("ego")) & ~run.valid[there, step],
             scene=run.scene,
+            step_idx=run.start_step + step,
             size=self._size,
             span_m=self._span_m,
             centre_m=(float(centre[0]), float(centre[1])),

@@ -30,6 +30,18 @@ class Ground {
     this.stroke(context, paths.road_dividers, colours["road divider"], Math.max(0.18, pixel), []);
   }
 
+  /** Stop lines in the colours of their lights at a step. */
+  drawLights(context, colours, pixel, lights, step) {
+    for (const { line: [from, to], shows } of lights) {
+      const [, state] = shows.findLast(([first]) => first <= step);
+      if (state === "unknown") continue;
+      const path = new Path2D(), width = LOOK[`${state.toUpperCase()}_LIGHT_M`];
+      path.moveTo(...from);
+      path.lineTo(...to);
+      this.stroke(context, path, colours[`${state} light`], Math.max(width, 3 * width * pixel), []);
+    }
+  }
+
   drawLanes(context, colours, pixel) {
     this.stroke(context, this.paths.lanes, colours["centre line"], Math.max(0.1, 0.9 * pixel), [LOOK.CENTRE_DASH_M, LOOK.CENTRE_GAP_M]);
     if (pixel < 0.3) this.stroke(context, this.chevrons, colours["centre line"], Math.max(0.14, pixel), []);

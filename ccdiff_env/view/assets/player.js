@@ -42,6 +42,7 @@ class Pane {
     this.ground.draw(context, colours, pixel);
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
     const at = this.run.stepAt(player.time);
+    this.ground.drawLights(context, colours, pixel, this.run.lights, at + 1e-6);
     this.actors.draw(context, at, { layers, theme, pixel, focus: this.index(player.focus) });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));

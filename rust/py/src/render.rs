@@ -8,7 +8,7 @@ use ccdiff_render::{
     render_svg,
 };
 use ccdiff_sim::geom::{Point2, Pose2};
-use ccdiff_sim::scene::{AgentKind, Map};
+use ccdiff_sim::scene::{AgentKind, Light, Map};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
@@ -134,7 +134,7 @@ fn boxes(
 
 /// An image [H, W, 3], or the text of an SVG, of agents and lines given as arrays; see `ccdiff_env.envs.image`.
 #[pyfunction]
-#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, size, span_m, centre_m, up_rad,
+#[pyo3(signature = (position_m, heading_rad, size_m, kind, driver, collided, parked, arrived, *, scene, step_idx, size, span_m, centre_m, up_rad,
     route_m, trails=Vec::new(), samples=Vec::new(), plans=Vec::new(), collisions_m, names, caption, scale_bar,
     legend, theme, svg=false))]
 pub(crate) fn render_arrays<'py>(
@@ -148,6 +148,7 @@ pub(crate) fn render_arrays<'py>(
     parked: PyReadonlyArray1<'py, bool>,
     arrived: PyReadonlyArray1<'py, bool>,
     scene: Option<Handed>,
+    step_idx: usize,
     size: (i64, i64),
     span_m: f32,
     centre_m: (f32, f32),
@@ -177,11 +178,14 @@ pub(crate) fn render_arrays<'py>(
     let (width, height) = pixels(size)?;
     let centre = Point2::new(centre_m.0, centre_m.1);
     let camera = Camera::over(centre, span_m, width, height).heading_up(up_rad);
-    let layers = scene.map(|s| layers_of(&s.0.map)).transpose()?;
+    let layers = scene.as_ref().map(|s| layers_of(&s.0.map)).transpose()?;
+    let shown = |light: &Light| (light.stop_line, light.state(step_idx));
+    let lights: Vec<_> = scene.iter().flat_map(|s| &s.0.map.lights).map(shown).collect();
     let image = py.detach(|| {
         let (trails, samples, plans) = (lines(&trails), lines(&samples), lines(&plans));
         let drawing = Drawing {
             map: layers.as_deref(),
+            lights: &lights,
             route: &route,
             trails: &trails,
             samples: &samples,

@@ -364,6 +364,14 @@ impl PyScene {
         Ok(Arc::new(self.scene.with_ego(found)).into())
     }
 
+    /// The scene with other traffic lights, as `map_layers()["lights"]` has them.
+    fn with_lights(&self, lights: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let mut scene = Scene::clone(&self.scene);
+        let map = Arc::make_mut(&mut scene.map);
+        map.lights = scene_map::read_lights(lights, map, scene_map::HERE)?;
+        Ok(Arc::new(scene.validated().map_err(from_sim)?).into())
+    }
+
     /// The scene itself: it never changes.
     fn __copy__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
         slf

@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
 /// The origin of a frame that stays.
-const HERE: [f64; 2] = [0.0; 2];
+pub(crate) const HERE: [f64; 2] = [0.0; 2];
 
 type Points<'py> = Bound<'py, PyArray2<f32>>;
 
@@ -212,9 +212,14 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>, origin: [f64; 2]) -> PyResul
         *polygons = read_list(&value, |p| read_polygon(p, &name, origin))?;
     }
     if let Some(lights) = layers.get_item("lights")? {
-        map.lights = read_list(&lights, |light| read_light(light, &map, origin))?;
+        map.lights = read_lights(&lights, &map, origin)?;
     }
     Ok(map)
+}
+
+/// The lights of a map's lanes.
+pub(crate) fn read_lights(lights: &Bound<'_, PyAny>, map: &Map, origin: [f64; 2]) -> PyResult<Vec<Light>> {
+    read_list(lights, |light| read_light(light, map, origin))
 }
 
 /// A light; where it has no stop line, that lies where the lane begins.

@@ -9,12 +9,15 @@ use crate::lines::Line;
 use crate::palette::{Rgb, Theme};
 use crate::{agents, lines, text};
 use ccdiff_sim::geom::Point2;
+use ccdiff_sim::scene::LightState;
 
 /// Everything an image shows. All coordinates are of the scene frame, metres. Empty lists show nothing.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Drawing<'a> {
     /// The map; `None` leaves bare ground.
     pub map: Option<&'a MapLayers>,
+    /// Stop lines of traffic lights, and what these show.
+    pub lights: &'a [([Point2; 2], LightState)],
     /// The ego's route: a broad translucent band.
     pub route: &'a [Point2],
     /// Where agents were, oldest point first: lines that fade with age.
@@ -71,7 +74,7 @@ impl Drawing<'_> {
 
 /// Paints a drawing: red, green and blue of each pixel, [H, W, 3], row 0 at the top.
 ///
-/// Order from below: map, route, trails, samples, plans, agents (obstacles lowest, the ego highest),
+/// Order from below: map, lights, route, trails, samples, plans, agents (obstacles lowest, the ego highest),
 /// collision marks, text.
 ///
 /// # Errors
@@ -102,6 +105,9 @@ pub fn render_svg(drawing: &Drawing<'_>, camera: &Camera) -> Result<String> {
 fn paint(drawing: &Drawing<'_>, camera: &Camera, canvas: &mut Canvas) {
     if let Some(map) = drawing.map {
         map.draw(canvas);
+    }
+    for (stop_line, state) in drawing.lights {
+        lines::light(canvas, stop_line, *state);
     }
     lines::route(canvas, drawing.route);
     for trail in drawing.trails {

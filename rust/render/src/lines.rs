@@ -2,9 +2,12 @@
 
 use crate::camera::Bounds;
 use crate::canvas::{Canvas, Outline};
-use crate::look::{MARK_M, MARK_PX, PATH_ALPHA, PLAN_PARTS, TRAIL_PARTS};
+use crate::look::{
+    GREEN_LIGHT_M, MARK_M, MARK_PX, PATH_ALPHA, PLAN_PARTS, RED_LIGHT_M, TRAIL_PARTS, YELLOW_LIGHT_M,
+};
 use crate::palette::DrawStyle;
 use ccdiff_sim::geom::Point2;
+use ccdiff_sim::scene::LightState;
 
 /// A line that belongs to an agent: where it was, or where it may go.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,6 +24,20 @@ pub(crate) fn route(canvas: &mut Canvas, points: &[Point2]) {
     outline.polyline(canvas.view, points);
     let width = canvas.px(1.6, 3.0);
     canvas.stroke(outline, DrawStyle::Ego.colour(canvas.theme), PATH_ALPHA, width, true);
+}
+
+/// A stop line in the colour of its light; nothing where that is not known.
+pub(crate) fn light(canvas: &mut Canvas, [from, to]: &[Point2; 2], state: LightState) {
+    let palette = canvas.palette();
+    let (rgb, width_m) = match state {
+        LightState::Red => (palette.red_light, RED_LIGHT_M),
+        LightState::Yellow => (palette.yellow_light, YELLOW_LIGHT_M),
+        LightState::Green => (palette.green_light, GREEN_LIGHT_M),
+        LightState::Unknown => return,
+    };
+    let mut outline = Outline::new();
+    outline.polyline(canvas.view, &[*from, *to]);
+    canvas.stroke(outline, rgb, 1.0, canvas.px(width_m, 3.0 * width_m), false);
 }
 
 /// A line that fades towards its old end.

@@ -35,6 +35,12 @@ look! {
     CENTRE_DASH_M: 0.5;
     /// Gap after it, metres.
     CENTRE_GAP_M: 1.3;
+    /// Width of the stop lines of lights that are red, metres: the wider, the more they forbid.
+    RED_LIGHT_M: 1.0;
+    /// The same of yellow ones.
+    YELLOW_LIGHT_M: 0.7;
+    /// The same of green ones.
+    GREEN_LIGHT_M: 0.4;
     /// Stripe of a crossing, and the gap after it, metres.
     STRIPE_M: 0.55;
     /// Way between the arrows of a lane, metres.

@@ -1,7 +1,7 @@
 //! Every colour of the images, in one place; they are the replay page's, on light and on dark ground.
 //!
 //! Agents are coloured by their drivers. The hues follow the colour-blind safe set of Okabe and Ito (2008),
-//! darkened or lightened to stand out on a light map; red is kept for collisions, and kinds of agents differ by
+//! darkened or lightened to stand out on a light map; red is kept for collisions and red lights, which are the widest, and kinds of agents differ by
 //! shape (box with a windscreen, slim box, disc, plain box), so that no meaning hangs on hue alone.
 
 /// Red, green, blue, 0 to 255.
@@ -169,6 +169,12 @@ palette! {
     stripe "crossing": Rgb(0xF7, 0xF8, 0xFA), Rgb(0x5D, 0x69, 0x79);
     /// Stop areas.
     stop "stop area": Rgb(0xD5, 0x9C, 0x8F), Rgb(0x7D, 0x4A, 0x42);
+    /// Stop lines of lights that are red.
+    red_light "red light": Rgb(0xE0, 0x3A, 0x2E), Rgb(0xF0, 0x5A, 0x4A);
+    /// Of those that are yellow.
+    yellow_light "yellow light": Rgb(0xF2, 0xA9, 0x00), Rgb(0xF5, 0xC2, 0x42);
+    /// Of those that are green.
+    green_light "green light": Rgb(0x1E, 0xA3, 0x4A), Rgb(0x4C, 0xC9, 0x74);
     /// Centre lines of lanes and connectors.
     centre_line "centre line": Rgb(0x8F, 0x98, 0xA4), Rgb(0x4B, 0x57, 0x66);
     /// Lines between lanes of one direction.

@@ -5,7 +5,7 @@ use ccdiff_render::{
     render_svg,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
-use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, Map};
+use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, LightState, Map};
 use proptest::prelude::*;
 
 fn points(xy: &[(Real, Real)]) -> Vec<Point2> {
@@ -91,6 +91,24 @@ fn the_ego_is_in_the_middle_and_the_road_and_the_ground_are_where_the_map_says()
                 assert_eq!(colour_at(&image, &camera, x, y), colour);
             }
         }
+    }
+}
+
+#[test]
+fn stop_lines_have_the_colour_of_their_light_and_the_width_of_what_they_forbid() {
+    let shown = [LightState::Red, LightState::Yellow, LightState::Green, LightState::Unknown];
+    let line = |(i, state): (usize, &LightState)| {
+        let y = 10.0 - 5.0 * i as Real;
+        ([Point2::new(-5.0, y), Point2::new(5.0, y)], *state)
+    };
+    let lights: Vec<_> = shown.iter().enumerate().map(line).collect();
+    let palette = Theme::Light.palette();
+    let colours = [palette.red_light, palette.yellow_light, palette.green_light, palette.ground];
+    let image = render(&Drawing { lights: &lights, ..Drawing::default() }, &north_up(40.0)).unwrap();
+    for ((([ends, _], _), half_m), colour) in lights.iter().zip([0.5, 0.35, 0.2, 0.0]).zip(colours) {
+        let at = |x: f64, beside: f64| colour_at(&image, &north_up(40.0), x, f64::from(ends.y) + beside);
+        assert_eq!(at(0.0, 0.0), colour);
+        assert_eq!([at(0.0, half_m + 0.15), at(6.0, 0.0)], [palette.ground; 2]);
     }
 }
 
@@ -290,6 +308,7 @@ proptest! {
         let legend = vec![(Rgb(1, 2, 3), text.clone()); boxes.len()];
         let drawing = Drawing {
             map: layers.as_ref().ok(),
+            lights: &[],
             route: &c,
             trails: &lines,
             samples: &lines,

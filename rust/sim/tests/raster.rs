@@ -8,7 +8,7 @@ use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::{Autoreset, WorldConfig};
 use common::{Batch, actions, city};
 
-const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share: 0.3 };
+const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share: 0.3, lights: false };
 
 fn config() -> WorldConfig {
     WorldConfig {

@@ -103,12 +103,26 @@ impl Idm {
         let ahead =
             leader(world.states, &world.scene.footprints, &route.path, s, agent_idx, idm.anticipation_s);
         let wanted = idm_towards(idm, speed, desired, ahead.map(|l| (l.gap_m, l.speed_mps)));
-        let front_m = s + world.scene.footprints[agent_idx].half_length_m;
-        let braking = [idm.max_braking_mps2, idm.deceleration_mps2];
-        let stop_m = world.scene.scene.map.waits_at(&route.path, front_m, speed, world.step_idx, braking);
-        stop_m
-            .map_or(wanted, |at_m| wanted.min(idm_towards(idm, speed, desired, Some((at_m - front_m, 0.0)))))
+        let waits = braking_at_light(world, agent_idx, desired, idm, idm.max_braking_mps2);
+        waits.map_or(wanted, |braking| wanted.min(braking))
     }
+}
+
+/// Acceleration of the model towards the stop line at which an agent waits for a light: in red if braking up to `red_mps2`
+/// stops it in time, in yellow if comfortable braking does; m/s².
+pub fn braking_at_light(
+    world: &WorldView<'_>,
+    agent_idx: usize,
+    desired: Real,
+    idm: &IdmConfig,
+    red_mps2: Real,
+) -> Option<Real> {
+    let scene = world.scene;
+    let front_m = world.route_s_m[agent_idx] + scene.footprints[agent_idx].half_length_m;
+    let speed = world.states.speed_mps[agent_idx].max(0.0);
+    let (lights, braking) = (&scene.routes[agent_idx].lights, [red_mps2, idm.deceleration_mps2]);
+    let at_m = scene.scene.map.waits_at(lights, front_m, speed, world.step_idx, braking)?;
+    Some(idm_towards(idm, speed, desired, Some((at_m - front_m, 0.0))))
 }
 
 /// Acceleration that brings an agent to a stand, m/s².

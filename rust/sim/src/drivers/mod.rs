@@ -14,7 +14,7 @@ mod replay;
 mod social_force;
 
 pub use constant_velocity::ConstantVelocity;
-pub use idm::{Idm, IdmConfig, idm_acceleration, idm_towards};
+pub use idm::{Idm, IdmConfig, braking_at_light, idm_acceleration, idm_towards};
 pub(crate) use idm::{braking, idm_with, share_of};
 pub use plan::{
     Axis, PLAN_FIELDS, PlanField, PlanFieldSchema, PlanOverride, PlanRecord, PlanRequest, PlanState,

@@ -7,7 +7,7 @@ use super::view::View;
 use crate::geom::{Bitmap, Point2, Pose2, Real, bounds, visit_band};
 use crate::options;
 use crate::options::within;
-use crate::scene::{AgentKind, Map};
+use crate::scene::{AgentKind, LightState, Map};
 use serde::Serialize;
 
 options! {
@@ -21,6 +21,8 @@ options! {
         metres_per_px: Real = 0.6, unit "m", range within(0.05, 10.0);
         /// Share of the rows that lies behind the observing agent's centre.
         behind_share: Real = 0.25, range within(0.0, 1.0);
+        /// Whether there is a channel of traffic lights.
+        lights: bool = false;
     }
 }
 
@@ -37,8 +39,8 @@ const fn channel(name: &'static str, doc: &'static str) -> BevChannel {
     BevChannel { name, doc }
 }
 
-/// The channels in order.
-pub const BEV_CHANNELS: [BevChannel; 5] = [
+/// The channels in order; the last one on request.
+pub const BEV_CHANNELS: [BevChannel; 6] = [
     channel("drivable", "255: drivable area (of the lanes where the map has none)"),
     channel("lines", "255: dividers; 128: centre lines of lanes and connectors"),
     channel("route", "the way ahead; 255 up to the goal, 128 beyond"),
@@ -47,6 +49,7 @@ pub const BEV_CHANNELS: [BevChannel; 5] = [
         "boxes of others; 255: vehicles, motorcycles; 170: pedestrians, cyclists; 85: obstacles",
     ),
     channel("ego", "255: box of the observing agent"),
+    channel("lights", "with `lights`, stop lines; 255: red, 170: yellow, 85: green"),
 ];
 
 /// Flags of the bitmap of a scene.
@@ -59,6 +62,11 @@ const LINES: [u8; 4] = [0, 128, 255, 255];
 const ROUTE_HALF_WIDTH_M: Real = 1.0;
 
 impl BevConfig {
+    /// The channels that are asked for.
+    pub fn channels(&self) -> &'static [BevChannel] {
+        &BEV_CHANNELS[..BEV_CHANNELS.len() - usize::from(!self.lights)]
+    }
+
     /// What does not move on a map; of lanes what is on the level of an elevation.
     pub(crate) fn ground(&self, map: &Map, elevation_m: Option<Real>) -> Bitmap {
         let areas = map.road();
@@ -99,7 +107,11 @@ impl BevConfig {
         out.fill(0);
         let (route, out) = out.split_at_mut(plane);
         self.draw_route(view, &frame, route);
-        let (agents, ego) = out.split_at_mut(plane);
+        let (agents, out) = out.split_at_mut(plane);
+        let (ego, lights) = out.split_at_mut(plane);
+        if self.lights {
+            self.draw_lights(view, &frame, lights);
+        }
         let is_seen = |j: &usize| {
             *j != view.agent_idx && view.states.active[*j] && view.states.same_level(view.agent_idx, *j)
         };
@@ -147,6 +159,24 @@ impl BevConfig {
             }
             band(from, *to, if *s <= goal_s + 0.5 { 255 } else { 128 });
             from = *to;
+        }
+    }
+
+    fn draw_lights(&self, view: &View<'_>, frame: &Pose2, out: &mut [u8]) {
+        let size = self.size_px as Real;
+        let elevation_m = view.states.elevation_m(view.agent_idx);
+        for light in view.map.lights.iter().filter(|l| l.is_on_level(view.map, elevation_m)) {
+            let byte = match light.state(view.step_idx) {
+                LightState::Red => 255,
+                LightState::Yellow => 170,
+                LightState::Green => 85,
+                LightState::Unknown => continue,
+            };
+            let [a, b] = light.stop_line.map(|p| self.to_px(frame.to_local(p)));
+            visit_band(a, b, 0.5, [size, size], |x, y| {
+                let at = y as usize * self.size_px + x as usize;
+                out[at] = out[at].max(byte);
+            });
         }
     }
 

@@ -5,7 +5,7 @@ use super::map_segments::SegmentKind;
 use super::source::{OfAgent, OfEgo, OfSegment};
 use crate::events::{Leader, time_to_contact};
 use crate::geom::Real;
-use crate::scene::AgentKind;
+use crate::scene::{AgentKind, LightState};
 use OfAgent::{Direction, Fixed, OnRoute, Pair, Place, Speed, Velocity};
 
 /// A column and where its quantity comes from.
@@ -29,6 +29,17 @@ const fn entry<S: Copy>(
 /// A column that rows have only where it is asked for by name.
 const fn on_request<S: Copy>(entry: Entry<S>) -> Entry<S> {
     Entry { column: ObservationColumn { in_default: false, ..entry.column }, source: entry.source }
+}
+
+/// A column about the next light along the route.
+const fn light(
+    name: &'static str,
+    unit: &'static str,
+    scale: Real,
+    doc: &'static str,
+    source: OfEgo,
+) -> Entry<OfEgo> {
+    on_request(entry(name, unit, scale, POSITIVE, doc, source))
 }
 
 /// Bounds of numbers of either sign, and of numbers that are not negative.
@@ -144,6 +155,27 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         |e| {
             let closing = |l: Leader| (e.state(|s| &s.speed_mps) - l.speed_mps).max(0.0);
             e.leader().map_or(0.0, |l| braking(closing(l), 0.0, l.gap_m - LEADER_ROOM_M))
+        },
+    ),
+    light("light_green", "", 1.0, "1 if the next light along the route is green", |e| {
+        e.shows(LightState::Green)
+    }),
+    light("light_yellow", "", 1.0, "1 if it is yellow", |e| e.shows(LightState::Yellow)),
+    light("light_red", "", 1.0, "1 if it is red", |e| e.shows(LightState::Red)),
+    light("light_distance", "m", 60.0, "from the front to its stop line, 1: none near", |e| {
+        e.light().map_or(Real::MAX, |l| l.gap_m)
+    }),
+    light("light_since", "s", 30.0, "since its state changed, or the log began", |e| {
+        e.light().map_or(0.0, |l| l.since_s)
+    }),
+    light(
+        "light_braking",
+        "m/s2",
+        10.0,
+        "constant deceleration that stops at its line, 0 unless it is red",
+        |e| {
+            let red = e.light().filter(|l| l.state == LightState::Red);
+            red.map_or(0.0, |l| braking(e.state(|s| &s.speed_mps).max(0.0), 0.0, l.gap_m))
         },
     ),
 ];

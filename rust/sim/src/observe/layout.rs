@@ -1,6 +1,6 @@
 //! The schema of an observation row.
 
-use super::bev::{BEV_CHANNELS, BevChannel, BevConfig};
+use super::bev::{BevChannel, BevConfig};
 use super::column::ObservationColumn;
 use super::columns::{self, AGENTS, EGO, MAP, ROUTE};
 use super::map_segments::MAX_SEGMENTS;
@@ -69,7 +69,7 @@ pub struct Raster {
     /// Channels, rows, columns.
     pub shape: [usize; 3],
     /// The channels.
-    pub channels: [BevChannel; BEV_CHANNELS.len()],
+    pub channels: &'static [BevChannel],
 }
 
 /// The schema: entries one after the other, `size` floats in all.
@@ -114,8 +114,8 @@ impl Layout {
         let c = config;
         options::check("observation", config)?;
         let raster = |b: BevConfig| Raster {
-            shape: [BEV_CHANNELS.len(), b.size_px, b.size_px],
-            channels: BEV_CHANNELS,
+            shape: [b.channels().len(), b.size_px, b.size_px],
+            channels: b.channels(),
         };
         let [ego, agent, map] = [columns_of(EGO), columns_of(AGENTS), columns_of(MAP)];
         let chosen = [

@@ -5,7 +5,7 @@ use super::map_segments::SegmentKind;
 use super::view::View;
 use crate::events::{ANTICIPATION_S, Leader, leader};
 use crate::geom::{Projection, Real, Vector2, math};
-use crate::scene::AgentKind;
+use crate::scene::{AgentKind, LightState};
 use crate::state::{AgentStates, Footprint};
 use std::cell::OnceCell;
 
@@ -13,6 +13,17 @@ pub(super) struct Ego<'a> {
     pub(super) view: &'a View<'a>,
     leader: OnceCell<Option<Leader>>,
     route_turn: OnceCell<(Real, Real)>,
+    light: OnceCell<Option<NextLight>>,
+}
+
+/// The next light along the observer's route.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct NextLight {
+    pub(super) state: LightState,
+    /// From the front to the stop line, metres.
+    pub(super) gap_m: Real,
+    /// Since its last change, or the begin of the log, seconds.
+    pub(super) since_s: Real,
 }
 
 /// A number about the observing agent.
@@ -20,7 +31,7 @@ pub(super) type OfEgo = fn(&Ego<'_>) -> Real;
 
 impl<'a> Ego<'a> {
     pub(super) fn new(view: &'a View<'a>) -> Self {
-        Self { view, leader: OnceCell::new(), route_turn: OnceCell::new() }
+        Self { view, leader: OnceCell::new(), route_turn: OnceCell::new(), light: OnceCell::new() }
     }
 
     /// The agent's number in one of the arrays of the states.
@@ -35,6 +46,23 @@ impl<'a> Ego<'a> {
     /// Sine and cosine of its heading against the route.
     pub(super) fn route_turn(&self) -> (Real, Real) {
         *self.route_turn.get_or_init(|| math::sin_cos(self.view.facts.place.heading_error_rad))
+    }
+
+    pub(super) fn light(&self) -> Option<NextLight> {
+        let v = self.view;
+        let find = || {
+            let front_m = v.route_s_m + self.footprint().half_length_m;
+            let next = v.lights.iter().find(|l| l.at_m > front_m)?;
+            let light = &v.map.lights[next.light as usize];
+            let since_s = light.steps_since_change(v.step_idx) as Real * v.dt_s;
+            Some(NextLight { state: light.state(v.step_idx), gap_m: next.at_m - front_m, since_s })
+        };
+        *self.light.get_or_init(find)
+    }
+
+    /// 1 where the next light shows a state.
+    pub(super) fn shows(&self, state: LightState) -> Real {
+        Real::from(self.light().is_some_and(|l| l.state == state))
     }
 
     pub(super) fn leader(&self) -> Option<Leader> {

@@ -2,7 +2,7 @@
 
 use super::map_segments::MapSegments;
 use crate::geom::{Polyline, Real};
-use crate::scene::AgentKind;
+use crate::scene::{AgentKind, LightAlong, Map};
 use crate::state::{AgentStates, Footprint};
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +55,14 @@ pub struct View<'a> {
     pub kinds: &'a [AgentKind],
     /// The map.
     pub segments: &'a MapSegments,
+    /// The same with its lights.
+    pub map: &'a Map,
+    /// Lights along the route, nearest first.
+    pub lights: &'a [LightAlong],
+    /// Step of the log.
+    pub step_idx: usize,
+    /// Length of a step, seconds.
+    pub dt_s: Real,
     /// Route of the observing agent.
     pub route: &'a Polyline,
     /// Its position along the route, metres.

@@ -50,7 +50,7 @@ impl<'a> Scene<'a> {
         let front_m = place.s_m + prepared.footprints[ego].half_length_m;
         let speed = states.speed_mps[ego].max(0.0);
         let map = &prepared.scene.map;
-        let stop_m = map.waits_at(line.polyline(), front_m, speed, step_idx, BRAKING_MPS2);
+        let stop_m = map.waits_at(&line.lights, front_m, speed, step_idx, BRAKING_MPS2);
         Self { prepared, states, ego, dt_s, speed_limit_mps, line, place, stop_m }
     }
 

@@ -1,6 +1,6 @@
 //! Traffic lights: the lane that each controls, the line where it is waited for, and its state at every step.
 
-use super::Map;
+use super::{LEVEL_M, Map};
 use crate::geom::{Point2, Polyline, Real, Vector2};
 use crate::named::named;
 use serde::{Deserialize, Serialize};
@@ -38,7 +38,28 @@ pub struct Light {
     pub states: Vec<LightState>,
 }
 
+/// A light of a route: how far along it the stop line lies, metres, and which one of the map's lights it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LightAlong {
+    /// Place of the stop line.
+    pub at_m: Real,
+    /// Index into [`Map::lights`].
+    pub light: u32,
+}
+
 impl Light {
+    /// Whether its lane begins on the level of an elevation, metres; always where heights are not known.
+    pub(crate) fn is_on_level(&self, map: &Map, elevation_m: Option<Real>) -> bool {
+        let lane_m = map.lanes[self.lane as usize].elevation_m.first();
+        elevation_m.zip(lane_m).is_none_or(|(own_m, lane_m)| (own_m - lane_m).abs() <= LEVEL_M)
+    }
+
+    /// Steps since it has shown what it shows at a step, or since the log began.
+    pub(crate) fn steps_since_change(&self, step_idx: usize) -> usize {
+        let shown = self.state(step_idx);
+        (1..=step_idx).find(|k| self.state(step_idx - k) != shown).map_or(step_idx, |k| k - 1)
+    }
+
     /// The state at a step; past the end of the log the last one holds.
     pub fn state(&self, step_idx: usize) -> LightState {
         self.states.get(step_idx).or(self.states.last()).copied().unwrap_or(LightState::Unknown)
@@ -72,50 +93,58 @@ impl Map {
     }
 
     /// Whether a front that moves from one point to another passes a stop line at whose lights no state but red is shown.
-    pub(crate) fn runs_red(&self, from: Point2, to: Point2, step_idx: usize) -> bool {
+    pub(crate) fn runs_red(
+        &self,
+        from: Point2,
+        to: Point2,
+        elevation_m: Option<Real>,
+        step_idx: usize,
+    ) -> bool {
         let mut states = self
             .lights
             .iter()
-            .filter(|light| light.crossing(self, from, to).is_some())
+            .filter(|light| light.crossing(self, from, to).is_some() && light.is_on_level(self, elevation_m))
             .map(|light| light.state(step_idx) == LightState::Red)
             .peekable();
         states.peek().is_some() && states.all(|is_red| is_red)
     }
 
-    /// Where along a route a front at `front_m` waits: at the nearest stop line ahead whose light is red or yellow for the lane
-    /// that the route takes behind it, if it can stop there with the braking for these, m/s².
+    /// The lights of a route, nearest first: those whose stop lines it passes and whose lanes it takes behind these.
+    pub(crate) fn lights_along(&self, route: &Polyline) -> Vec<LightAlong> {
+        let passes = |(light, of): (usize, &Light)| {
+            let pieces = route.points().windows(2).zip(route.arc_lengths_m().windows(2));
+            let places = pieces.filter_map(|(ends, s_m)| {
+                let at_m = s_m[0] + of.crossing(self, ends[0], ends[1])? * (s_m[1] - s_m[0]);
+                self.takes(of, route, at_m).then_some(LightAlong { at_m, light: light as u32 })
+            });
+            places.collect::<Vec<_>>()
+        };
+        let mut found: Vec<LightAlong> = self.lights.iter().enumerate().flat_map(passes).collect();
+        found.sort_by(|a, b| a.at_m.total_cmp(&b.at_m));
+        found
+    }
+
+    /// Where a front at `front_m` of a route waits: at the nearest stop line ahead whose light is red or yellow, if it can
+    /// stop there with the braking for these, m/s².
     pub(crate) fn waits_at(
         &self,
-        route: &Polyline,
+        along: &[LightAlong],
         front_m: Real,
         speed_mps: Real,
         step_idx: usize,
         [red, yellow]: [Real; 2],
     ) -> Option<Real> {
-        let end_m = (front_m + 20.0 + 4.0 * speed_mps).min(front_m + 70.0).min(route.length_m());
-        let mut nearest: Option<Real> = None;
-        for light in &self.lights {
-            let braking = match light.state(step_idx) {
+        let end_m = (front_m + 20.0 + 4.0 * speed_mps).min(front_m + 70.0);
+        let near = along.iter().filter(|l| l.at_m >= front_m).take_while(|l| l.at_m < end_m);
+        let waits = |l: &&LightAlong| {
+            let braking = match self.lights[l.light as usize].state(step_idx) {
                 LightState::Red => red,
                 LightState::Yellow => yellow,
-                LightState::Green | LightState::Unknown => continue,
+                LightState::Green | LightState::Unknown => return false,
             };
-            let mut s_m = front_m;
-            while s_m < nearest.unwrap_or(end_m) {
-                let step_m = (end_m - s_m).min(1.0);
-                let (here, next) = (route.at(s_m).position, route.at(s_m + step_m).position);
-                if let Some(at_m) = light.crossing(self, here, next).map(|share| s_m + share * step_m)
-                    && self.takes(light, route, at_m)
-                {
-                    if speed_mps * speed_mps <= 2.0 * braking * (at_m - front_m) {
-                        nearest = Some(nearest.map_or(at_m, |other_m| other_m.min(at_m)));
-                    }
-                    break;
-                }
-                s_m += 1.0;
-            }
-        }
-        nearest
+            speed_mps * speed_mps <= 2.0 * braking * (l.at_m - front_m)
+        };
+        near.into_iter().find(waits).map(|l| l.at_m)
     }
 
     /// Whether a route follows the lane of a light behind its stop line, at `s_m`.

@@ -20,7 +20,7 @@ pub use lane_index::{LaneHit, LaneIndex, NearLanes};
 pub use lane_links::link_lanes;
 pub(crate) use lane_path::follow;
 pub use levels::{PartElevations, cut_by_level, level_bounds, range_of, road_areas};
-pub use lights::{Light, LightState};
+pub use lights::{Light, LightAlong, LightState};
 pub use map::{Elevations, HIGHEST_M, LEVEL_M, Lane, LaneKind, Map};
 pub use mend::{LONGEST_GAP_S, Mended};
 pub use road_area::{RoadParts, road_area};

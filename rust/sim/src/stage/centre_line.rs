@@ -1,7 +1,7 @@
 //! The line to drive along: the lanes that the route goes by, joined through the lane graph.
 
 use crate::geom::{Point2, Polyline, Projection, Real, Vector2, bounds, math};
-use crate::scene::{LEVEL_M, Map};
+use crate::scene::{LEVEL_M, LightAlong, Map};
 use crate::stage::route::{APPROACH_MPS2, CURVE_MPS2, Route};
 
 /// Spacing of what is tabulated along the line, metres.
@@ -41,6 +41,8 @@ pub struct Place {
 pub struct CentreLine {
     line: Polyline,
     places: Vec<Place>,
+    /// Lights along the line, nearest first.
+    pub(crate) lights: Vec<LightAlong>,
 }
 
 /// A lane near a sample of the route.
@@ -73,7 +75,7 @@ impl CentreLine {
         });
         let line = Polyline::new(points.collect()).unwrap_or_else(|| route.clone());
         let places = places(&line, |s_m| limits[((s_m / LOOK_M).round() as usize).min(limits.len() - 1)]);
-        Self { line, places }
+        Self { lights: map.lights_along(&line), line, places }
     }
 
     /// The line, points about a metre apart.

@@ -1,7 +1,7 @@
 //! The path an agent is meant to drive: its log, then the lanes ahead, else straight on.
 
 use crate::geom::{Point2, Polyline, Pose2, Real};
-use crate::scene::{AgentKind, LaneIndex, Map, Scene, follow};
+use crate::scene::{AgentKind, LaneIndex, LightAlong, Map, Scene, follow};
 use crate::state::Height;
 use std::ops::Range;
 
@@ -43,6 +43,8 @@ pub struct Route {
     backs: Vec<Range<usize>>,
     /// Whether the path follows map lanes past the end of the log (else it goes straight on).
     pub on_lanes: bool,
+    /// Lights along the path, nearest first.
+    pub lights: Vec<LightAlong>,
 }
 
 impl Route {
@@ -90,8 +92,8 @@ impl Route {
         let straight = || Polyline::straight(&pose, EXTENSION_M);
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
-        let backs = reversing.steps;
-        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, backs, on_lanes }
+        let (backs, lights) = (reversing.steps, scene.map.lights_along(&path));
+        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, backs, on_lanes, lights }
     }
 
     /// How high the route is at a position and how steep over the metres round it, in a scene with levels.

@@ -199,6 +199,8 @@ options! {
         on_traffic_collision: TrafficCollision = TrafficCollision::Stop;
         /// Consequence of a box corner off the road for a controlled agent.
         on_off_road: Consequence = Consequence::Terminate;
+        /// Consequence of passing a stop line in red for a controlled agent.
+        on_red_light: Consequence = Consequence::Ignore;
         /// Whether an agent's episode ends at its goal, the logged position at the episode's last step; else it drives on.
         terminate_at_goal: bool = true;
         /// Agents with a slot that play against the others, ids by the name of the scene. The reward of an adversary is

@@ -30,10 +30,15 @@ struct Outcome {
 
 impl Outcome {
     /// What follows all events of a step. Where episodes end at the goal, an agent without an accident leaves there.
-    fn of(collided: bool, off_road: bool, reached: bool, config: &WorldConfig) -> Self {
+    fn of([collided, off_road, ran_red, reached]: [bool; 4], config: &WorldConfig) -> Self {
         use Consequence::{Remove, Stop, Terminate};
         let at_goal = reached && config.terminate_at_goal;
-        let events = [(collided, config.on_collision), (off_road, config.on_off_road), (at_goal, Terminate)];
+        let events = [
+            (collided, config.on_collision),
+            (off_road, config.on_off_road),
+            (ran_red, config.on_red_light),
+            (at_goal, Terminate),
+        ];
         let any = |of: &[Consequence]| events.iter().any(|(happened, after)| *happened && of.contains(after));
         Self {
             ends: any(&[Terminate, Remove]),
@@ -81,9 +86,9 @@ impl World {
                     pose.position + Vector2::new(pose.cos, pose.sin) * half_m
                 };
                 let (from, to) = (ahead(&self.scratch.before[a]), ahead(&e.states.pose(a)));
-                self.scene.scene.map.runs_red(from, to, e.step_idx)
+                self.scene.scene.map.runs_red(from, to, e.states.elevation_m(a), e.step_idx)
             };
-            let outcome = Outcome::of(contact.is_some(), slot.off_road, reached, config);
+            let outcome = Outcome::of([contact.is_some(), slot.off_road, ran_red, reached], config);
             out.terminated[c] = outcome.ends;
             out.truncated[c] = at_end && !outcome.ends;
             let ended = out.terminated[c] || out.truncated[c];
@@ -137,7 +142,7 @@ mod tests {
             |on_collision, on_off_road| WorldConfig { on_collision, on_off_road, ..WorldConfig::default() };
         let usual = config(Consequence::Terminate, Consequence::Stop);
         let of = |collided, off_road, reached, config: &WorldConfig| {
-            let o = Outcome::of(collided, off_road, reached, config);
+            let o = Outcome::of([collided, off_road, false, reached], config);
             (o.ends, o.stands, o.leaves)
         };
         assert_eq!(of(false, false, false, &usual), (false, false, false));

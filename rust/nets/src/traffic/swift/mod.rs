@@ -2,7 +2,7 @@
 //!
 //! Every half second each vehicle draws a change of speed and a yaw rate and holds them. With criticality the vehicles nearest to
 //! the ego are told which agent it is, and how strongly to hinder it. Of the map the network sees its route alone; draws that leave
-//! the road are passed over.
+//! the road are passed over. Networks know no lights: in front of one that is red or yellow a vehicle brakes as IDM does.
 
 mod network;
 mod seen;
@@ -21,7 +21,8 @@ use crate::traffic::planned_agents::{history_of, select_guided};
 use crate::traffic::{AdversaryPolicy, CcdiffConfig, planning_pool, side_by_side};
 use ccdiff_sim::SimError;
 use ccdiff_sim::drivers::{
-    AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
+    AgentMotion, DriverModel, IdmConfig, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
+    braking_at_light,
 };
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::geom::Real;
@@ -184,11 +185,16 @@ impl Swift {
     fn draw(&self, d: &Decides<'_>, first: usize, scratch: &mut Scratch) -> Vec<[Real; 2]> {
         let (network, hidden, watch) = (&self.network, &mut scratch.hidden, &mut scratch.watch);
         let (world, temperature) = (&d.request.world, self.config.temperature as Real);
+        // in sight of a light that holds it, a vehicle is no faster than IDM
+        let idm = IdmConfig::default();
+        let hold = |a: &usize| braking_at_light(world, *a, Real::MAX, &idm, BRAKING_MPS2);
+        let waits: Vec<Option<Real>> = d.agents.iter().map(hold).collect();
         let mut drawn = |i: usize, draw: usize| {
             let (a, speed) = (d.agents[i], world.states.speed_mps[d.agents[i]]);
             let noise = Noise::new(world.noise_seed, a as u64);
             let [change, yaw_rate] = network.draw(first + i, noise, draw, temperature, hidden);
             let change = if draw < CAREFUL_DRAWS { change } else { -BRAKING_MPS2 * HELD_S };
+            let change = waits[i].map_or(change, |braking| change.min(braking * HELD_S));
             let [end, yaw_rate] = bounded(speed, change, yaw_rate);
             [(end - speed) / HELD_S, yaw_rate]
         };
