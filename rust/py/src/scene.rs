@@ -165,7 +165,7 @@ impl PyScene {
                 "scene {:?}: positions near ({}, {}) in single precision are rounded to {rounding_m} m; give float64",
                 name.0, shift[0], shift[1]
             );
-            if !(rounding_m <= ROUNDING_M) {
+            if rounding_m > ROUNDING_M || rounding_m.is_nan() {
                 return Err(py::SceneError::new_err(text));
             }
             PyErr::warn(py, &py.get_type::<PyUserWarning>(), &CString::new(text).unwrap_or_default(), 1)?;
