@@ -6,10 +6,13 @@ import re
 from dataclasses import replace
 from hashlib import sha256
 
+import pytest
+
 from ccdiff_env import cli, models
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import episodes
+from ccdiff_env.errors import UnknownNameError
 
 
 def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
@@ -58,8 +61,9 @@ def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys
     capsys.readouterr()
     for text, said in (
         (f"ccdiff={tokens}", "another run|other settings: own_weights"),
-        ("ccdiff", "NETWORK=FILE"),
-        (f"idm={tokens}", "NETWORK=FILE"),
+        ("ccdiff", "NAME=FILE"),
+        (f"my-net={tokens}", "NAME=FILE"),
+        (f"idm={tokens}", "idm is method already"),
         (f"ccdiff={tmp_path}/no", "no weights for ccdiff"),
     ):
         given = ["--out", str(tmp_path / "own"), "--methods", "ccdiff", "--weights", text]
@@ -77,3 +81,52 @@ def test_rows_without_guidance_say_how_many_samples_they_choose_from():
     for name, method in METHODS.items():
         chooses = name.endswith("_unguided") and method.ccdiff["num_samples"] > 1
         assert ("safest of" in method.label) == chooses
+
+
+def test_weights_under_names_of_their_own_stand_beside_the_shipped_ones(tmp_path, capsys):
+    routes = models.shipped_weights(routes=True)
+    digest = sha256(routes.read_bytes()).hexdigest()
+    common = ["--quiet", "--limit", "2", "--weights", f"mine={routes}"]
+
+    def episodes(kind, *words):
+        assert cli.main(["bench", kind, *common, "--out", str(tmp_path / kind), *words]) == 0
+        return list(csv.DictReader((tmp_path / kind / "episodes.csv").open()))
+
+    methods = "mine_careful,ccdiff_careful"
+    rows = episodes("realism", "--methods", methods, "--samples", "2")
+    found = {row["method"]: row for row in rows}
+    assert found["mine_careful"]["own_weights"] == digest
+    assert found["ccdiff_careful"]["own_weights"] == ""
+    assert found["mine_careful"]["realism"] != found["ccdiff_careful"]["realism"]
+    table = (tmp_path / "realism/table.md").read_text()
+    assert f"| mine, careful, N=1, own weights {digest[:8]} |" in table
+    # the same figures as where they replace those of the network
+    beside = ["--weights", f"ccdiff={routes}", "--methods", "ccdiff_careful", "--samples", "2"]
+    again = ["bench", "realism", *common[:3], *beside, "--out", str(tmp_path / "instead")]
+    assert cli.main(again) == 0
+    (first, *_) = csv.DictReader((tmp_path / "instead/episodes.csv").open())
+    assert first["realism"] == next(r["realism"] for r in rows if r["method"] == "mine_careful")
+    # as traffic of planners, in two processes, and on pages
+    words = ["--planners", "idm", "--traffic", "mine-1,ccdiff-1", "--seeds", "0", "--workers", "2"]
+    rows = episodes("planners", *words)
+    assert {row["traffic"]: row["own_weights"] for row in rows} == {
+        "mine-1": digest,
+        "ccdiff-1": "",
+    }
+    assert "mine, criticality 1" in (tmp_path / "planners/table.md").read_text()
+    assert cli.main(["bench", "verify", str(tmp_path / "planners")]) == 0
+    page = ["view", "left-turn-00", "--traffic", "mine-1", "-o", str(tmp_path / "page.html")]
+    assert cli.main([*page, "--weights", f"mine={routes}"]) == 0
+    capsys.readouterr()
+    protocol = ["bench", "planners", *common[3:], "--protocol", "planner-1.3"]
+    assert cli.main([*protocol, "--out", str(tmp_path / "p")]) == 2
+    assert "--weights: planner-1.3 fixes it" in capsys.readouterr().err
+
+
+def test_a_method_is_put_together_from_a_network_a_form_and_a_mode():
+    made = METHODS["ctg_careful"]
+    assert (made.driver, made.ccdiff) == ("ctg", {"careful": True})
+    assert METHODS["tokens_routes_calibrated"].ccdiff["follow_route"]
+    assert "ctg_carefull" not in METHODS
+    with pytest.raises(UnknownNameError, match="did you mean 'ccdiff_careful'"):
+        METHODS["ccdif_careful"]

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from ccdiff_env.bench.methods import METHODS, PAPER_METHODS, titled
-from ccdiff_env.bench.planners import TRAFFIC
-from ccdiff_env.bench.run import Run
+from ccdiff_env.bench.methods import GRAMMAR, PAPER_METHODS, titled
+from ccdiff_env.bench.planners import TRAFFIC, TRAFFIC_HELP
+from ccdiff_env.bench.run import Run, add_weights, weights_from
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
@@ -54,13 +54,12 @@ def add_traffic(
     parser: argparse.ArgumentParser, default: str | None, what: str, more: str = ""
 ) -> None:
     """Add who drives the others, kinds of traffic by name."""
-    names = ", ".join(TRAFFIC)
-    parser.add_argument("--traffic", default=default, help=f"{what}, of: {names}{more}")
+    parser.add_argument("--traffic", default=default, help=f"{what}, of: {TRAFFIC_HELP}{more}")
 
 
 def add_methods(parser: argparse.ArgumentParser, default: str, more: str = "") -> None:
     """Add which methods of traffic are compared."""
-    text = f"comma-separated{more}, of: {', '.join(METHODS)}"
+    text = f"comma-separated{more}, of: {GRAMMAR} (docs/evaluation.md, Methods)"
     parser.add_argument("--methods", default=default, help=text)
 
 
@@ -68,16 +67,6 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
     """Add how many replays are made."""
     parser.add_argument(
         "--replays", type=int, default=0, metavar="N", help=f"write replay pages of the N {which}"
-    )
-
-
-def add_weights(parser: argparse.ArgumentParser) -> None:
-    """Add custom weights."""
-    parser.add_argument(
-        "--weights",
-        action="append",
-        metavar="NETWORK=FILE",
-        help="weights of ccdiff-env train; may be given more than once (default: the shipped ones)",
     )
 
 
@@ -209,6 +198,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="a figure of your own, from a rollout to a number, as a column of all tables and "
         "tests; may be given more than once (default: none)",
     )
+    add_weights(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
 
@@ -224,7 +214,7 @@ def _planners(args: argparse.Namespace) -> int:
 
     if args.nuplan is not None:
         os.environ[VARIABLE] = args.nuplan  # processes of jobs look there, too
-    fixed = PROTOCOL.fix(args)
+    fixed, weights = PROTOCOL.fix(args), weights_from(args.weights or [])
     if args.nuplan_score:
         find_devkit()
     planners = titled(args.planners.split(","))
@@ -245,6 +235,7 @@ def _planners(args: argparse.Namespace) -> int:
             window=window,
             by_nuplan=args.nuplan_score,
             metrics=metrics,
+            weights=weights,
         )
     ]
     scenes = scene_hashes(source)
@@ -311,6 +302,7 @@ def _add_scenarios(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument(
         "--plans", type=int, default=128, help="ego plans tried to avoid a collision"
     )
+    add_weights(parser)
     add_replays(parser, "worst scenarios of every planner")
     parser.set_defaults(run=_scenarios)
 
@@ -333,7 +325,12 @@ def _scenarios(args: argparse.Namespace) -> int:
     )
     folders = set_folders(generators, run.folder / "sets")
     making = generation_jobs(
-        run.source, folders, traffic=args.traffic, seed=args.seed, num_plans=args.plans
+        run.source,
+        folders,
+        traffic=args.traffic,
+        seed=args.seed,
+        num_plans=args.plans,
+        weights=run.own_weights,
     )
     made = {job.arguments["generator"]: job for job in making}
     by_set = grouped(run.episodes(making, "generator"), "generator")

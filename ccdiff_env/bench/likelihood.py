@@ -322,6 +322,7 @@ def evaluate(
 
     ``processor_s``: processor seconds of an episode, mean of the chunk.
     """
+    METHODS.add(weights or {})
     chosen = on_device(resolved(METHODS[method].with_weights(weights or {})), device)
     # without a network there is no chance
     draws = chosen.driver in NETWORKS or ":" in chosen.driver

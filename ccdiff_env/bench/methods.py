@@ -5,44 +5,55 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
+from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
-from ccdiff_env.errors import ConfigError, UnknownNameError, meant
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant
 from ccdiff_env.interop.nuplan import PREFIX
 from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.planners.built_in import is_of_package
+from ccdiff_env.system.files import parsed_object, reading
 from ccdiff_env.system.named_objects import named_object, title_of, untitled
+from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig
 from ccdiff_env.view.captions import is_taken
 
 _T = TypeVar("_T")
+_D = TypeVar("_D", bound="Drivers")
 
 
 @dataclass(frozen=True)
-class Method:
+class Drivers:
+    """Who drives the others, under a name."""
+
+    label: str  #: Name in tables.
+    driver: str  #: As :class:`~ccdiff_env.config.WorldConfig` names them.
+    #: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
+    ccdiff: Mapping[str, Any] = field(default_factory=dict)
+    own_weights: str = ""  #: Name of ``--weights`` that drive, where it is not the network's.
+
+    def weights_of(self, given: Mapping[str, str]) -> str | None:
+        """Return what is given for the network, unless its weights are named here already."""
+        return None if "weights" in self.ccdiff else given.get(self.own_weights or self.driver)
+
+    def with_weights(self: _D, weights: Mapping[str, str]) -> _D:
+        """Return the drivers with a file of ``weights``, by name, unless they name their own."""
+        file = self.weights_of(weights)
+        return self if file is None else replace(self, ccdiff={**self.ccdiff, "weights": file})
+
+
+@dataclass(frozen=True)
+class Method(Drivers):
     """A way to drive the vehicles of the control set.
 
     ``ranking`` says who is in the control set. With ``greedy`` and ``gradient``, CCDiff finds the
     set itself, at its first plan.
     """
 
-    label: str  #: Name in tables.
-    driver: str  #: As :class:`~ccdiff_env.config.WorldConfig` names them.
     ranking: str = "cliques"
-    #: Fields of :class:`~ccdiff_env.traffic.CcdiffConfig`, where a network drives.
-    ccdiff: Mapping[str, Any] = field(default_factory=dict)
     #: What differs from the preset that ``ccdiff`` names.
     guidance: Mapping[str, Any] = field(default_factory=dict)
-
-    def weights_of(self, given: Mapping[str, str]) -> str | None:
-        """Return what is given for the method's network, unless the method names weights itself."""
-        return None if "weights" in self.ccdiff else given.get(self.driver)
-
-    def with_weights(self, weights: Mapping[str, str]) -> Method:
-        """Return the method with a file of ``weights``, by driver, unless it names its own."""
-        file = self.weights_of(weights)
-        return self if file is None else replace(self, ccdiff={**self.ccdiff, "weights": file})
 
     def options(self) -> dict[str, Any]:
         """Return ``ccdiff`` with the whole guidance where it differs from a preset."""
@@ -108,6 +119,35 @@ class NamedDrivers(dict[str, _T]):
         taken = {getattr(entry, "label", "") for entry in self.values()}
         return self._kind(name if own in taken else own, name)
 
+    def add(self, weights: Mapping[str, str]) -> None:
+        """Add, under each name of weights that is no network's, what there is of their network:
+        ``mine``, ``mine_careful``, ``mine-1``.
+
+        A name that something else has is a :class:`ConfigError`.
+        """
+        for own, file in weights.items():
+            if own in NETWORKS:
+                continue
+            kind = network_of(file)
+            for name, entry in list(self.items()):
+                end = name.removeprefix(kind)
+                drivers: Any = entry
+                if end == name or end[:1] not in ("", "_", "-") or "weights" in drivers.ccdiff:
+                    continue
+                if getattr(self.get(own + end), "own_weights", own) != own:
+                    raise ConfigError(f"--weights {own}=...: {own + end} is {self._what} already")
+                label = drivers.label.replace(KINDS[kind].title, own, 1)
+                self[own + end] = replace(drivers, label=label, own_weights=own)
+
+
+def network_of(file: str) -> str:
+    """Return the kind of network that a file of weights is of."""
+    with reading("weights", file):
+        kind = parsed_object(read_tensors(Path(file))[1]["ccdiff_env"])["kind"]
+        if kind not in NETWORKS:
+            raise DatasetError(f"weights of {kind!r}, expected one of {', '.join(NETWORKS)}")
+    return str(kind)
+
 
 def titled(names: Iterable[str]) -> list[str]:
     """Return who drives, each once, with titles: those given (``?title=Ours``), and ``name`` of
@@ -143,12 +183,13 @@ class _Methods(NamedDrivers[Method]):
     """The methods by name; ``NAME-C`` is the guided method of a name at criticality C."""
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or self.strength(str(name)) is not None
+        known = super().__contains__(name) or self.strength(str(name)) is not None
+        return known or _composed(str(name)) is not None
 
     def __missing__(self, name: str) -> Method:
         strength = self.strength(name)
         if strength is None:
-            return super().__missing__(name)
+            return _composed(name) or super().__missing__(name)
         old = self[name.rpartition("-")[0]]
         label = f"{old.label}, criticality {strength:g}"
         return replace(old, label=label, ccdiff={**old.ccdiff, "criticality": strength})
@@ -217,6 +258,23 @@ def _network(
         found[name + form + end] = Method(label, driver, ccdiff=ccdiff)
     return found
 
+
+def _composed(name: str) -> Method | None:
+    """Return the method of a network, a form and a mode, where a name is put together so."""
+    for network, form, end in product(NETWORKS, _FORMS, _ENDS):
+        if name == network + form + end and network != SWIFT:
+            own = {"num_samples": 1} if KINDS[network].one_plan else {}
+            return _network(network, KINDS[network].title, (form,), (end,), **own)[name]
+    return None
+
+
+#: What a name may be put together from, for the help.
+GRAMMAR = (
+    f"replay, constant_velocity, idm, {SWIFT}, module:name of yours, and NETWORK[_FORM][_MODE]"
+    f"[-CRITICALITY]: a network ({', '.join(n for n in NETWORKS if n != SWIFT)}), a form "
+    f"({', '.join(filter(None, _FORMS))}), a mode ({', '.join(filter(None, _ENDS))}; guided "
+    "without one)"
+)
 
 #: The methods by name. More may be added: a driver is all that one needs.
 METHODS = _Methods(

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import NamedDrivers, on_device, resolved
+from ccdiff_env.bench.methods import Drivers, NamedDrivers, on_device, resolved
 from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import ROW, Judge
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -42,12 +42,9 @@ READ_THE_LOG = ("replay", "idm")
 
 
 @dataclass(frozen=True)
-class Traffic:
+class Traffic(Drivers):
     """Traffic to test planners in; ``named_drivers`` as in :class:`~ccdiff_env.WorldConfig`."""
 
-    label: str
-    driver: str
-    ccdiff: Mapping[str, Any] = field(default_factory=dict)
     named_drivers: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -76,7 +73,7 @@ def _named(label: str, name: str) -> Traffic:
     return replace(_critical(1.0, **pace), label=f"CCDiff, chosen by {Path(policy).stem}")
 
 
-TRAFFIC: dict[str, Traffic] = NamedDrivers(
+TRAFFIC: NamedDrivers[Traffic] = NamedDrivers(
     "traffic",
     _named,
     {
@@ -106,6 +103,14 @@ for _name, _own in PROTOCOL.fields["traffic"].items():
     TRAFFIC[_name] = replace(
         TRAFFIC[_name], **{{"policies": "named_drivers"}.get(k, k): v for k, v in _own.items()}
     )
+
+
+#: Traffic by name, for the help.
+TRAFFIC_HELP = (
+    f"replay, idm-calm, idm, idm-hasty, {EGOS}, a network ({', '.join(NETWORKS)}), which -1 or -2 "
+    "make critical; ccdiff also at -0.25, -0.5, -1.5, with -avoidable, -one-step, -routes after -1 "
+    "or -2, and as ccdiff-1-learned; module:name of yours (docs/own_traffic.md)"
+)
 
 
 def window_of(
@@ -151,6 +156,7 @@ def planner_jobs(
     window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
     metrics: Sequence[str] = (),
+    weights: Mapping[str, str] | None = None,
 ) -> list[Job]:
     """Return the jobs of a planner benchmark: planners x traffic x chunks of the scenes.
 
@@ -162,12 +168,15 @@ def planner_jobs(
         by_nuplan: Whether nuPlan's own score is taken, too, see
             :mod:`ccdiff_env.bench.nuplan_score`.
         metrics: Paths of further figures, see :func:`measured`.
+        weights: Files of weights by name, of which those that drive matter.
 
     Scenes are dealt to the chunks in an order that the seed draws: a planner, whose worlds are in
     that of the chunk, does not know a scene by its number.
     """
-    for name in traffic:
-        TRAFFIC[name]  # refuses a name that does not exist
+    own = {
+        name: {"weights": dict(weights or {})} if TRAFFIC[name].weights_of(weights or {}) else {}
+        for name in traffic
+    }
     for planner in planners:
         PROTOCOL.world(ego_driver(planner)[1], planner, scenes_of(source)[0].dt)
     given: dict[str, Any] = {"window": dict(window)} if window else {}
@@ -185,7 +194,7 @@ def planner_jobs(
         for job in chunk_jobs(
             f"{file_name(planner)}-{file_name(name)}-{seed}", f"{__name__}:evaluate", source, CHUNK,
             shuffle=seed, planner=planner, traffic=name, seed=seed,
-            sources=_sources(planner, name, metrics), **given,
+            sources=_sources(planner, name, metrics), **given, **own[name],
         )
     ]  # fmt: skip
 
@@ -253,6 +262,7 @@ def evaluate(
     window: Mapping[str, int] | None = None,
     by_nuplan: bool = False,
     metrics: Sequence[str] = (),
+    weights: Mapping[str, str] | None = None,
     device: str = "cpu",
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
@@ -267,10 +277,11 @@ def evaluate(
         changed = " or ".join([planner, traffic, *metrics])
         raise ConfigError(f"{changed} has changed since the run began: start it again")
     scenes = scenes_of(source, names)
+    TRAFFIC.add(weights or {})
     rows, rollouts = drive(
         scenes,
         planner,
-        on_device(TRAFFIC[traffic], device),
+        on_device(TRAFFIC[traffic].with_weights(weights or {}), device),
         seed=seed,
         options=window,
         record=names if by_nuplan or metrics else record,

@@ -24,7 +24,7 @@ from ccdiff_env.traffic.options import DYNAMICS
 
 _FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.3.json"
 #: Arguments that the protocol fixes, beside the scenes and the number of seeds.
-_FIXED = ("traffic", "limit")
+_FIXED = ("traffic", "limit", "weights")
 
 
 @dataclass(frozen=True)

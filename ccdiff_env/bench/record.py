@@ -10,7 +10,7 @@ import json
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,8 @@ class Entry:
     dynamics: frozenset[str]  #: Models of motion that the actions are of.
     #: Steps before and of an episode; ``None`` for those of the protocol.
     window: Mapping[str, int] | None = None
+    #: Files of weights of the traffic's own, by name; of this machine.
+    weights: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ class Record:
                 raise ConfigError(f"a run of {kind!a:.40}, expected planners")
             if declared and (made := declared.get("format")) != FORMAT:
                 raise DatasetError(f"format {made!a:.40}, this release reads {FORMAT!r}")
+            if path.is_file() and any("weights" in f.get("arguments", ()) for f in parsed.values()):
+                raise DatasetError("weights of its traffic are named, but not in it")
             entries = [_entry(fields, str(path / name)) for name, fields in parsed.items()]
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")
@@ -258,6 +262,8 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
                 raise ValueError(f"the text {text!a:.80}")
         if not _VERSION.fullmatch(made_from["version"]):
             raise ValueError(f"version {made_from['version']!a:.80}")
+        own_weights = dict(given.get("weights", {}))
+        TRAFFIC.add(own_weights)
         if traffic not in TRAFFIC or type(seed) is not int:
             raise ValueError(f"traffic {traffic!r}, seed {seed!r}")
         if sorted(scenes) != sorted(names):
@@ -284,7 +290,18 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
         raise DatasetError(f"damaged result of a run ({error}): {where}") from None
     names, place = tuple(names), given["source"]
     return Entry(
-        where, place, names, planner, traffic, seed, source, made_from, rows, moves, window
+        where,
+        place,
+        names,
+        planner,
+        traffic,
+        seed,
+        source,
+        made_from,
+        rows,
+        moves,
+        window,
+        own_weights,
     )
 
 
@@ -321,6 +338,8 @@ def submit(
     except ValueError as error:
         raise ConfigError(str(error)) from None
     record = Record.read(folder)
+    if any(entry.weights for entry in record.entries):
+        raise ConfigError(f"{folder}: its traffic has own weights, which nobody else could check")
     record.results()
     declared = {"format": FORMAT, "code": code, "training_data": training_data}
     found = {"run.json": folder / "run.json"}

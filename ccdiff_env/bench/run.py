@@ -15,6 +15,7 @@ from typing import Any
 from ccdiff_env.bench.jobs import Job, run_jobs
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.page import write_report_page
+from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import Pages, make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
@@ -66,8 +67,8 @@ class Run:
         self._device: str = args.device
         self._open = bool(args.open)
         self._start = time.perf_counter()
-        #: Weight files by network, in place of the shipped ones.
-        self.own_weights = _weights_from(getattr(args, "weights", None) or [])
+        #: Weight files by name, of a network in place of the shipped ones.
+        self.own_weights = weights_from(getattr(args, "weights", None) or [])
         given = {"benchmark": benchmark, "source": self.source, **seeds, **settings}
         given["coverage"] = self.coverage
         self._own = {name: sha256_of(Path(file)) for name, file in self.own_weights.items()}
@@ -132,6 +133,8 @@ class Run:
             of_job["job"] = job.name
             if (method := job.arguments.get("method")) is not None:
                 of_job["own_weights"] = METHODS[method].weights_of(self._own) or ""
+            elif self._own and (traffic := job.arguments.get("traffic")) is not None:
+                of_job["own_weights"] = TRAFFIC[traffic].weights_of(self._own) or ""
             found += [{**of_job, **row} for row in rows]
         return found
 
@@ -202,17 +205,33 @@ def episodes_table(rows: Iterable[Mapping[str, Any]]) -> Table:
     return Table(heads, [[row.get(name) for name in heads] for row in flat])
 
 
-def _weights_from(given: Sequence[str]) -> dict[str, str]:
-    """Return weight files by network, which ``--weights`` names."""
+def add_weights(parser: argparse._ActionsContainer) -> None:
+    """Add custom weights."""
+    parser.add_argument(
+        "--weights",
+        action="append",
+        metavar="NAME=FILE",
+        help="weights of ccdiff-env train, under the name of a network, which they replace, or "
+        "one of your own: mine=FILE makes mine, mine_careful, mine-1 of mine; may be given more "
+        "than once (default: the shipped ones)",
+    )
+
+
+def weights_from(given: Sequence[str]) -> dict[str, str]:
+    """Return weight files by name, which ``--weights`` gives, and let methods and traffic be called
+    by these names.
+    """
     found: dict[str, str] = {}
     for text in given:
         network, _, file = text.partition("=")
-        if network not in NETWORKS or network in found or not file:
+        if not network.isidentifier() or network in found or not file:
             raise ConfigError(
-                f"--weights is {text!r}, expected NETWORK=FILE, once for each of: "
-                + ", ".join(NETWORKS)
+                f"--weights is {text!r}, expected NAME=FILE, each name once: of a network "
+                f"({', '.join(NETWORKS)}), whose weights it replaces, or one of your own"
             )
         if not Path(file).is_file():
             raise DatasetNotFoundError(f"no weights for {network}: {file}")
         found[network] = str(Path(file).resolve())
+    METHODS.add(found)
+    TRAFFIC.add(found)
     return found

@@ -51,10 +51,12 @@ def generation_jobs(
     traffic: str = "ccdiff-1",
     seed: int = 0,
     num_plans: int = 128,
+    weights: Mapping[str, str] | None = None,
 ) -> list[Job]:
     """Return the jobs that make sets: generators, with their folders, x chunks of the scenes."""
     given: dict[str, Any] = {"traffic": traffic, "seed": seed, "num_plans": num_plans}
-    TRAFFIC[traffic]  # refuses a name that does not exist
+    if TRAFFIC[traffic].weights_of(weights or {}):
+        given["weights"] = dict(weights or {})
     if window_of(source) is not None:
         raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
     function = f"{__name__}:generate"
@@ -77,6 +79,7 @@ def generate(
     seed: int,
     folder: str,
     num_plans: int,
+    weights: Mapping[str, str] | None = None,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Record episodes of a generator and save them: a row per scene.
@@ -86,7 +89,9 @@ def generate(
     whether one of ``num_plans`` ego plans avoids it, the others doing as recorded; and
     :func:`realism`.
     """
-    drivers, scenes = on_device(TRAFFIC[traffic], device), scenes_of(source, names)
+    TRAFFIC.add(weights or {})
+    drivers = on_device(TRAFFIC[traffic].with_weights(weights or {}), device)
+    scenes = scenes_of(source, names)
     _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
@@ -168,7 +173,11 @@ def cross_jobs(
     ]
     first = next(iter(made.values())).arguments
     return recorded + planner_jobs(
-        first["source"], planners, [first["traffic"]], seed=first["seed"]
+        first["source"],
+        planners,
+        [first["traffic"]],
+        seed=first["seed"],
+        weights=first.get("weights"),
     )
 
 

@@ -208,6 +208,7 @@ def evaluate(
     With a random ranking there is one per scene and seed: :data:`RANDOM_DRAWS` of them, from
     ``seed`` on.
     """
+    METHODS.add(weights or {})
     chosen = on_device(METHODS[method].with_weights(weights or {}), device)
     draws = RANDOM_DRAWS if chosen.ranking == "random" else 1
     return [

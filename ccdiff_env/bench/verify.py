@@ -200,7 +200,7 @@ def _played(
     return drive(
         scenes_of(source, entry.names),
         planner,
-        TRAFFIC[entry.traffic],
+        TRAFFIC[entry.traffic].with_weights(entry.weights),
         seed=entry.seed,
         options=entry.window,
         record=record,

@@ -9,7 +9,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planners import TRAFFIC, drive, usual_window
+from ccdiff_env.bench.planners import TRAFFIC, TRAFFIC_HELP, drive, usual_window
+from ccdiff_env.bench.run import add_weights, weights_from
 from ccdiff_env.bench.verify import replayed
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
@@ -27,14 +28,13 @@ from ccdiff_env.view.page import write_page
 from ccdiff_env.view.sources import LOG, find_rollout, find_scene
 from ccdiff_env.view.video import Video, save_video, side_by_side
 
-#: Traffic by name, for the help.
-TRAFFIC_HELP = ", ".join(TRAFFIC)
 #: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
     "driver": None,
     "seed": None,
     "criticality": None,
     "samples": None,
+    "weights": None,
     "save": None,
     "slider": False,
 }
@@ -99,6 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{EGO_HELP}; several are shown beside each other (default: idm; replay where "
         "--compare has the log, so that the traffic alone differs)",
     )
+    add_weights(play)
     play.add_argument("--seed", type=int, help="seed of the episode (default: 0)")
     play.add_argument(
         "--criticality",
@@ -215,6 +216,7 @@ def _of_run(args: argparse.Namespace, path: Path) -> Runs:
 
 
 def _played(args: argparse.Namespace) -> Runs:
+    weights = weights_from(args.weights or [])
     if Path(args.what).is_file():
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
     drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
@@ -236,7 +238,7 @@ def _played(args: argparse.Namespace) -> Runs:
     for traffic, driver, level in choices:
         asked = {"criticality": level, "num_samples": args.samples}
         changed = {name: value for name, value in asked.items() if value is not None}
-        chosen = TRAFFIC[traffic]
+        chosen = TRAFFIC[traffic].with_weights(weights)
         _, rollouts = drive(
             SceneSet([scene]),
             driver,
