@@ -1,6 +1,9 @@
 """Figures, titles and traffic of one's own in the benchmarks."""
 
 import csv
+import re
+import shutil
+import subprocess
 import sys
 
 import numpy as np
@@ -11,6 +14,7 @@ import ccdiff_env.view
 from ccdiff_env import cli
 from ccdiff_env.bench import provenance
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.tags import scene_tags
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.counterfactual import Avoidability, EgoPlan
 from ccdiff_env.scenes.map_queries import LaneAhead
@@ -183,3 +187,93 @@ def test_a_data_frame_has_a_row_for_who_is_there(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingFeatureError, match="pip install pandas"):
         rollout.frame()
+
+
+def turning(angle_rad, speed_mps, offset_m=0.0):
+    """A scene whose ego drives so fast on an arc, behind a car 15 m ahead."""
+    time_s = 0.1 * np.arange(131)
+    yaw = angle_rad * time_s / 13.0
+    along = speed_mps * time_s
+    radius = 13.0 * speed_mps / angle_rad if angle_rad else None
+    x = along if radius is None else radius * np.sin(yaw)
+    y = np.zeros(131) if radius is None else radius * (1.0 - np.cos(yaw))
+    position = np.stack([np.stack([x, y], -1), np.stack([x + 15.0, y + offset_m], -1)])
+    heading = np.stack([yaw, yaw])
+    velocity = speed_mps * np.stack([np.cos(heading), np.sin(heading)], -1)
+    return ccdiff_env.Scene.from_arrays(
+        "arc",
+        position=position.astype(np.float32),
+        heading=heading.astype(np.float32),
+        velocity=velocity.astype(np.float32),
+        valid=np.ones((2, 131), bool),
+        sizes=np.array([[4.5, 1.9, 1.6]] * 2, np.float32),
+        agent_ids=["ego", "1"],
+        agent_types=["vehicle", "vehicle"],
+        dt=0.1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("scene", "tags"),
+    [
+        (turning(np.deg2rad(80.0), 6.0, 9.0), ["turn"]),
+        (turning(np.deg2rad(20.0), 6.0, 9.0), []),
+        (turning(0.0, 14.0, 9.0), ["high speed"]),
+        (turning(0.0, 8.0), ["following"]),
+        (turning(0.0, 0.0), ["stop"]),
+    ],
+)
+def test_tags_are_those_of_the_motion(scene, tags):
+    assert scene_tags(scene, 30, 130) == tags
+
+
+def test_scenes_whose_names_say_what_they_ask_for_have_its_tag():
+    found = {scene.name: scene_tags(scene, 30, 130) for scene in ccdiff_env.embedded_scenes()}
+    for part, tag in (("left-turn", "crossing"), ("tee-crossing", "crossing")):
+        share = [tag in tags for name, tags in found.items() if name.startswith(part)]
+        assert np.mean(share) > 0.5, (part, share)
+
+
+def test_reports_have_scores_by_tag_and_papers_whole_tables(desk):
+    (desk / "tags.csv").write_text("scene,tag\nleft-turn-04,rare\nleft-turn-04,mine\n")
+    words = "planners --planners idm,replay --seeds 0,1 --traffic replay,idm --tags tags.csv"
+    assert bench(words) == 0
+    episodes = rows(desk / "run/episodes.csv")
+    assert {row["city"] for row in episodes} == {"ccdiff-town"}
+    rare = [row for row in episodes if "rare" in row["tags"].split(", ")]
+    assert {row["scene"] for row in rare} == {"left-turn-04"}
+    mean = np.mean([float(row["score"]) for row in rare if row["planner"] == "idm"])
+    table = (desk / "run/table.md").read_text().partition("## Scores by what")[2]
+    head, _, *lines = [line for line in table.splitlines() if line.startswith("|")]
+    column = head.split(" | ").index(next(h for h in head.split(" | ") if "rare" in h))
+    line = next(line for line in lines if line.startswith("| IDM on"))
+    assert line.split(" | ")[column].startswith(f"{mean:.2f}")
+    text = (desk / "run/table.tex").read_text()
+    tables = text.split(r"\begin{table}")[1:]
+    assert len(tables) > 4
+    assert len({re.search(r"\\label\{(.+?)\}", one)[1] for one in tables}) == len(tables)
+    assert all(r"\caption{" in one and r"\footnotesize" in one for one in tables)
+    assert r"\textdagger{} privileged" in tables[0]
+    assert "permutation test" in text
+    assert "Worst" not in text
+    if shutil.which("pdflatex"):
+        paper = r"\documentclass{article}\usepackage{booktabs}\begin{document}%s\end{document}"
+        (desk / "paper.tex").write_text(paper % r"\input{run/table.tex}")
+        subprocess.run(["pdflatex", "-halt-on-error", "paper.tex"], check=True, timeout=120)
+    (desk / "tags.csv").write_text("scene,tag\nleft-turn-4,rare\n")
+    assert bench(words) == 2
+
+
+def test_methods_of_realism_are_compared_in_pairs(desk):
+    assert bench("realism --methods replay,constant_velocity,idm") == 0
+    episodes = rows(desk / "run/episodes.csv")
+    by = {m: {r["scene"]: float(r["realism"]) for r in episodes if r["method"] == m}
+          for m in ("replay", "idm")}  # fmt: skip
+    less = np.mean([by["replay"][scene] - by["idm"][scene] for scene in by["idm"]])
+    pairs = rows(desk / "run/pairs.csv")
+    (pair,) = [
+        r for r in pairs if (r["method"], r["against"], r["figure"]) == ("replay", "idm", "realism")
+    ]
+    assert float(pair["difference"]) == pytest.approx(less)
+    assert 0.0 < float(pair["p"]) < 0.05
+    assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]

@@ -204,6 +204,7 @@ def test_latex_has_the_same_cells_with_its_letters_escaped():
     text = Table(["name", Column("hit", unit="%", best=True)], cells, "Two_").latex()
     assert text.splitlines() == [
         r"\begin{table}",
+        r"\centering",
         r"\caption{Two\_}",
         r"\begin{tabular}{lc}",
         r"\toprule",

@@ -198,6 +198,12 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         help="a figure of your own, from a rollout to a number, as a column of all tables and "
         "tests; may be given more than once (default: none)",
     )
+    parser.add_argument(
+        "--tags",
+        type=Path,
+        metavar="CSV",
+        help="further tags of scenes, columns scene and tag (default: those of log and map alone)",
+    )
     add_weights(parser)
     add_replays(parser, "worst scenes of every planner")
     parser.set_defaults(run=_planners)
@@ -210,6 +216,7 @@ def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
     from ccdiff_env.bench.provenance import scene_hashes
+    from ccdiff_env.bench.tags import tags_of
     from ccdiff_env.interop.nuplan.devkit import VARIABLE, find_devkit
 
     if args.nuplan is not None:
@@ -253,6 +260,9 @@ def _planners(args: argparse.Namespace) -> int:
         protocol_sha256=PROTOCOL.sha256,
     )
     rows = run.episodes(jobs, "planner", "traffic")
+    tags = tags_of(source, window, args.tags)
+    for row in rows:
+        row["city"], row["tags"] = tags[row["scene"]][0], ", ".join(tags[row["scene"]][1:])
     found: report.Results = grouped(rows, "planner", "traffic")
     worst = (report.worst_scenes(found, planner, args.replays) for planner in planners)
     pages = run.replays(row for of in worst for _, row in of)
@@ -274,6 +284,7 @@ def _planners(args: argparse.Namespace) -> int:
         title,
         {
             "Scores": scores,
+            "Scores by what the scene asks for": report.tags_table(found, tags),
             "Planners against one another": report.comparison(found, extra=own),
             "Worst scenes": [
                 *report.worst_table(found, args.replays, pages),
@@ -376,7 +387,7 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 def _realism(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.intervals import figures, grouped
     from ccdiff_env.bench.likelihood import likelihood_jobs
-    from ccdiff_env.bench.realism_report import COLUMNS, tables
+    from ccdiff_env.bench.realism_report import COLUMNS, comparison, pairs_table, tables
 
     run = Run(args, "realism", samples=args.samples)
     jobs = likelihood_jobs(
@@ -390,9 +401,12 @@ def _realism(args: argparse.Namespace) -> int:
     found = {method: of for (method,), of in grouped(rows, "method").items()}
     return run.report(
         "Realism",
-        tables(found, args.samples),
+        {**tables(found, args.samples), "Methods against one another": comparison(found)},
         rows,
-        {"figures.csv": figures(rows, ("method", "own_weights"), COLUMNS)},
+        {
+            "figures.csv": figures(rows, ("method", "own_weights"), COLUMNS),
+            "pairs.csv": pairs_table(found),
+        },
     )
 
 

@@ -200,6 +200,27 @@ def parts_tables(found: Results, extra: Sequence[str] = ()) -> list[Block]:
     return [*tables, f"Means over scenes and seeds. {brackets(found.values())}{best}"]
 
 
+def tags_table(found: Results, tags: Mapping[str, Sequence[str]]) -> list[Block]:
+    """Return the scores of every planner, means over traffic and seeds, in the scenes of each city
+    and tag; ``tags`` are city and tags by scene.
+    """
+    planners, traffic = _names(found)
+    cities = sorted({of[0] for of in tags.values()})
+    names = sorted({tag for of in tags.values() for tag in of[1:]})
+    names += cities if len(cities) > 1 else []
+    counts = {name: sum(name in of for of in tags.values()) for name in names}
+    rows: TableRows = []
+    for planner in planners:
+        own = [row for t in traffic for row in found[planner, t]]
+        cells = [mean_interval([r for r in own if n in tags[r["scene"]]], "score") for n in names]
+        rows.append([short_name(planner), *cells])
+    columns = [Column(name, f"{name} ({counts[name]})") for name in names]
+    if not names:
+        return []
+    note = f"Number of scenes in brackets after a tag. {brackets(found.values())}"
+    return [Table(["score", *columns], rows), note]
+
+
 class Label(str):
     """The name of a planner in words, as tables have it."""
 

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import brackets, mean_interval
+from ccdiff_env.bench.intervals import (
+    FEW,
+    are_few,
+    brackets,
+    difference,
+    mean_interval,
+    scene_means,
+)
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
+from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
+LEVEL: float = PROTOCOL.fields["statistics"]["level"]  #: p of a significant difference.
 _LIKELIHOODS = ("realism", *GROUPS)  #: Likelihoods.
 _PLAIN = (
     Column("own_realism", digits=3, interval=False),
@@ -56,6 +66,42 @@ def tables(
         "Likelihood of the log": both,
         "Calibration": _ranks({labels[method]: of for method, of in found.items()}),
     }
+
+
+def pairs_table(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
+    """Return the likelihoods of each two methods, paired by scene: their difference, and its p by
+    the permutation test of signs.
+    """
+    rows: TableRows = []
+    for (one, mine), (other, theirs) in permutations(found.items(), 2):
+        for name in _LIKELIHOODS:
+            both = scene_means(mine, name), scene_means(theirs, name)
+            pairs = np.array([both[0][s] - both[1][s] for s in both[0] if s in both[1]])
+            means = mean_interval(mine, name), mean_interval(theirs, name)
+            rows.append([one, other, name, *means, *difference(pairs)])
+    return Table(["method", "against", "figure", "value", "other", "difference", "p"], rows)
+
+
+def comparison(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
+    """Return paired differences in realism, of every method and the most realistic other one."""
+    if len(found) < 2:
+        return ["One method alone."]
+    if any(map(are_few, found.values())):
+        return [FEW]
+    label = {m: label_of(m, of[0].get("own_weights", "")) for m, of in found.items()}
+    mean = {method: mean_interval(of, "realism")[0] for method, of in found.items()}
+    best = {m: max((o for o in found if o != m), key=mean.__getitem__) for m in found}
+    rows: TableRows = []
+    for one, other, figure, _, _, less, p in pairs_table(found).rows:
+        if figure == "realism" and best[str(one)] == other:
+            same = "not significant" if isinstance(p, float) and p >= LEVEL else ""
+            rows.append([label[str(one)], label[str(other)], less, p, same])
+    columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
+    return [
+        "Realism, same scenes: 95 % intervals of the paired bootstrap over scenes, p of the "
+        "permutation test of signs.",
+        Table(["method", "against", *columns, ""], rows),
+    ]
 
 
 def _likelihood(name: str) -> Column:

@@ -26,7 +26,7 @@ from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import reading, write_aside
 from ccdiff_env.system.settings import kept_settings
-from ccdiff_env.system.table import Block, Table, document
+from ccdiff_env.system.table import Block, Table, document, latex_tables
 from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
 from ccdiff_env.traffic import NETWORKS
@@ -47,7 +47,7 @@ class Run:
     """
 
     def __init__(self, args: argparse.Namespace, benchmark: str, **settings: Any) -> None:
-        place = place_from(args)
+        place, self._benchmark = place_from(args), benchmark
         self.source = str(place)  #: Text of the scenes, and how many of its split there are.
         scenes = scenes_of(self.source)
         if all(map(is_lone_ego, scenes)):
@@ -160,8 +160,8 @@ class Run:
         first, *rest = texts.items()
         sections = [first[1], *(f"## {head}\n\n{text}" for head, text in rest if text.strip())]
         write_aside(self.folder / "table.md", "\n".join(sections))
-        tables = [b for blocks in parts.values() for b in blocks if isinstance(b, Table) and b]
-        write_aside(self.folder / "table.tex", "\n".join(table.latex() for table in tables))
+        of_paper = {head: of for head, of in parts.items() if not head.startswith("Worst")}
+        write_aside(self.folder / "table.tex", latex_tables(of_paper, self._benchmark))
         for name, table in {"episodes.csv": episodes_table(episodes), **files}.items():
             table.write_csv(self.folder / name)
         page = self.folder / "report.html"

@@ -8,7 +8,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
@@ -124,16 +124,24 @@ class Table:
         text = "\n".join([drawn[0], "|" + "---|" * len(shown), *drawn[1:]])
         return f"### {escaped(self.title)}\n\n{text}" if self.title else text
 
-    def latex(self) -> str:
-        """Return the table for LaTeX with booktabs; the best of a column is bold."""
+    def latex(self, caption: str = "", label: str = "", notes: Sequence[str] = ()) -> str:
+        """Return the table for LaTeX with booktabs; the best of a column is bold.
+
+        The title, by default ``caption``, stands above it, and ``notes``, texts of Markdown, below.
+        """
         shown = [c.texts([row[i] for row in self.rows]) for i, c in enumerate(self.columns)]
         lines = [" & ".join(map(_latex, line)) + r" \\" for line in zip(*shown, strict=True)]
         head = " & ".join(_latex(escaped(c.title)) for c in self.columns) + r" \\"
         columns = "l" + "c" * (len(self.columns) - 1)
         parts = [r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
         parts = [rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}"]
-        caption = [rf"\caption{{{_latex(escaped(self.title))}}}"] if self.title else []
-        return "\n".join([r"\begin{table}", *caption, *parts, r"\end{table}", ""])
+        title = self.title or caption
+        above = [rf"\caption{{{_latex(escaped(title))}}}"] if title else []
+        above += [rf"\label{{{label}}}"] if label else []
+        below = [rf"\par\footnotesize {_latex(note)}" for note in notes]
+        return "\n".join(
+            [r"\begin{table}", r"\centering", *above, *parts, *below, r"\end{table}", ""]
+        )
 
     def write_csv(self, path: Path) -> None:
         """Write names and cells; figures in three columns, empty where nothing is known."""
@@ -153,6 +161,19 @@ class Table:
 _LATEX = {
     **{letter: rf"\{letter}" for letter in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+    **{
+        "†": r"\textdagger{}",
+        "±": r"$\pm$",
+        "²": r"\textsuperscript{2}",
+        "³": r"\textsuperscript{3}",
+    },
+    **{
+        "−": "--",
+        "σ": r"$\sigma$",
+        "τ": r"$\tau$",
+        "°": r"\textdegree{}",
+        "·": r"\textperiodcentered{}",
+    },
 }
 
 
@@ -165,6 +186,22 @@ def _latex(text: str) -> str:
 
 
 Block = Table | str  #: A part of a document.
+
+
+def latex_tables(parts: Mapping[str, Sequence[Block]], prefix: str) -> str:
+    """Return the tables of a report's parts, by heading, for LaTeX: each with a caption, a label
+    ``tab:prefix-...``, and the texts of its part that follow its first table, else all of them.
+    The package booktabs is all that they need.
+    """
+    found: list[str] = []
+    for head, blocks in parts.items():
+        first = next((i for i, block in enumerate(blocks) if isinstance(block, Table)), len(blocks))
+        after = [block for block in blocks[first:] if isinstance(block, str) and block]
+        notes = after or [block for block in blocks if isinstance(block, str) and block]
+        for table in (block for block in blocks if isinstance(block, Table) and block):
+            label = re.sub(r"\W+", "-", f"{prefix}-{head}-{table.title}".lower()).strip("-")
+            found.append(table.latex(head, f"tab:{label}", notes))
+    return "\n".join(found)
 
 
 def document(*blocks: Block) -> str:
