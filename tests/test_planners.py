@@ -237,6 +237,15 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
     assert "traffic ''" in capsys.readouterr().err
 
 
+class Short:
+    """Looks less far ahead than to its next decision."""
+
+    env_options: ClassVar = {"decision_steps": 5}
+
+    def __call__(self, obs):
+        return np.zeros((2, 3, 3))
+
+
 @pytest.mark.parametrize(
     ("planner", "error", "words"),
     [
@@ -246,6 +255,7 @@ def test_misspelt_planners_are_guessed_everywhere(scenes, tmp_path, capsys):
         (lambda obs: "left", ShapeError, "lambda"),
         (lambda obs: np.zeros((2, 5, 4)), ShapeError, r"lambda.*or trajectories \[2, T, 3\]"),
         (lambda obs: np.zeros((2, 0, 3)), ShapeError, "lambda.*returned trajectories"),
+        (Short, ShapeError, r"Short.*of 3 poses, expected 5 \(decision_steps\)"),
         (lambda obs: np.full((2, 5, 3), np.nan), ShapeError, "lambda"),
         (3, ConfigError, "int cannot be called"),
         ("robot", ConfigError, "robot"),

@@ -1,16 +1,24 @@
 """What `view` plays is what the benchmark plays, and what fails says where."""
 
+import dataclasses
 import json
 import sys
 
+import numpy as np
 import pytest
+from browser_page import Page
 from test_view import elements, unpacked
 
 from ccdiff_env import cli, embedded_scenes
 from ccdiff_env.bench import provenance
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.errors import ShapeError
+from ccdiff_env.planners.planning import overlap
+from ccdiff_env.record.counterfactual import EgoPlan, avoidable, with_rescue
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.view import log_rollout, page_html, write_page
+from ccdiff_env.view.video import Video
 
 PLANNERS = """
 import numpy as np
@@ -140,3 +148,122 @@ def test_what_fails_in_code_of_ones_own_keeps_its_traceback(desk, capsys, option
 def test_what_the_package_refuses_is_one_line(desk, capsys):
     assert cli.main(["bench", "planners", "--planners", "pdmm", "--out", "run"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+class Fan:
+    """Goes straight on at its speed; bends to the left or right would cost more."""
+
+    frame = "ego"
+
+    def __init__(self, worlds):
+        self.native = worlds.native
+
+    def __call__(self, obs):
+        time_s, self.told = 0.1 * np.arange(1, 31), []
+        for i in range(self.native.num_worlds):
+            speed = self.native.states(i)["speed"][self.native.slot_agents(i)[0]]
+            way = np.stack([speed * time_s, 0.0 * time_s, 0.0 * time_s], axis=-1)
+            left, right = (way + [[0.0, side, 0.0]] * (time_s / 3)[:, None] for side in (2, -2))
+            self.told.append((np.stack([left, way, right]), np.array([4.0, 1.0, 2.0])))
+        return np.stack([poses[1] for poses, _ in self.told])
+
+    def explain(self):
+        return self.told
+
+
+def test_what_a_planner_weighed_is_recorded_in_the_scenes_frame_and_drawn(tmp_path):
+    scene = embedded_scenes("val")[0]
+    _, rollouts = drive(SceneSet([scene]), Fan, TRAFFIC["replay"], record=[scene.name])
+    run = rollouts[scene.name]
+    run.save(tmp_path / "run.npz")
+    again = Rollout.load(tmp_path / "run.npz")
+    ego = run.agent_ids.index("ego")
+    assert [m.made_at for m in again.intentions] == list(range(len(again.intentions)))
+    for meant, kept in zip(run.intentions, again.intentions, strict=True):
+        np.testing.assert_array_equal(meant.trajectories, kept.trajectories)
+        assert kept.costs.tolist() == [1.0, 2.0, 4.0]
+        # the chosen one first: on from where the ego is, the way that it looks
+        at, turn = run.position[ego, meant.made_at], run.heading[ego, meant.made_at]
+        ahead = meant.trajectories[0, :, :2] - at
+        assert np.abs(ahead @ [-np.sin(turn), np.cos(turn)]).max() < 1e-3
+        assert (ahead @ [np.cos(turn), np.sin(turn)] >= -1e-3).all()
+    (element,) = elements(page_html(run))
+    drawn = unpacked(element)[0]["intentions"]
+    assert drawn[0]["share"] == [0.0, 0.333, 1.0]
+    without = dataclasses.replace(run, intentions=())
+    assert len(Video(run).svg(10)) > len(Video(without).svg(10))
+
+    class Wrong(Fan):
+        def explain(self):
+            return [(np.zeros((2, 30, 2)), np.zeros(2))]
+
+    with pytest.raises(ShapeError, match=r"explain\(\) says of world 0"):
+        drive(SceneSet([scene]), Wrong, TRAFFIC["replay"])
+
+
+def test_a_collision_that_can_be_avoided_shows_how(tmp_path):
+    scenes = embedded_scenes("val")
+    name = "tee-crossing-04"
+    _, rollouts = drive(
+        SceneSet([scenes[name]]), "constant_velocity", TRAFFIC["ccdiff-1"], record=[name]
+    )
+    run = with_rescue(rollouts[name])
+    rescue, hit = run.meta["rescue"], run.collisions("ego")[0].step
+    assert rescue["text"] == "avoidable: brake at 1.5 m/s² from 1.4 s"
+    assert rescue["step"] == hit - 30
+    path, ego = np.array(rescue["path"]), run.agent_ids.index("ego")
+    np.testing.assert_allclose(path[0, :2], run.position[ego, hit - 30], atol=2e-3)
+    speed = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1) / 0.1
+    braked = np.diff(speed[:15]) / 0.1
+    assert braked == pytest.approx(-1.5, abs=0.3)
+    # who it meets as recorded is never touched on this way
+    for step in range(hit - 30, min(hit + 15, run.num_steps)):
+        pose, sizes = path[step - hit + 30], run.scene.sizes[:, :2]
+        others = [i for i in np.flatnonzero(run.valid[:, step]) if i != ego]
+        boxes = np.column_stack(
+            [run.position[others, step], run.heading[others, step], sizes[others]]
+        )
+        assert not overlap([*pose, *sizes[ego]], boxes).any()
+    assert avoidable(run) == 1.0
+    assert np.isnan(avoidable(log_rollout(scenes[0])))
+    (element,) = elements(page_html(run))
+    told = unpacked(element)[0]["run"]
+    assert told["outcome"]["rescue"] == rescue["text"]
+    assert EgoPlan((-8.0, 2.0), 1.5, -2.5).words == (
+        "brake at 8.0 m/s² for 1.5 s, then accelerate at 2.0 m/s², 2.5 m to the right"
+    )
+
+
+def test_the_strip_shows_a_figure_over_time_and_a_click_goes_there(tmp_path, browser):
+    scene = embedded_scenes("val")[0]
+    _, rollouts = drive(SceneSet([scene]), "idm", TRAFFIC["replay"], record=[scene.name])
+    run = rollouts[scene.name]
+    write_page(run, tmp_path / "page.html")
+    page = Page(browser, tmp_path / "page.html")
+    ego = run.agent_ids.index("ego")
+    speeds = page.evaluate(
+        f"replay.runs[0].a && Array.from({{length: {run.num_steps}}}, "
+        f"(_, step) => replay.runs[0].speed({ego}, step))"
+    )
+    expected = np.linalg.norm(run.velocity[ego], axis=-1)
+    there = run.valid[ego]
+    np.testing.assert_allclose(np.array(speeds)[there], expected[there], atol=0.02)
+    change = page.evaluate(f"replay.runs[0].acceleration({ego}, 20)")
+    assert change == pytest.approx((expected[21] - expected[19]) / 0.2, abs=0.2)
+    gap = page.evaluate(f"replay.runs[0].gap({ego}, 20)")
+    ahead = [
+        float(np.hypot(*(run.position[i, 20] - run.position[ego, 20])))
+        for i in np.flatnonzero(run.valid[:, 20])
+        if i != ego
+    ]
+    assert gap is None or 0.0 <= gap <= max(ahead)
+    box = page.locator("#strip").bounding_box()
+    page.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 10)
+    page.frames()
+    assert page.time() == pytest.approx((run.num_steps - 1) * 0.05, abs=0.2)
+    page.page.select_option("#figure", "time to contact")
+    page.frames()
+    assert not page.faults
+    page.page.set_viewport_size({"width": 390, "height": 844})
+    assert not page.locator("#strip").is_visible()
+    page.context.close()

@@ -196,7 +196,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         action="append",
         metavar="MODULE:FUNCTION",
         help="a figure of your own, from a rollout to a number, as a column of all tables and "
-        "tests; may be given more than once (default: none)",
+        "tests, or avoidable, whether a collision was; may be given more than once (default: none)",
     )
     parser.add_argument(
         "--tags",
@@ -212,7 +212,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 def _planners(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import planner_report as report
     from ccdiff_env.bench.intervals import grouped
-    from ccdiff_env.bench.planners import metric_names, planner_jobs, window_of
+    from ccdiff_env.bench.planners import METRICS, metric_names, planner_jobs, window_of
     from ccdiff_env.bench.plots import plot_robustness
     from ccdiff_env.bench.protocol import PROTOCOL
     from ccdiff_env.bench.provenance import scene_hashes
@@ -226,7 +226,7 @@ def _planners(args: argparse.Namespace) -> int:
         find_devkit()
     planners = titled(args.planners.split(","))
     traffic = titled((_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(","))
-    metrics = list(dict.fromkeys(args.metric or ()))
+    metrics = [METRICS.get(name, name) for name in dict.fromkeys(args.metric or ())]
     own = metric_names(metrics)
     seeds = list(dict.fromkeys(_listed("--seeds", args.seeds or "0,1,2", int, "integers")))
     source = str(place_from(args))

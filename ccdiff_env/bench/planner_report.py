@@ -273,6 +273,8 @@ def _why(row: Row) -> str:
     why = [text for part, text in _REASONS.items() if row[part] is not None and row[part] < 1.0]
     if row["collision"] and row["no_at_fault_collision"]:
         why.insert(0, "collision, not at fault")
+    if (avoidable := row.get("avoidable")) is not None:
+        why.append("avoidable" if avoidable else "not avoidable")
     return ", ".join(why)
 
 

@@ -211,6 +211,10 @@ def _sources(planner: str, traffic: str, metrics: Sequence[str] = ()) -> dict[st
     return {what: source_digest(name) for what, name in named.items()}
 
 
+#: Metrics of the package, which need no path.
+METRICS = {"avoidable": "ccdiff_env.record.counterfactual:avoidable"}
+
+
 def metric_name(path: str) -> str:
     """Return the column of a metric given by path."""
     return title_of(path) or path.partition("?")[0].partition(":")[2]
@@ -340,17 +344,11 @@ def drive(
     worlds = begin(scenes, config, seed)
     if seat is not None:
         seat.begin(worlds)
-    nothing = np.zeros((len(scenes), worlds.native.action_width), np.float32)
-
-    def act(obs: npt.NDArray[np.float32], running: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
-        actions = nothing if seat is None else seat(obs, running)
-        return actions
-
     recorders = recorders_of(worlds, record, planner=who)
     tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
     judges = [Judge(worlds, i) for i in range(len(scenes))]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
-    for running, actions, out in played(worlds, act, recorders=recorders):
+    for running, actions, out in played(worlds, seat, recorders=recorders):
         for i in np.flatnonzero(running).tolist():
             tapes[i].step(actions[i, 0], out.columns[i, 0])
             judges[i].step(out.columns[i, 0])

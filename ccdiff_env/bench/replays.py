@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ccdiff_env.bench.jobs import Job
+from ccdiff_env.record.counterfactual import with_rescue
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name
 from ccdiff_env.view import address, write_page
@@ -29,6 +30,7 @@ def make_replays(wanted: Iterable[tuple[Job, str]], folder: Path) -> Pages:
     for job, some in scenes.values():
         _, rollouts = job.call(record=some)
         for scene in dict.fromkeys(some):
+            rollouts[scene] = with_rescue(rollouts[scene])
             path = folder / "replays" / file_name(f"{job.name}-{scene}", ".html")
             pages[job.name, scene] = write_replay(rollouts[scene], path)
     return pages

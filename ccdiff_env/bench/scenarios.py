@@ -113,6 +113,7 @@ def generate(
                 "time_s": first and round(first.step * rollout.dt_s, 3),
                 "at_fault": any(event.at_fault for event in hits),
                 "avoidable": verdict is None or verdict.avoidable,
+                "avoid_by": verdict.plan.words if verdict and verdict.plan else "",
                 **realism(rollout),
             }
         )

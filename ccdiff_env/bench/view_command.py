@@ -9,11 +9,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from ccdiff_env.bench.methods import titled
 from ccdiff_env.bench.planners import TRAFFIC, TRAFFIC_HELP, drive, usual_window
 from ccdiff_env.bench.run import add_weights, weights_from
 from ccdiff_env.bench.verify import replayed
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
+from ccdiff_env.record.counterfactual import with_rescue
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
@@ -170,6 +172,8 @@ def run(args: argparse.Namespace) -> int:
     for word in args.compare:
         found, named = _found(args, word, like=runs[0])
         runs, titles = runs + found, titles + named
+    if args.scene is not None or args.traffic is not None:
+        runs = [with_rescue(run) for run in runs]
     out = args.out or Path(file_name(runs[0].scene.name, ".html"))
     if suffix in IMAGES:
         _image(args, runs, titles if len(runs) > 1 else [runs[0].scene.name], out, suffix)
@@ -219,7 +223,7 @@ def _played(args: argparse.Namespace) -> Runs:
     weights = weights_from(args.weights or [])
     if Path(args.what).is_file():
         raise ConfigError(f"{args.what} is an episode already: --traffic plays a scene")
-    drivers = args.driver or ["replay" if LOG in args.compare else "idm"]
+    drivers = titled(args.driver or ["replay" if LOG in args.compare else "idm"])
     levels = args.criticality or (LEVELS if args.slider else [])
     for level in levels:
         if not 0.0 <= level <= MAX_CRITICALITY:

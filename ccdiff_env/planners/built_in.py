@@ -68,6 +68,11 @@ class Planner(Protocol):
     def reset(self, worlds: Worlds, indices: npt.NDArray[np.int64]) -> None:
         """Forget the episodes of some worlds: new ones begin there. Optional."""
 
+    def explain(self) -> Sequence[tuple[Any, Any]]:
+        """Return what was weighed at the last call, for each world: trajectories [C, T, 3] as in
+        ``frame``, and their costs [C]; the cheapest is driven. Optional; pages draw it.
+        """
+
     def __call__(self, obs: Any) -> npt.NDArray[Any]:
         """Return actions [E, W] in [-1, 1], or indices [E], for observations of all worlds.
 
@@ -159,6 +164,8 @@ class Seat:
                     "own, as VecNormalize makes of rasters; train it without"
                 )
         self._worlds, self._given_worlds = worlds, given_worlds
+        #: What the planner meant to do in a world, until it is asked for: see :meth:`intention`.
+        self._meant: dict[int, tuple[F32, F32]] = {}
         self._tracker: Tracker | None = None
         #: Shape of actions: [E, W], or [E] of indices.
         self._shape = (worlds.num_worlds, worlds.native.action_width)[: 1 if worlds.discrete else 2]
@@ -238,7 +245,14 @@ class Seat:
         answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
         found, shape = np.asarray(answered), self._shape
         if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
-            found = self._followed(found, due)
+            followed = self._followed(found, due)
+            for i in np.flatnonzero(due).tolist():
+                self._meant[i] = self._in_scene(i, found[i : i + 1]), np.zeros(1, np.float32)
+            found = followed
+        if hasattr(self._act, "explain"):
+            told = self._answer(self._act.explain, self._worlds, np.flatnonzero(due))
+            for i in np.flatnonzero(due).tolist():
+                self._meant[i] = self._weighed(i, told)
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
         if found.shape != shape or found.dtype.kind not in "iuf":
@@ -260,11 +274,55 @@ class Seat:
 
     def _followed(self, trajectories: npt.NDArray[Any], due: npt.NDArray[np.bool_]) -> F32:
         """Return the actions [E, 2] that follow trajectories [E, T, 3]."""
+        if 0 < trajectories.shape[1] < self.config.decision_steps:
+            raise ShapeError(
+                f"{self.name} returned trajectories of {trajectories.shape[1]} poses, expected "
+                f"{self.config.decision_steps} (decision_steps) or more: a pose for every step"
+            )
         try:
             self._tracker = self._tracker or Tracker(self._worlds, frame=self._frame)
             return self._tracker(trajectories, due)
         except CcdiffError as error:
             raise type(error)(f"{self.name} returned trajectories: {error}") from None
+
+    def intention(self, world_idx: int) -> tuple[F32, F32] | None:
+        """Return what the planner meant to do in a world since it was last asked: trajectories
+        [C, T, 3] in the scene's frame, and their costs [C], the one that it drives first.
+
+        ``None`` of one that gives actions alone and has no ``explain``.
+        """
+        return self._meant.pop(world_idx, None)
+
+    def _weighed(self, world_idx: int, told: Any) -> tuple[F32, F32]:
+        """What ``explain()`` says of a world, checked, the cheapest first."""
+        try:
+            poses, costs = (np.asarray(part, np.float32) for part in told[world_idx])
+            if not (poses.ndim == 3 and poses.shape[2] == 3 and costs.shape == poses.shape[:1]):
+                raise ValueError(f"shapes {poses.shape} and {costs.shape}")
+            if not (len(costs) and np.isfinite(poses).all() and np.isfinite(costs).all()):
+                raise ValueError("no candidate, or numbers that are not finite")
+        except (IndexError, KeyError, TypeError, ValueError) as error:
+            raise ShapeError(
+                f"{self.name}: explain() says of world {world_idx} {error}, expected trajectories "
+                "[C, T, 3] and costs [C]"
+            ) from None
+        order = np.argsort(costs, kind="stable")
+        return self._in_scene(world_idx, poses[order]), costs[order]
+
+    def _in_scene(self, world_idx: int, poses: npt.NDArray[Any]) -> F32:
+        """Poses [C, T, 3] of the planner's frame in that of the scene."""
+        assert self._worlds is not None
+        poses = np.array(poses, np.float32)
+        agent = self._worlds.native.slot_agents(world_idx)[0]
+        if self._frame == "ego" and agent is not None:
+            states = self._worlds.native.states(world_idx)
+            x, y = states["position"][agent]
+            turn = states["heading"][agent]
+            ahead, left = poses[..., 0].copy(), poses[..., 1].copy()
+            poses[..., 0] = x + ahead * np.cos(turn) - left * np.sin(turn)
+            poses[..., 1] = y + ahead * np.sin(turn) + left * np.cos(turn)
+            poses[..., 2] += turn
+        return poses
 
     def _rasters(self) -> U8 | None:
         """Rasters [E, channels, S, S] of the first slots, where the planner sees them."""

@@ -5,8 +5,10 @@ All questions are asked of forks of a running environment or of a recorded rollo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -37,6 +39,25 @@ class EgoPlan:
     acceleration_mps2: tuple[float, float]  #: At first, and after ``switch_s``.
     switch_s: float  #: Seconds until the second one.
     offset_m: float  #: Distance from the route to drive at, left positive.
+
+    @property
+    def words(self) -> str:
+        """What the plan is, as ``"brake at 1.5 m/s²"``."""
+        first, second = self.acceleration_mps2
+        text = _pedal(first)
+        if self.switch_s > 0.0 and second != first:
+            text += f" for {self.switch_s:.1f} s, then {_pedal(second)}"
+        if self.offset_m:
+            side = "left" if self.offset_m > 0.0 else "right"
+            text += f", {abs(self.offset_m):.1f} m to the {side}"
+        return text
+
+
+def _pedal(acceleration_mps2: float) -> str:
+    if acceleration_mps2 == 0.0:
+        return "hold the speed"
+    what = "brake" if acceleration_mps2 < 0.0 else "accelerate"
+    return f"{what} at {abs(acceleration_mps2):.1f} m/s²"
 
 
 BATCH = 32  #: Plans that are tried together.
@@ -253,7 +274,16 @@ def _try(
 
     With ``then``, that one drives after ``HOLD_S``, and where there is no plan.
     """
-    worlds = _fork(origin, seeds or [None] * len(plans), decision_steps=1)
+    return _driven(_fork(origin, seeds or [None] * len(plans), decision_steps=1), plans, then)
+
+
+def _driven(
+    worlds: Worlds,
+    plans: Sequence[EgoPlan | None],
+    then: Ego | None = None,
+    recorders: Mapping[int, Recorder] = MappingProxyType({}),
+) -> Bool:
+    """Drive each of some worlds by a plan, see :func:`_try`."""
     native, steering = worlds.native, Steering(worlds)
     driver, seat = ("external", None) if then is None else ego_driver(then)
     if seat is not None:
@@ -282,7 +312,7 @@ def _try(
 
     columns = [worlds.column_names.index(name) for name in ("collision", "off_road")]
     safe = np.ones(len(plans), np.bool_)
-    for step in play(worlds, act):
+    for step in play(worlds, act, recorders=recorders):
         hit = (step.out.columns[:, 0, columns] > 0).any(axis=1)
         safe &= ~hit
         step.running[hit] = False
@@ -304,6 +334,45 @@ def rollout_avoidability(
     Returns:
         Avoidability or None: ``None`` if the ego does not collide.
     """
+    found = _before_contact(rollout, before_s, after_s)
+    return None if found is None else avoidability(found[0], **options)
+
+
+def avoidable(rollout: Rollout) -> float:
+    """Return whether the first collision of a recorded ego was avoidable, 1 or 0, as a metric of
+    ``bench planners``; NaN if it does not collide.
+    """
+    found = rollout_avoidability(rollout)
+    return float("nan") if found is None else float(found.avoidable)
+
+
+def with_rescue(rollout: Rollout, **options: Any) -> Rollout:
+    """Return a recorded episode that knows whether the ego's first collision was avoidable, for
+    pages: ``meta["rescue"]`` has ``text`` in words and, if it was, ``step`` and the saving ``path``
+    from it on, x, y (m) and heading (rad). Options are those of :func:`rollout_avoidability`.
+    """
+    before_s, after_s = options.pop("before_s", 3.0), options.pop("after_s", 2.0)
+    found = _before_contact(rollout, before_s, after_s)
+    if found is None:
+        return rollout
+    worlds, start = found
+    verdict = avoidability(worlds, **options)
+    rescue: dict[str, Any] = {"text": f"not avoidable by {verdict.num_tried} plans"}
+    if verdict.plan is not None:
+        recorder = Recorder(fork := _fork(worlds, [None], decision_steps=1))
+        _driven(fork, [verdict.plan], recorders={0: recorder})
+        saved = recorder.rollout()
+        ego = saved.agent_ids.index("ego")
+        poses = np.column_stack([saved.position[ego], saved.heading[ego]])[saved.valid[ego]]
+        text = f"avoidable: {verdict.plan.words} from {start * rollout.dt_s:.1f} s"
+        rescue = {"text": text, "step": start, "path": poses.round(3).tolist()}
+    return dataclasses.replace(rollout, meta={**rollout.meta, "rescue": rescue})
+
+
+def _before_contact(rollout: Rollout, before_s: float, after_s: float) -> tuple[Worlds, int] | None:
+    """Worlds in which the others do as recorded, from some seconds before the ego's first collision
+    to some after it, and the recorded step at which they begin; ``None`` without a collision.
+    """
     hits = rollout.collisions("ego")
     if not hits:
         return None
@@ -318,8 +387,7 @@ def rollout_avoidability(
         terminate_at_goal=False,
         autoreset="disabled",
     )
-    worlds = begin(SceneSet([_cut(scene, start, history + end + 2)]), config, 0)
-    return avoidability(worlds, **options)
+    return begin(SceneSet([_cut(scene, start, history + end + 2)]), config, 0), start
 
 
 def _cut(scene: Scene, first: int, num_steps: int) -> Scene:

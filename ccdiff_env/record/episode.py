@@ -125,6 +125,10 @@ def play(
     while running.any() and (most is None or taken < most):
         if act is not None:
             actions = act(out.obs[:, 0], running).astype(np.float32).reshape(shape)
+        if isinstance(act, Seat):
+            for i, recorder in recorders.items():
+                if running[i] and (meant := act.intention(i)) is not None:
+                    recorder.intend(*meant)
         native.step(actions, out, running)
         for i, recorder in recorders.items():
             if running[i]:

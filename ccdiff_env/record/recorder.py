@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.errors import ConfigError, ResetNeededError
-from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.record.rollout import Intention, Rollout, RolloutEvent
 from ccdiff_env.scenes import with_tracks
 from ccdiff_env.traffic import TrafficPlan
 
@@ -115,6 +115,7 @@ class Recorder:
         self._columns: list[npt.NDArray[np.float32]] = []
         self._events: list[RolloutEvent] = []
         self._plans: list[TrafficPlan] = []
+        self._intentions: list[Intention] = []
         self._kept: dict[str, int] = {}  #: Step of the newest plan of each driver that plans.
         self._ids = tuple(self._scene.agent_ids)
         self._types = self._scene.agent_types
@@ -126,6 +127,14 @@ class Recorder:
         self._drivers = native.drivers(world)
         self._seed = status.seed
         self._start_elapsed = status.elapsed_steps
+
+    def intend(self, trajectories: npt.NDArray[np.float32], costs: npt.NDArray[np.float32]) -> None:
+        """Record what the ego's planner means to do from the present step on, before it is taken:
+        see :class:`~ccdiff_env.record.rollout.Intention`.
+        """
+        if self._episode is not None:
+            at = self._elapsed - self._start_elapsed
+            self._intentions.append(Intention(at, trajectories, costs))
 
     def step(self) -> bool:
         """Record the state after a step; returns whether the world still plays the same episode.
@@ -229,6 +238,7 @@ class Recorder:
             events=tuple(self._events),
             info={name: columns[:, i].copy() for i, name in enumerate(names)},
             plans=tuple(self._plans),
+            intentions=tuple(self._intentions),
             meta={
                 "seed": self._seed,
                 "config": json.loads(config.to_json()),

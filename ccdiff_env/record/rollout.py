@@ -60,6 +60,17 @@ class RolloutEvent:
 
 
 @documented
+@dataclass(frozen=True, eq=False)
+class Intention:
+    """What the ego's planner meant to do: C candidates of T poses, the one that it drives first."""
+
+    made_at: int  #: Recorded step: pose h is meant for ``made_at + h + 1``.
+    #: x, y (m), heading (rad) in the scene's frame, ``[C, T, 3]``.
+    trajectories: F32
+    costs: F32  #: What the planner says that each costs, ``[C]``; 0 of one alone.
+
+
+@documented
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Rollout:
     """One episode of one world: states of A agents over T recorded steps, in the scene frame.
@@ -84,6 +95,8 @@ class Rollout:
     #: Plans of the background, by the recorded step ``made_at`` from whose states each was made:
     #: sample pose h is at ``made_at + h + 1``.
     plans: tuple[TrafficPlan, ...] = ()
+    #: What the ego's planner meant to do, by step; nothing of one that gives actions alone.
+    intentions: tuple[Intention, ...] = ()
     #: Seed, configuration, traffic, planner, source: what JSON can hold.
     meta: Mapping[str, Any] = field(default_factory=dict)
     #: Elevation of the ground below each agent, metres, in a scene with levels, [A, T].
@@ -120,6 +133,13 @@ class Rollout:
             named = np.concatenate([plan.agents, plan.ranking])
             if named.size and not 0 <= named.min() <= named.max() < a:
                 raise DatasetError(f"a plan names agents {named}, expected less than {a}")
+        for meant in self.intentions:
+            if not 0 <= meant.made_at < t:
+                raise DatasetError(f"an intention of step {meant.made_at}, expected 0 to {t - 1}")
+            shape = (len(meant.costs), *meant.trajectories.shape[1:2], 3)
+            expect_shape("intention.trajectories", meant.trajectories, shape)
+            if not shape[0] or not np.isfinite(meant.trajectories).all():
+                raise DatasetError("an intention has no candidate, or poses that are not finite")
         object.__setattr__(self, "info", dict(self.info))
         object.__setattr__(self, "meta", dict(self.meta))
 
@@ -236,7 +256,11 @@ class Rollout:
             for name in PLAN_ARRAYS:
                 if (array := getattr(plan, name)) is not None:
                     arrays[f"plans/{i}/{name}"] = array
+        for i, meant in enumerate(self.intentions):
+            arrays[f"intentions/{i}/trajectories"] = meant.trajectories
+            arrays[f"intentions/{i}/costs"] = meant.costs
         head = {
+            "intentions": [meant.made_at for meant in self.intentions],
             "format": FORMAT,
             "start_step": self.start_step,
             "dt_s": self.dt_s,
@@ -299,6 +323,14 @@ class Rollout:
                 if name.startswith("info/")
             },
             plans=plans,
+            intentions=tuple(
+                Intention(
+                    int(made_at),
+                    _typed(arrays, f"intentions/{i}/trajectories", np.float32),
+                    _typed(arrays, f"intentions/{i}/costs", np.float32),
+                )
+                for i, made_at in enumerate(head.get("intentions", ()))
+            ),
             meta=head["meta"],
             **tracks,
         )
@@ -351,5 +383,5 @@ def as_scene(rollout: Rollout, name: str | None = None) -> Scene:
         changed[part] = np.zeros(shape + recorded.shape[2:], recorded.dtype)
         changed[part][:, : rollout.num_steps] = recorded
         changed[part][ego] = tracks[part][ego, rollout.start_step :]
-    whole = dataclasses.replace(rollout, **changed, events=(), info={}, plans=())
+    whole = dataclasses.replace(rollout, **changed, events=(), info={}, plans=(), intentions=())
     return whole.to_scene(name or rollout.scene.name)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.metrics import causal
-from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.record.rollout import Intention, Rollout
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view.captions import (
@@ -56,6 +56,7 @@ def pack(rollout: Rollout, title: str) -> str:
         "run": _run(rollout, title) | {"pairs": [*contacts(rollout)]},
         "layers": _map(rollout),
         "plans": [_plan(rollout, plan) for plan in rollout.plans],
+        "intentions": [_intention(rollout, meant) for meant in rollout.intentions],
         "arrays": _tracks(rollout),
     }
     text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
@@ -89,7 +90,7 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         }
         for i, ((label, long), stays) in enumerate(zip(agent_titles(scene), standing, strict=True))
     ]
-    fate = outcome(rollout)
+    fate, rescue = outcome(rollout), rollout.meta.get("rescue", {})
     return {
         "title": title,
         "subtitle": subtitle(rollout).partition(" · ")[2],
@@ -100,7 +101,9 @@ def _run(rollout: Rollout, title: str) -> dict[str, Any]:
         "graphDistance": causal.GRAPH_DISTANCE_M,
         "agents": agents,
         "events": [_event(happening) for happening in happenings(rollout)],
-        "outcome": {name: getattr(fate, name) for name in ("tone", "text", "fault", "others")},
+        "outcome": {name: getattr(fate, name) for name in ("tone", "text", "fault", "others")}
+        | {"rescue": rescue.get("text", "")},
+        "rescue": {"step": rescue.get("step", 0), "path": rescue.get("path", [])},
         "opening": round(fate.opening_s, 3),
         "lights": [*_lights(rollout)],
     }
@@ -178,10 +181,7 @@ def contacts(rollout: Rollout) -> Iterator[list[tuple[int, int, float]]]:
 
 def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
     samples = plan.samples[..., :2].astype(np.float64)
-    stride = max(1, round(PLAN_SPACING_S / rollout.dt_s))
-    steps = np.unique(
-        np.append(np.arange(stride - 1, samples.shape[2], stride), samples.shape[2] - 1)
-    )
+    steps = _spaced(rollout, samples.shape[2])
     # The selected sample of each agent comes first.
     order = np.argsort(
         np.arange(len(samples))[:, None] != plan.selected_sample[None, :], axis=0, kind="stable"
@@ -203,6 +203,32 @@ def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
         "realism_cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
         "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
     }
+
+
+def _intention(rollout: Rollout, meant: Intention) -> dict[str, Any]:
+    """Candidates of the ego's planner, the one that it drives first, then by cost; ``share`` is
+    what each costs, 0 of the cheapest to 1 of the dearest of all.
+    """
+    steps = _spaced(rollout, meant.trajectories.shape[1])
+    kept = meant.trajectories[:PLAN_SAMPLES, steps, :2].astype(np.float64)
+    here = rollout.position[rollout.agent_ids.index("ego"), meant.made_at]
+    kept = np.concatenate([np.broadcast_to(here, (len(kept), 1, 2)), kept], axis=1)
+    costs = meant.costs.astype(np.float64) - meant.costs.min()
+    return {
+        "x": _packed(kept[..., 0], 5 * LENGTH_STEP_M),
+        "y": _packed(kept[..., 1], 5 * LENGTH_STEP_M),
+        "made_at": meant.made_at,
+        "num_points": kept.shape[1],
+        "share": (costs / max(costs.max(), 1e-9)).round(3).tolist()[:PLAN_SAMPLES],
+    }
+
+
+def _spaced(rollout: Rollout, num_steps: int) -> npt.NDArray[np.int64]:
+    """Steps of a plan that are drawn: :data:`PLAN_SPACING_S` apart, and the last."""
+    stride = max(1, round(PLAN_SPACING_S / rollout.dt_s))
+    steps = np.append(np.arange(stride - 1, num_steps, stride), num_steps - 1)
+    spaced: npt.NDArray[np.int64] = np.unique(steps)
+    return spaced
 
 
 def _map(rollout: Rollout) -> dict[str, list[list[Array]]]:

@@ -22,8 +22,8 @@ from ccdiff_env.view.pack import pack
 
 #: Scripts in the order in which they run.
 SCRIPTS = (
-    "data.js", "camera.js", "ground.js", "actors.js", "timeline.js", "panels.js", "player.js",
-    "shared.js", "main.js",
+    "data.js", "camera.js", "ground.js", "actors.js", "timeline.js", "strip.js", "panels.js",
+    "player.js", "shared.js", "main.js",
 )  # fmt: skip
 
 

@@ -121,8 +121,8 @@ class Video:
             up_rad=math.pi / 2,
             route_m=np.zeros((0, 2), np.float32),
             trails=list(self._trails(step, there)),
-            samples=list(self._planned(plan, selected=False)) if plan else [],
-            plans=list(self._planned(plan, selected=True)) if plan else [],
+            samples=[*self._meant(step, False), *self._planned(plan, selected=False)],
+            plans=[*self._planned(plan, selected=True), *self._meant(step, True)],
             collisions_m=self._marks(recent, step),
             names=[self._names[i] for i in there] if captions else [],
             caption=caption if captions else "",
@@ -151,10 +151,19 @@ class Video:
         points = [run.position[pair, step].mean(axis=0) for pair in there]
         return np.array(points, np.float32).reshape(-1, 2)
 
+    def _meant(self, step: int, chosen: bool) -> Iterator[tuple[npt.NDArray[np.float32], int]]:
+        """Yield what the ego's planner means to do: what it chose, or the other candidates."""
+        made = [meant for meant in self._rollout.intentions if meant.made_at <= step]
+        for meant in made[-1:]:
+            for way in meant.trajectories[:1] if chosen else meant.trajectories[1:]:
+                yield np.ascontiguousarray(way[:, :2], np.float32), NUMBERS["ego"]
+
     def _planned(
-        self, plan: TrafficPlan, *, selected: bool
+        self, plan: TrafficPlan | None, *, selected: bool
     ) -> Iterator[tuple[npt.NDArray[np.float32], int]]:
         """Yield the selected samples of those that follow the plan, or the others."""
+        if plan is None:
+            return
         for row, agent in enumerate(plan.agents):
             if not plan.follows_plan[row]:
                 continue

@@ -19,11 +19,13 @@ class Actors {
     if (layers.trails) this.trails(context, at, poses, theme, pixel);
     if (options.focus >= 0) this.ahead(context, step, options.focus, theme, pixel);
     if (layers.plans) this.plans(context, step, theme, pixel, options.focus);
+    if (layers.plans) this.intentions(context, step, theme, pixel);
     const hit = new Set(this.recent(step).flatMap((event) => [event.agent, event.partner]));
     for (const agent of this.run.order) {
       const arrived = this.run.arrived(agent, step), pose = poses[agent];
       if (pose) this.body(context, agent, pose, { theme, pixel, hit: hit.has(agent), arrived });
     }
+    this.rescue(context, at, pixel);
     if (layers.graph) this.influences(context, step, poses, theme, pixel, options.focus);
     const focus = poses[options.focus];
     if (focus && this.run.agents[options.focus].driver !== "ego") this.ring(context, options.focus, focus, theme, pixel);
@@ -108,6 +110,42 @@ class Actors {
       });
     }
     context.setLineDash([]);
+    context.globalAlpha = 1;
+  }
+
+  /** The ego that would not have collided: hollow, in dashes. */
+  rescue(context, at, pixel) {
+    const { step, path } = this.run.rescue ?? { path: [] };
+    const pose = path[Math.floor(at + 1e-6) - step], ego = this.run.agents.findIndex(({ driver }) => driver === "ego");
+    if (!pose || ego < 0) return;
+    const [x, y, heading] = pose;
+    context.save();
+    context.translate(x, y);
+    context.rotate(heading);
+    for (const [colour, dash] of [["#000c", []], ["#fff", [4 * pixel, 3 * pixel]]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = Math.max(dash.length ? 0.18 : 0.3, (dash.length ? 1.6 : 2.6) * pixel);
+      context.setLineDash(dash);
+      shape(context, this.run.agents[ego], pixel);
+      context.stroke();
+    }
+    context.restore();
+  }
+
+  /** What the ego's planner means to do: the chosen candidate bold, the others thin, the dearer the fainter. */
+  intentions(context, step, theme, pixel) {
+    const meant = (this.run.intentions ?? []).filter((one) => one.made_at <= step).at(-1);
+    if (!meant) return;
+    context.strokeStyle = COLOURS[theme].ego;
+    context.lineCap = context.lineJoin = "round";
+    const n = meant.num_points;
+    meant.share.forEach((share, i) => {
+      context.lineWidth = Math.max(i ? 0.1 : 0.35, (i ? 1 : 2.6) * pixel);
+      this.fading(context, i ? 0.6 - 0.45 * share : 0.95, n, (first, last) => {
+        context.moveTo(meant.x[i * n + first], meant.y[i * n + first]);
+        for (let k = first + 1; k <= last; k++) context.lineTo(meant.x[i * n + k], meant.y[i * n + k]);
+      });
+    });
     context.globalAlpha = 1;
   }
 

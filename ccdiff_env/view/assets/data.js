@@ -23,11 +23,12 @@ function valuesOf({ step, row, deltas }) {
 
 /** One recorded episode: agents, their states, events, plans, info columns and the map. */
 class Run {
-  constructor({ run, layers, arrays, plans }) {
+  constructor({ run, layers, arrays, plans, intentions }) {
     Object.assign(this, run, { layers });
     this.a = Object.fromEntries(Object.entries(arrays).map(([name, array]) => [name, valuesOf(array)]));
     this.order = this.agents.map((_, index) => index).sort((p, q) => this.height(p) - this.height(q));
     this.plans = plans.map((plan) => ({ ...plan, x: valuesOf(plan.x), y: valuesOf(plan.y) }));
+    this.intentions = intentions.map((meant) => ({ ...meant, x: valuesOf(meant.x), y: valuesOf(meant.y) }));
     this.indexOf = new Map(this.agents.map((agent, index) => [agent.id, index]));
     const goal = this.events.find((event) => event.kind === "goal" && event.lane === "ego");
     this.goal = goal && { agent: goal.agent, step: goal.step };
@@ -77,6 +78,36 @@ class Run {
   /** The first pair to meet that an agent is in, if there is one. */
   meeting(agent, step) {
     return this.pairs[step].filter(([a, b]) => a === agent || b === agent).sort((p, q) => p[2] - q[2])[0];
+  }
+
+  speed(agent, step) {
+    const i = agent * this.numSteps + step;
+    return Math.hypot(this.a.vx[i], this.a.vy[i]);
+  }
+
+  /** Change of an agent's speed at a step, over the steps beside it, m/s²; null where it is not there. */
+  acceleration(agent, step) {
+    const first = Math.max(step - 1, 0), last = Math.min(step + 1, this.numSteps - 1);
+    if (first === last || !this.valid(agent, first) || !this.valid(agent, last)) return null;
+    return (this.speed(agent, last) - this.speed(agent, first)) / ((last - first) * this.dt);
+  }
+
+  /** Distance from an agent's front to the rear of the nearest one in its way, metres; null without one. */
+  gap(agent, step) {
+    const own = this.pose(agent, step), { length, width } = this.agents[agent];
+    const cos = Math.cos(own.heading), sin = Math.sin(own.heading);
+    let least = null;
+    this.agents.forEach((other, index) => {
+      const pose = index === agent || !this.valid(index, step) ? null : this.pose(index, step);
+      if (!pose) return;
+      const dx = pose.x - own.x, dy = pose.y - own.y, turn = pose.heading - own.heading;
+      const long = Math.abs(Math.cos(turn)) * other.length + Math.abs(Math.sin(turn)) * other.width;
+      const wide = Math.abs(Math.sin(turn)) * other.length + Math.abs(Math.cos(turn)) * other.width;
+      const ahead = dx * cos + dy * sin, aside = Math.abs(dy * cos - dx * sin);
+      const gap = ahead - (length + long) / 2;
+      if (ahead > 0 && aside < (width + wide) / 2 && (least === null || gap < least)) least = Math.max(gap, 0);
+    });
+    return least;
   }
 
   /** The plan in force at a step: the last one made by then. */

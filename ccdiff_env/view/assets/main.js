@@ -42,6 +42,8 @@ async function main() {
   const player = new Player(runs, $("stage"), () => update());
   const seek = (time) => { player.playing = false; player.seek(time); };
   const timeline = new Timeline($("timeline"), runs, seek);
+  const strip = new Strip($("strip"), $("figure"), timeline);
+  $("figure").addEventListener("change", () => player.touch());
   player.showing = () => {
     timeline.runs = player.told;
     showEvents($("events"), player.told, (run, event) => player.goTo(run, event));
@@ -54,6 +56,7 @@ async function main() {
   const update = () => {
     const chrome = chromeOf(player), now = performance.now();
     timeline.draw(player.time, chrome);
+    strip.draw(player, chrome);
     $("time").textContent = (player.time - player.start).toFixed(1);
     if (player.playing && now - shown < PANEL_MS) return;
     shown = now;
@@ -135,7 +138,7 @@ function wireControls(player) {
   $("follow").addEventListener("change", () => player.followAgent($("follow").value || null));
   $("help").addEventListener("click", (event) => { if (event.target === $("help")) $("help").close(); });
   for (const layer of LAYERS) {
-    if (layer === "plans" && player.runs.every((run) => !run.plans.length)) continue;
+    if (layer === "plans" && player.runs.every((run) => !run.plans.length && !run.intentions.length)) continue;
     const [title, key] = LAYER_TITLES[layer];
     const chip = element("button", "chip", title);
     chip.id = `layer-${layer}`;

@@ -69,9 +69,10 @@ function badge(index) {
 }
 
 /** What became of a run, as nodes: the ego's fate, nuPlan's word on its collision, and collisions of the others. */
-function verdict({ tone, text, fault, others }) {
+function verdict({ tone, text, fault, others, rescue }) {
   const nodes = [element("strong", `verdict ${tone}`, text)];
   if (fault) nodes.push(element("span", "fault", fault));
+  if (rescue) nodes.push(element("span", "rescue", rescue));
   if (others) nodes.push(element("span", "quiet", `others: ${counted(others, "collision")}`));
   return nodes;
 }

@@ -16,19 +16,21 @@ class Timeline {
     return Math.max(this.end - this.start, 1e-6);
   }
 
+  /** Seek the time below a pointer on a canvas that has the time line's axis. */
+  seekAt(event, canvas) {
+    const box = canvas.getBoundingClientRect();
+    const share = (event.clientX - box.left - 10) / Math.max(box.width - 20, 1);
+    this.seek(this.start + Math.min(Math.max(share, 0), 1) * this.span);
+  }
+
   listen() {
-    const timeOf = (event) => {
-      const box = this.canvas.getBoundingClientRect();
-      const share = (event.clientX - box.left - 10) / Math.max(box.width - 20, 1);
-      return this.start + Math.min(Math.max(share, 0), 1) * this.span;
-    };
     this.canvas.addEventListener("pointerdown", (event) => {
       this.canvas.setPointerCapture(event.pointerId);
       this.dragging = true;
-      this.seek(timeOf(event));
+      this.seekAt(event, this.canvas);
     });
     this.canvas.addEventListener("pointermove", (event) => {
-      if (this.dragging) this.seek(timeOf(event));
+      if (this.dragging) this.seekAt(event, this.canvas);
     });
     this.canvas.addEventListener("lostpointercapture", () => { this.dragging = false; });
   }
