@@ -20,6 +20,7 @@ from ccdiff_env.errors import ConfigError, MissingFeatureError, PolicyError
 from ccdiff_env.interop.nuplan.devkit import VARIABLE, checkouts, find_devkit
 from ccdiff_env.planners.built_in import ego_driver
 from ccdiff_env.record.episode import begin
+from ccdiff_env.scenes.scene_types import LIGHT_STATES
 from ccdiff_env_cli import main
 
 REPLAY = TRAFFIC["replay"]
@@ -218,6 +219,27 @@ def test_a_planner_is_given_the_rear_axle_two_seconds_and_all_others(mine, scene
     assert scene.name not in text
     assert not any(name in text for name in scene.agent_ids if len(name) > 4)
     assert ego.scene_object_metadata.token == "ego"
+
+
+def test_planners_are_told_of_traffic_lights(mine):
+    """States of the step by connector; the devkit's IDM waits where they are red."""
+    scene = ccdiff_env.load("embedded/city-lights")["tee-crossing-005"]
+    lights = scene.map_layers()["lights"]
+    _, worlds = played([scene], "nuplan:mine_of_nuplan.Straight?speed_mps=0", 20)
+    start = worlds.config.history_steps
+    edges = mine.Straight.told[-1].map_api.edges
+    assert all(edges[light["lane"]].has_traffic_lights() for light in lights)
+    for k, given in enumerate(mine.Straight.given[-21:]):
+        told = {d.lane_connector_id: d.status.name.lower() for d in given.traffic_light_data}
+        assert told == {
+            int(edges[light["lane"]].id): LIGHT_STATES[light["states"][start + k]]
+            for light in lights
+        }
+    ends = {}
+    for name, each in (("lit", scene), ("bare", scene.with_lights([]))):
+        places, _ = played([each], IDM, 40)
+        ends[name] = np.linalg.norm(places[-1, :2] - places[0, :2])
+    assert ends["lit"] < 25 < ends["bare"]
 
 
 def test_agents_of_another_level_are_not_seen(scenes):

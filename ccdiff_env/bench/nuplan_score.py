@@ -82,6 +82,7 @@ def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, Any]:
     log = scene.tracks()
     now = slice(start, min(start + expert_steps + 1, scene.num_steps))
     logged = {name: log[name][:, now] for name in drive}  # type: ignore[literal-required]
+    scene_map = SceneMap(scene.map_layers(), scene.location or "scene")
     samples = [
         SimulationHistorySample(
             SimulationIteration(TimePoint(ego.time_us), step),
@@ -92,13 +93,12 @@ def _history(rollout: Rollout, expert_steps: int) -> tuple[Any, Any]:
                 rollout.valid[:, step],
                 ego.time_us,
             ),
-            [],
+            scene_map.traffic_lights(start + step, ego.time_us),
         )
         for step, ego in states.drive(drive, rollout.dt_s, start, accelerations)
     ]
     expert = [ego for _, ego in states.drive(logged, rollout.dt_s, start)]
     goal = expert[-1].center
-    scene_map = SceneMap(scene.map_layers(), scene.location or "scene")
     return SimulationHistory(scene_map, goal, samples), SimpleNamespace(
         get_expert_ego_trajectory=lambda: expert
     )

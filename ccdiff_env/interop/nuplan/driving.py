@@ -89,7 +89,8 @@ class Drive:
         past = deque(self._egos), deque(self._seen)  # a planner may keep what it is given
         history = SimulationHistoryBuffer(*past, 1e-6 * self._dt_us)
         step = SimulationIteration(TimePoint(at_us), status.elapsed_steps)
-        return PlannerInput(step, history, [])
+        lights = self.initialization.map_api.traffic_lights(status.step_idx, at_us)
+        return PlannerInput(step, history, lights)
 
     def follow(self, given: PlannerInput, trajectory: Any) -> npt.NDArray[np.float64]:
         """Return how nuPlan's controller goes on along a trajectory, for one step of the world.

@@ -26,11 +26,14 @@ from nuplan.common.maps.maps_datatypes import (
     LaneConnectorType,
     SemanticMapLayer,
     StopLineType,
+    TrafficLightStatusData,
+    TrafficLightStatusType,
 )
 from shapely import Point, Polygon, STRtree
 
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.interop.nuplan.roads import Centreline, RoadGraph, lanes_of_route, surface, wrap
+from ccdiff_env.scenes.scene_types import LIGHT_STATES
 
 _CURVATURE_M = 2.0  #: Metres before and after a place over which the curvature of a line is taken.
 #: Turns of connectors, rad: up to the first they go straight on, from the second on they turn back.
@@ -86,7 +89,7 @@ class _Edge(LaneGraphEdgeMapObject):
         return str(self.parent.id)
 
     def has_traffic_lights(self) -> bool:
-        return False
+        return any(light["lane"] == self._number for light in self._map._lights)
 
     @property
     def _place(self) -> int:
@@ -231,11 +234,12 @@ class SceneMap(AbstractMap):
     Differs from nuPlan: road blocks and intersections are found by geometry, see
     :class:`~ccdiff_env.interop.nuplan.roads.RoadGraph`; the drivable area is also a car park,
     since planners treat lanes, connectors and car parks as the road, and lanes of nuScenes leave
-    out what lies beside them; there are no traffic lights and no rasters.
+    out what lies beside them; there are no rasters.
     """
 
     def __init__(self, layers: Mapping[str, Any], name: str) -> None:
         self._given, self._name = layers, name
+        self._lights = layers.get("lights", [])
         numbers = itertools.count(1)
 
         def made(kind: Any, *given: Any) -> Any:
@@ -264,6 +268,18 @@ class SceneMap(AbstractMap):
         self._layers[_LAYER.CARPARK_AREA] += self._layers[_LAYER.DRIVABLE_AREA]
         self._by_id = {layer: {o.id: o for o in found} for layer, found in self._layers.items()}
         self._trees: dict[SemanticMapLayer, STRtree] = {}
+
+    def traffic_lights(self, step_idx: int, time_us: int) -> list[TrafficLightStatusData]:
+        """Return what the lights show at a step of the log, each with its connector."""
+
+        def shown(states: npt.NDArray[np.uint8]) -> TrafficLightStatusType:
+            name = LIGHT_STATES[states[min(step_idx, len(states) - 1)]]
+            return TrafficLightStatusType[name.upper()]
+
+        return [
+            TrafficLightStatusData(shown(of["states"]), int(self.edges[of["lane"]].id), time_us)
+            for of in self._lights
+        ]
 
     def along(self, route: npt.ArrayLike) -> tuple[SceneMap, list[str]]:
         """Return a map in which lanes lead along a route [P, 2], and its road blocks' identifiers.
