@@ -22,8 +22,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 import ccdiff_env
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes
-from ccdiff_env.envs.recipe import WORLDS
+from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes, red_of_arrivals
+from ccdiff_env.envs.recipe import LIGHTS, WORLDS
 from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, clone, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
@@ -41,6 +41,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--traffic", default="idm", help="driver of the other vehicles")
     parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
     parser.add_argument("--dynamics", default="unicycle", help="model of motion")
+    parser.add_argument("--lights", action="store_true", help="scenes have traffic lights")
     parser.add_argument("--decisions", type=int, help="training decisions (default: two minutes)")
     parser.add_argument(
         "--shown", type=int, default=100_000, help="logged decisions that PPO begins with"
@@ -103,7 +104,7 @@ def main() -> None:
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
-    options = WORLDS | {"dynamics": args.dynamics} | given
+    options = WORLDS | (LIGHTS if args.lights else {}) | {"dynamics": args.dynamics} | given
     train = scenes_from(args)
     env = SB3VecEnv(ccdiff_env.make_vec(worlds, scenes=train, **traffic, **options))
     env = VecNormalize(env, norm_reward=False)
@@ -112,7 +113,10 @@ def main() -> None:
         env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
     begins = {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     begins |= {"autoreset_mode": "same_step", "info": "end"} | traffic
-    given = {n: v for n, v in options.items() if n not in ("ego", "standing_share", "reward")}
+    own = ("ego", "standing_share", "reward", "observation", "on_red_light")
+    given = {n: v for n, v in options.items() if n not in own}
+    if args.lights:
+        begins |= {"reward": {"red_light": -1.0}, "observation": LIGHTS["observation"]}
     test = ccdiff_env.make_vec(tests, **begins, **given)
     model = algorithm("MlpPolicy", env, seed=args.seed, device="cpu", **settings)
     curve = Curve(test, env, decisions)
@@ -125,6 +129,8 @@ def main() -> None:
         clone(model, *demonstrations(train, args.shown, seed=args.seed, **options))
     first = args.out / ("start.zip" if args.start else "clone.zip")
     save_policy(model, first)
+    act = lambda obs: model.predict(env.normalize_obs(obs), deterministic=True)[0]  # noqa: E731
+    red = {"before": red_of_arrivals(test, act)} if args.lights else {}
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     model.learn(decisions, callback=curve)
     save_policy(model, args.out / "ego.zip")
@@ -134,6 +140,10 @@ def main() -> None:
     kept = {"curve": curve.rows, "outcomes": {name: [*of] for name, of in found.items()}}
     (args.out / "curve.json").write_text(json.dumps(kept) + "\n")
     table(f"of {tests} episodes", OUTCOMES, found.items())
+    if args.lights:
+        red |= {"ego": red_of_arrivals(test, act)}
+        red |= {n: red_of_arrivals(of) for n, of in rules.items()}
+        table("lights", ("arrivals", "that ran red"), red.items())
     seen = Traffic("", args.traffic, traffic.get("ccdiff", {}) | guided)
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")
     driven = {Path(p).stem: play(held_out, p, seen) for p in planners}

@@ -12,13 +12,17 @@ from test_scenes_scenarionet import save, scenario
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Scene
-from ccdiff_env.errors import DatasetError, SceneError, ShapeError
+from ccdiff_env.envs.outcomes import red_of_arrivals
+from ccdiff_env.envs.recipe import LIGHTS
+from ccdiff_env.errors import ConfigError, DatasetError, SceneError, ShapeError
 from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
+from ccdiff_env.scenes.signals import recorded_passes
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.render import legend
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env.view.video import Video
+from ccdiff_env_cli import main
 
 UNKNOWN, GREEN, YELLOW, RED = range(4)
 STOP_X = 40.0  # where the controlled lanes begin
@@ -138,6 +142,39 @@ def test_passing_in_red_is_seen_at_the_front():
     assert ran(array_scene(agent("ego", x), layers=both))[0] == []
 
 
+def test_arrivals_that_ran_red_are_counted_where_one_could_have_stopped():
+    """Not counted: past the light, too far from it, too fast for it."""
+    x, fast = 8.0 * TIMES_S, 17.0 * TIMES_S
+    lit = {name: layers((0, always(state))) for name, state in (("red", RED), ("green", GREEN))}
+    drives = [(x, "red"), (x, "green"), (x + STOP_X, "red"), (x - 100, "red"), (fast, "red")]
+    made = [
+        array_scene(agent("ego", way), layers=lit[state], name=f"own {i}")
+        for i, (way, state) in enumerate(drives)
+    ]
+    for scenes, counted in ((made, (2, 1)), (made[1:], (1, 0)), (made[2:], (0, 0))):
+        env = ccdiff_env.make_vec(
+            len(scenes), scenes=scenes, scene_order="sequential",
+            driver="replay", autoreset_mode="same_step", info="end", history_steps=10,
+            reward={"red_light": -1.0}, observation=LIGHTS["observation"],
+        )  # fmt: skip
+        assert red_of_arrivals(env) == counted
+    blind = ccdiff_env.make_vec(1, scenes=made[:1], driver="replay", autoreset_mode="same_step")
+    with pytest.raises(ConfigError, match="red_of_arrivals: expected columns"):
+        red_of_arrivals(blind)
+
+
+def test_how_recorded_drivers_obey_lights_is_printed(tmp_path, capsys):
+    """Of four vehicles one passes in red, one beside the stop line, one against the lane."""
+    x = 8.0 * TIMES_S
+    states = np.where(np.arange(STEPS) < 80, GREEN, RED)
+    log = [agent("ego", x), agent("late", x - 40), agent("beside", x - 40, 3.0),
+           agent("against", 80 - x, heading=np.pi)]  # fmt: skip
+    scene = array_scene(*log, layers=layers((0, states)))
+    path = save(tmp_path, scenario_dict(scene))
+    assert main(["scenes", "--scenes", f"scenarionet:{path}"]) == 0
+    assert "pass 2 stop lines of lights, 50.0% in red" in capsys.readouterr().out
+
+
 def test_passing_in_red_ends_an_episode_where_asked():
     scene = array_scene(agent("ego", 8.0 * TIMES_S), layers=layers((0, always(RED))))
     for ends in ("terminate", "ignore"):
@@ -217,13 +254,15 @@ def test_passing_in_red_against_shapely():
         turned = tracks["heading"][0]
         front = tracks["position"][0] + 2.25 * np.stack([np.cos(turned), np.sin(turned)], 1)
         bar = shapely.LineString(light["stop_line"])
-        expected = [
+        passed = [
             k
-            for k in range(11, STEPS)
-            if states[k] == RED
-            and front[k - 1, 0] < STOP_X <= front[k, 0]
+            for k in range(1, STEPS)
+            if front[k - 1, 0] < STOP_X <= front[k, 0]
             and shapely.LineString(front[k - 1 : k + 1]).intersects(bar)
         ]
+        in_red = [k for k in passed if states[k] == RED]
+        assert recorded_passes(scene) == (len(passed), len(in_red))
+        expected = [k for k in in_red if k > 10]
         assert ran(scene)[0] == expected
         count += len(expected)
     assert count > 4

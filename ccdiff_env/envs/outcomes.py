@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,9 @@ from ccdiff_env.worlds.spaces import F32
 #: not reached: the ego is past it, stands before it (slower than 0.5 m/s), or is on its way.
 OUTCOMES = ("success", "drove into", "was hit", "off the road", "past", "stopped", "late")
 STANDS_MPS = 0.5
+#: What tells how far the next light and the goal are, and how fast the ego is.
+SEEN = ("light_distance", "route_remaining", "speed")
+BRAKING_MPS2 = 2.5  #: Braking by which one may ask an ego to stop at a light.
 
 
 def outcomes(env: EgoVectorEnv, infos: dict[str, Any]) -> npt.NDArray[np.int64]:
@@ -57,15 +60,52 @@ def play_episodes(
         act: Actions [E, W] for observations [E, D]; none where a driver is at the wheel.
         seed: World i gets seed + i.
     """
-    obs, _ = env.reset(seed=seed)
     found = np.zeros(len(OUTCOMES))
+    for infos, first in _ended(env, act, seed):
+        found += np.bincount(outcomes(env, infos)[first], minlength=len(OUTCOMES))
+    return found / env.num_envs
+
+
+def red_of_arrivals(
+    env: EgoVectorEnv, act: Callable[[F32], F32] | None = None, *, seed: int = 0
+) -> tuple[int, int]:
+    """Play as :func:`play_episodes`; return how many arrive past a light, and run red on the way.
+
+    Worlds count where the first light is less than 60 m ahead and before the goal, and where
+    braking by at most :data:`BRAKING_MPS2` stops the ego in front of it.
+
+    Raises:
+        ConfigError: If the ego does not observe its light (columns of :data:`SEEN`), or if the
+            weight ``red_light`` of the reward is not negative.
+    """
+    ego = env.worlds.layout.entries[0]
+    if not {*SEEN} <= {*ego.columns} or env.worlds.config.reward.red_light >= 0.0:
+        raise ConfigError(f"red_of_arrivals: expected columns {SEEN} and a negative red_light")
+    at = [ego.columns.index(name) for name in SEEN]
+    rows, _ = env.reset(seed=seed)
+    seen = rows[:, [ego.offset + i for i in at]]
+    gap_m, goal_m, speed_mps = (seen * [ego.scale[i] for i in at]).T
+    stops = speed_mps**2 <= 2.0 * BRAKING_MPS2 * gap_m
+    counts = (seen[:, 0] < 1.0) & (gap_m < goal_m) & stops
+    arrived = np.zeros(2, np.int64)
+    for infos, first in _ended(env, act, seed):
+        ended = infos["_final_obs"]
+        metrics = {name: each[ended] for name, each in infos["final_info"]["metrics"].items()}
+        success = (metrics["is_success"] > 0.0) & first & counts[ended]
+        arrived += success.sum(), (success & (metrics["reward_red_light"] < 0.0)).sum()
+    return int(arrived[0]), int(arrived[1])
+
+
+def _ended(
+    env: EgoVectorEnv, act: Callable[[F32], F32] | None, seed: int
+) -> Iterator[tuple[dict[str, Any], npt.NDArray[np.bool_]]]:
+    """Yield infos of steps in which worlds end, and which of these end their first episode."""
+    obs, _ = env.reset(seed=seed)
     left = np.ones(env.num_envs, np.bool_)
     idle = np.zeros(env.action_space.shape or (), np.float32)
     while left.any():
         obs, _, terminated, truncated, infos = env.step(idle if act is None else act(obs))
         ended = terminated | truncated
         if ended.any():
-            first = left[ended]
-            found += np.bincount(outcomes(env, infos)[first], minlength=len(OUTCOMES))
+            yield infos, left[ended]
             left &= ~ended
-    return found / env.num_envs

@@ -16,3 +16,15 @@ WORLDS: dict[str, Any] = {
     "decision_steps": 3,
     "reward": REWARD,
 }
+#: What is added where scenes have traffic lights: the ego sees the next one, and its episode ends
+#: where it runs red.
+LIGHTS: dict[str, Any] = {
+    "observation": {
+        "ego_columns": [
+            "default", "light_green", "light_yellow", "light_red", "light_distance", "light_since",
+            "light_braking",
+        ]
+    },
+    "reward": REWARD | {"red_light": -5.0},
+    "on_red_light": "terminate",
+}  # fmt: skip

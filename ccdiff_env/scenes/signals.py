@@ -1,4 +1,4 @@
-"""Signal plans for maps without recorded traffic lights: two phases at each crossing."""
+"""Signal plans for maps without recorded traffic lights, and how recorded drivers obey lights."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy.typing as npt
 from ccdiff_env._native import Scene
 from ccdiff_env.scenes.scene_types import LIGHT_STATES, Light
 
-__all__ = ["CYCLE_S", "with_signals"]
+__all__ = ["CYCLE_S", "recorded_passes", "with_signals"]
 
 F64 = npt.NDArray[np.float64]
 
 #: States of a phase one after the other, seconds; the other phase is half a cycle later.
-PHASE_S = {"green": 5.0, "yellow": 2.0, "red": 9.0}
+PHASE_S = {"green": 4.0, "yellow": 3.0, "red": 9.0}
 CYCLE_S = sum(PHASE_S.values())
 #: Connectors cross where they come this near at such an angle, unless they begin side by side.
 NEAR_M, ANGLE_RAD, BESIDE_M = 2.0, 0.5, 4.5
@@ -44,6 +44,33 @@ def with_signals(scene: Scene) -> Scene:
             phase = np.searchsorted(ends_s, (times_s + offset_s) % CYCLE_S, side="right")
             lights.append({"lane": index, "states": codes[phase]})
     return scene.with_lights(lights)
+
+
+def recorded_passes(scene: Scene) -> tuple[int, int]:
+    """Return how often recorded vehicles pass stop lines of lights, and how often in red.
+
+    Both are counted as ``ran_red`` is: by their fronts, and red where every light of the line is.
+    """
+    layers, log = scene.map_layers(), scene.tracks()
+    vehicles = np.array(scene.agent_types) == "vehicle"
+    angle, half_m = log["heading"][vehicles], 0.5 * scene.sizes[vehicles, None, :1]
+    front = log["position"][vehicles] + half_m * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    valid = log["valid"][vehicles]
+    passed = np.zeros(valid[:, 1:].shape, np.bool_)
+    free = passed.copy()
+    for light in layers.get("lights", []):
+        start, bar = light["stop_line"][0], np.diff(light["stop_line"], axis=0)[0]
+        way = np.diff(layers["lanes"][light["lane"]]["centreline"][:2], axis=0)[0]
+        side = ((front - start) @ [-bar[1], bar[0]]) * np.sign(way @ [-bar[1], bar[0]])
+        before, after = side[:, :-1], side[:, 1:]
+        crosses = valid[:, 1:] & valid[:, :-1] & (before < 0.0) & (after >= 0.0)
+        share = np.divide(before, before - after, out=np.zeros_like(before), where=crosses)
+        at = front[:, :-1] + share[..., None] * np.diff(front, axis=1)
+        along = (at - start) @ bar
+        crosses &= (along >= 0.0) & (along <= bar @ bar)
+        passed |= crosses
+        free |= crosses & (light["states"][1:] != LIGHT_STATES.index("red"))
+    return int(passed.sum()), int((passed & ~free).sum())
 
 
 def _directions(line: F64) -> F64:

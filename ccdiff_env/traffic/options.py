@@ -178,12 +178,10 @@ class ObservationConfig(Options):
     num_map_segments: int = 0
     radius_m: float = 60.0  #: Agents farther than this are not seen (m, in (0, 1000]).
     masks: bool = True  #: Whether masks are part of the row.
-    #: Columns of ``ego``; ``None``: all but those on request.
+    #: Columns of ``ego``; ``None``, or ``"default"`` in the list: all but those on request.
     ego_columns: tuple[str, ...] | None = None
-    #: Columns of ``agents``; ``None``: all but those on request.
-    agent_columns: tuple[str, ...] | None = None
-    #: Columns of ``map``; ``None``: all but those on request.
-    map_columns: tuple[str, ...] | None = None
+    agent_columns: tuple[str, ...] | None = None  #: Columns of ``agents``, in the same way.
+    map_columns: tuple[str, ...] | None = None  #: Columns of ``map``, in the same way.
     bev: BevConfig | None = None  #: Bird's-eye raster beside the row; ``None``: none.
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 
+import numpy as np
+
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
+from ccdiff_env.scenes.signals import recorded_passes
 from ccdiff_env.system.table import Table
 from ccdiff_env.system.terminal import say
 
@@ -17,9 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a table of the scenes."""
-    heads = ("scene", "location", "seconds", "agents", "vehicles")
-    say(str(Table(heads, [_row(scene) for scene in scenes_from(args)])))
+    """Print a table of the scenes, and how their recorded vehicles obey traffic lights."""
+    heads, scenes = ("scene", "location", "seconds", "agents", "vehicles"), scenes_from(args)
+    say(str(Table(heads, [_row(scene) for scene in scenes])))
+    passes, red = np.sum([recorded_passes(scene) for scene in scenes], axis=0)
+    if passes:
+        say(f"recorded vehicles pass {passes} stop lines of lights, {red / passes:.1%} in red")
     return 0
 
 

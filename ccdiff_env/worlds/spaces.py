@@ -47,6 +47,7 @@ class Entry:
     columns: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    scale: tuple[float, ...]  #: What quantities of the columns are divided by.
 
     @property
     def size(self) -> int:
@@ -84,6 +85,7 @@ class Layout:
                 columns=tuple(c["name"] for c in entry["columns"]),
                 low=tuple(c["low"] for c in entry["columns"]),
                 high=tuple(c["high"] for c in entry["columns"]),
+                scale=tuple(c["scale"] for c in entry["columns"]),
             )
             for entry in schema["entries"]
         )

@@ -27,11 +27,11 @@ options! {
         radius_m: Real = 60.0, unit "m", range within(0.0, 1000.0).open_below();
         /// Whether masks are part of the row.
         masks: bool = true;
-        /// Columns of `ego`; `None`: all but those on request.
+        /// Columns of `ego`; `None`, or `"default"` in the list: all but those on request.
         ego_columns: Option<Vec<String>> = None;
-        /// Columns of `agents`; `None`: all but those on request.
+        /// Columns of `agents`, in the same way.
         agent_columns: Option<Vec<String>> = None;
-        /// Columns of `map`; `None`: all but those on request.
+        /// Columns of `map`, in the same way.
         map_columns: Option<Vec<String>> = None;
         /// Bird's-eye raster beside the row; `None`: none.
         bev: Option<BevConfig> = None;
@@ -88,21 +88,26 @@ pub struct Layout {
     pub(crate) chosen: [Vec<usize>; 3],
 }
 
+/// Stands for all columns but those on request.
+const DEFAULT: &str = "default";
+
 fn columns_of<W>(table: &[columns::Entry<W>]) -> Vec<ObservationColumn> {
     table.iter().map(|entry| entry.column.clone()).collect()
 }
 
 fn choose(field: &'static str, all: &[ObservationColumn], names: Option<&Vec<String>>) -> Result<Vec<usize>> {
-    let Some(names) = names else {
-        return Ok((0..all.len()).filter(|i| all[*i].in_default).collect());
-    };
+    let usual = || (0..all.len()).filter(|i| all[*i].in_default).collect::<Vec<_>>();
+    let Some(names) = names else { return Ok(usual()) };
     let index = |name: &String| {
-        all.iter().position(|c| c.name == name).ok_or_else(|| {
+        if name == DEFAULT {
+            return Ok(usual());
+        }
+        all.iter().position(|c| c.name == name).map(|i| vec![i]).ok_or_else(|| {
             let names: Vec<_> = all.iter().map(|c| c.name).collect();
             SimError::config(field, format!("{name:?}"), format!("some of {names:?}"))
         })
     };
-    names.iter().map(index).collect()
+    Ok(names.iter().map(index).collect::<Result<Vec<_>>>()?.concat())
 }
 
 impl Layout {

@@ -19,7 +19,9 @@ use proposals::{BesideLine, near, roll};
 pub(crate) use proposals::steering;
 
 /// Braking with which it stops for a red and for a yellow light, m/s².
-const BRAKING_MPS2: [Real; 2] = [8.0, 2.5];
+const BRAKING_MPS2: [Real; 2] = [8.0, 2.0];
+/// How far before a stop line it wants to stand beside the gap that it keeps: the tracker overshoots, metres.
+const BEFORE_LINE_M: Real = 1.0;
 
 /// What is known of one world.
 pub(crate) struct Scene<'a> {
@@ -56,7 +58,7 @@ impl<'a> Scene<'a> {
 
     /// The nearer one of a leader, gap and speed, and the stop line at which a front waits.
     fn held(&self, leader: Option<(Real, Real)>, front_m: Real) -> Option<(Real, Real)> {
-        let stop = self.stop_m.map(|at_m| (at_m - front_m, 0.0));
+        let stop = self.stop_m.map(|at_m| (at_m - BEFORE_LINE_M - front_m, 0.0));
         let nearer = |a: (Real, Real), b: (Real, Real)| if b.0 < a.0 { b } else { a };
         leader.map(|leader| stop.map_or(leader, |stop| nearer(leader, stop))).or(stop)
     }
