@@ -2,17 +2,20 @@
 
 import dataclasses
 import json
+import re
 import sys
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from browser_page import Page
 from test_view import elements, unpacked
 
+import ccdiff_env
 from ccdiff_env import cli, embedded_scenes
 from ccdiff_env.bench import provenance
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.errors import ShapeError
+from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners.planning import overlap
 from ccdiff_env.record.counterfactual import EgoPlan, avoidable, with_rescue
 from ccdiff_env.record.rollout import Rollout
@@ -267,3 +270,40 @@ def test_the_strip_shows_a_figure_over_time_and_a_click_goes_there(tmp_path, bro
     page.page.set_viewport_size({"width": 390, "height": 844})
     assert not page.locator("#strip").is_visible()
     page.context.close()
+
+
+def test_plans_and_scenes_draw_themselves(tmp_path, capsys):
+    env = ccdiff_env.EgoEnv(
+        scenes=embedded_scenes()["double-left-00"], traffic="ccdiff", criticality=1.0
+    )
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.float32))
+    plan = env.explain()
+    into, _ = np.nonzero(plan.graph & ~np.eye(len(plan.agents), dtype=bool))
+    follow = env.worlds.scenes[0].agent_ids[plan.agents[into[0]]]
+    plan.save(tmp_path / "plan.svg", follow=follow)
+    text = (tmp_path / "plan.svg").read_text(encoding="utf-8")
+    ElementTree.fromstring(text)
+    pairs = int((plan.graph & ~np.eye(len(plan.agents), dtype=bool)).sum())
+    assert 0 < text.count("<polygon") <= pairs
+    assert text.count("<circle") == min(len(plan.ranking), 9)
+    # strong arrows lead to who is followed, in the middle
+    tips = re.findall(r'<g opacity="0.95"><line.*?points="([\d.]+),([\d.]+)', text)
+    assert len(tips) > 0
+    assert all(np.hypot(float(x) - 360.0, float(y) - 360.0) < 14.0 for x, y in tips)
+    assert plan._repr_svg_().count("<polygon") == text.count("<polygon")
+    assert env.worlds.scenes[0]._repr_svg_().startswith("<svg")
+    with pytest.raises(ConfigError, match=r"ends in \.svg"):
+        plan.save(tmp_path / "plan.png")
+    out = str(tmp_path / "graph.svg")
+    words = ["view", "double-left-00", "--traffic", "ccdiff-1", "--show", "graph"]
+    assert cli.main([*words, "-o", out, "--step", "20"]) == 0
+    assert "<polygon" in (tmp_path / "graph.svg").read_text()
+    for more, said in (
+        (["-o", str(tmp_path / "g.png")], "--show is of an SVG"),
+        (["-o", str(tmp_path / "g.html")], "--show goes with an image"),
+    ):
+        assert cli.main([*words, *more]) == 2
+        assert said in capsys.readouterr().err
+    assert cli.main(["view", "double-left-00", "--show", "graph", "-o", out]) == 2
+    assert "follows no plan" in capsys.readouterr().err

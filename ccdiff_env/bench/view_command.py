@@ -24,6 +24,7 @@ from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, planner_title
+from ccdiff_env.view.graph import graph_svg
 from ccdiff_env.view.index import write_pages
 from ccdiff_env.view.link import MAX_CRITICALITY, is_drive
 from ccdiff_env.view.page import write_page
@@ -47,6 +48,7 @@ DRAWN: dict[str, Any] = {
     "size": None,
     "speed": 1.0,
     "theme": "light",
+    "show": None,
 }
 LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
 IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
@@ -131,6 +133,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--step", type=int, help="step of an image (default: the accident, or the middle)"
     )
     draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
+    draw.add_argument(
+        "--show",
+        choices=("graph",),
+        help="draw the causal graph of the plan, ranks and moved metres too; of an SVG "
+        "(default: not drawn)",
+    )
     draw.add_argument("--span", type=float, help="metres across an image")
     draw.add_argument(
         "--size",
@@ -285,6 +293,8 @@ def _image(
             raise ConfigError(f"--step is of an image, but --out is {out}")
         save_video(videos, out, speed=args.speed)
         return
+    if args.show is not None and kind != "svg":
+        raise ConfigError(f"--show is of an SVG, but --out is {out}")
     step = videos[0].moment if args.step is None else args.step
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
@@ -293,5 +303,8 @@ def _image(
             image.save(out)
     elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")
+    elif args.show == "graph":
+        options["title"] = titles[0]
+        write_aside(out, graph_svg(runs[0], step, **options))
     else:
         write_aside(out, videos[0].svg(step))

@@ -174,7 +174,7 @@ class Recorder:
         if self._kept.get(driver) == step:
             return
         self._kept[driver] = step
-        self._plans.append(dataclasses.replace(plan, made_at=step))
+        self._plans.append(dataclasses.replace(plan, made_at=step, moment=None))
 
     def _contact_events(self, at: int) -> None:
         touching = set()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 from typing import Any, TypeVar
@@ -50,7 +51,7 @@ def documented(of: _Class) -> _Class:
 def shapes(self: Any) -> str:
     """Return the text of an object: its fields, arrays by type and shape."""
     parts = []
-    for name in type(self).__dataclass_fields__:
+    for name in (f.name for f in dataclasses.fields(self) if f.repr):
         value = getattr(self, name)
         shape = getattr(value, "shape", None)
         told = repr(value) if shape is None else f"{value.dtype}{list(shape)}"

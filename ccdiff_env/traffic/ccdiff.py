@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -73,6 +73,9 @@ class TrafficPlan:
     #: Share of samples and denoising steps in which that cosine is negative. Not kept likewise.
     #: [M].
     conflict_share: npt.NDArray[np.float32] | None
+    #: The scene, states, drivers by number and drivers of its agents at the time of ``explain()``,
+    #: for its picture; ``None`` in a recording.
+    moment: tuple[Any, Any, Any, Any] | None = field(default=None, repr=False)
 
     __repr__ = shapes
 

@@ -51,14 +51,14 @@ class Video:
             raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
         self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
         self._size, self._span_m = size, span_m
-        self._middle = rollout.agent_ids.index(follow)
-        self._captions, self._theme = captions, theme
+        self.middle = rollout.agent_ids.index(follow)  #: Index of who is followed.
+        self._captions, self.theme = captions, theme
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
         vehicles = np.array(rollout.scene.agent_types) == "vehicle"
         self._parked = still(rollout) & vehicles
         self._there = _there(rollout)
-        self._centres = _centres(rollout, self._middle)
+        self._centres = _centres(rollout, self.middle)
         if centre_m is not None:
             self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
@@ -77,6 +77,13 @@ class Video:
     def svg(self, step: int) -> str:
         """Draw a step as SVG; see :meth:`frame`."""
         return str(self._drawn(step, svg=True))
+
+    def pixels(self, point: npt.NDArray[np.float32], step: int) -> npt.NDArray[np.float64]:
+        """Return where a point of the scene [2] is in the image of a step, pixels from the top
+        left.
+        """
+        x, y = (point - self._centres[step]) * (self._size[0] / self._span_m)
+        return np.array([self._size[0] / 2 + x, self._size[1] / 2 - y])
 
     def frame(self, step: int) -> render.Image:
         """Draw a step as an image [H, W, 3]; a :class:`ConfigError` says which steps there are."""
@@ -128,7 +135,7 @@ class Video:
             caption=caption if captions else "",
             scale_bar=captions,
             legend=self._legend if captions else [],
-            theme=self._theme,
+            theme=self.theme,
             svg=svg,
         )
 

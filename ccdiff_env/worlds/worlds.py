@@ -442,7 +442,13 @@ class Worlds:
                 f"explain: traffic is {self.config.traffic!r}, expected one that plans, as 'ccdiff'"
             )
         plan = self.native.explain(world_idx, driver)
-        return None if plan is None else TrafficPlan(**plan)
+        if plan is None:
+            return None
+        native = self.native
+        scene = self.scenes[native.status(world_idx).scene_idx]
+        table = (("external", "external"), ("towed", "towed"), *native.driver_table)
+        moment = scene, {**native.states(world_idx)}, table, native.drivers(world_idx)
+        return TrafficPlan(**plan, moment=moment)
 
     def observe(self, world_idx: int) -> tuple[F32, U8 | None]:
         """Return the present observations [C, D] and rasters [C, P, S, S] of a world."""
