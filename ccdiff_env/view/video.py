@@ -19,6 +19,7 @@ from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision, still
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.render import LOOK, NUMBERS
+from ccdiff_env.view.sources import log_rollout
 
 GAP = 6  #: Pixels between videos side by side.
 HOLD_S = 1.6  #: The last image stays so long: the verdict can be read.
@@ -56,7 +57,9 @@ class Video:
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
         vehicles = np.array(rollout.scene.agent_types) == "vehicle"
-        self._parked = still(rollout) & vehicles
+        # of a moment alone, the log says who is parked
+        whole = rollout if rollout.num_steps > 1 else log_rollout(rollout.scene)
+        self._parked = still(whole) & vehicles
         self._there = _there(rollout)
         self._centres = _centres(rollout, self.middle)
         if centre_m is not None:
@@ -106,8 +109,8 @@ class Video:
         ]
         hit = {self._number[i] for e in recent for i in (e.agent_id, e.partner_id) if i}
         kinds = run.scene.agent_types
-        caption = f"{self._title}  {step * run.dt_s:.1f} s"
-        if step * run.dt_s > self._fate.decided_s - 1e-6:
+        caption = self._title + (f"  {step * run.dt_s:.1f} s" if run.num_steps > 1 else "")
+        if run.num_steps > 1 and step * run.dt_s > self._fate.decided_s - 1e-6:
             caption += f"  {self._fate.text}"
         numbers = [[AGENT_KINDS.index(kinds[i]), NUMBERS[self._drivers[i]]] for i in there]
         looks = np.array(numbers, np.uint8).reshape(-1, 2)
