@@ -9,7 +9,7 @@ from planner_run import raw, write_run
 from ccdiff_env.bench import leaderboard as module
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.bench.record import Record
+from ccdiff_env.bench.record import Record, submit
 from ccdiff_env.errors import DatasetError
 from ccdiff_env_cli import main
 
@@ -156,3 +156,15 @@ def test_runs_that_are_unfinished_or_in_no_known_traffic_are_refused(tmp_path):
     unfinished = [raw("idm", "replay", TEN), raw("idm", "idm", TEN, seed=1)]
     with pytest.raises(DatasetError, match="10 of 20 episodes; finish the run"):
         leaderboard(write_run(tmp_path / "u", *unfinished))
+
+
+def test_a_run_and_its_submission_are_one_row_and_the_panel_has_its_order(tmp_path):
+    traffic = [name for name in PROTOCOL.panel if name in ("replay", "tokens", "ccdiff-1")]
+    results = [raw("idm", name, TEN) for name in reversed(traffic)]
+    run = write_run(tmp_path / "a", *results, source="embedded/val")
+    submit(run, tmp_path / "a.zip", code="https://example.org/mine")
+    (table,) = leaderboard(run, tmp_path / "a.zip").values()
+    assert table.count("\n| IDM on the log's path") == 1
+    head = next(line for line in table.splitlines() if line.startswith("| score"))
+    titles = [TRAFFIC[name].label for name in traffic]
+    assert [cell for cell in head.split(" | ") if cell in titles] == titles

@@ -276,4 +276,10 @@ def test_methods_of_realism_are_compared_in_pairs(desk):
     ]
     assert float(pair["difference"]) == pytest.approx(less)
     assert 0.0 < float(pair["p"]) < 0.05
+    # the report opens with the figure, and its tables by a click
+    report = (desk / "run/report.html").read_text(encoding="utf-8")
+    assert 0 < report.index('aria-label="realism"') < report.index('<details class="part">')
+    drawn = (desk / "run/realism.svg").read_text()
+    assert "Constant velocity" in drawn
+    assert "dashed: the log" in drawn
     assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]

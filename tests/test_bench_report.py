@@ -195,7 +195,7 @@ def test_the_verdict_names_the_best_and_what_breaks():
     assert "PDM-Closed breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
     assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
-    assert "the intervals overlap with those of PDM-Closed everywhere" in verdict(near)
+    assert "not significantly better than PDM-Closed (paired, p >= 0.05)" in verdict(near)
     few = {key: rows[:9] for key, rows in found.items()}
     assert verdict(few) == FEW
 

@@ -157,6 +157,8 @@ def _traffic(args: argparse.Namespace) -> int:
             "figures.csv": report.figures_table(played, found),
             **({"matched.csv": matched} if match else {}),
         },
+        report.plot(found, run.folder / "front"),
+        folded=True,
     )
 
 
@@ -387,7 +389,7 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 def _realism(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.intervals import figures, grouped
     from ccdiff_env.bench.likelihood import likelihood_jobs
-    from ccdiff_env.bench.realism_report import COLUMNS, comparison, pairs_table, tables
+    from ccdiff_env.bench.realism_report import COLUMNS, comparison, pairs_table, plots, tables
 
     run = Run(args, "realism", samples=args.samples)
     jobs = likelihood_jobs(
@@ -407,6 +409,8 @@ def _realism(args: argparse.Namespace) -> int:
             "figures.csv": figures(rows, ("method", "own_weights"), COLUMNS),
             "pairs.csv": pairs_table(found),
         },
+        *plots(found, run.folder),
+        folded=True,
     )
 
 

@@ -39,12 +39,13 @@ def write_report_page(
     plots: Sequence[Path],
     parts: Mapping[str, str],
     command: str = "",
+    folded: bool = False,
 ) -> None:
     """Write a page that needs nothing else, but for the replays that it links.
 
     ``parts`` are Markdown by heading (see :func:`markdown_html`), empty ones are left out; the
     first comes, up to its subheadings, before the ``plots`` (SVG) and says what was found.
-    ``command`` made the page.
+    ``command`` made the page. With ``folded`` the plots come first, and parts open by a click.
     """
     shown = {head: text for head, text in parts.items() if text.strip()}
     contents = "".join(f'<a href="#{anchor(h)}">{html.escape(h)}</a>' for h in shown)
@@ -52,7 +53,12 @@ def write_report_page(
         f'<h2 id="{anchor(head)}">{html.escape(head)}</h2>\n{markdown_html(text)}'
         for head, text in shown.items()
     ]
-    first, rest = _split_lead(sections[0] if sections else "")
+    if folded and plots:
+        heads = [section.replace("</h2>", "</h2></summary>", 1) for section in sections]
+        sections = [f'<details class="part"><summary>{part}</details>' for part in heads]
+        first, rest = "", sections[0]
+    else:
+        first, rest = _split_lead(sections[0] if sections else "")
     drawn = "\n".join(map(_plot, plots))
     body = "\n".join(
         [

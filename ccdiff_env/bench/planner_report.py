@@ -293,10 +293,10 @@ def verdict(found: Results) -> str:
         of_all = f"{len(first)} of {len(traffic)}"
         where = "all traffic" if len(first) == len(traffic) else of_all
         text = f"{short_name(best)} is best over all ({over_all[best]:.2f}), first in {where}"
-        near = [p for p in rest if all(mean[p, t][2] >= mean[best, t][1] for t in traffic)]
-        if near:
-            others = " and ".join(map(short_name, near))
-            text += f"; the intervals overlap with those of {others} everywhere"
+        level = PROTOCOL.fields["statistics"]["level"]
+        less = {p: difference(_paired(found, best, p, traffic, "score"))[1] for p in rest}
+        if near := [short_name(p) for p in rest if less[p] >= level]:
+            text += f"; not significantly better than {' and '.join(near)} (paired, p >= {level:g})"
         sentences.append(text)
     drops = []
     for planner in planners:
@@ -320,12 +320,17 @@ def summary(found: Results, privileged: Collection[str] = ()) -> list[Block]:
     heads = headlines(found)
     some = len(planners) > 1 and not _few(found)
     scores = [Column(t, TRAFFIC[t].label, best=some) for t in traffic]
+    by_nuplan = all(NUPLAN in row for rows in found.values() for row in rows)
     lines: TableRows = []
     for planner in sorted(planners, key=lambda p: -heads[p]["mean"][0]):
         cells = [mean_interval(found[planner, t], "score") for t in traffic]
         mark = " †" if planner in privileged else ""
-        lines.append([short_name(planner) + mark, *cells, *heads[planner].values()])
+        cells += heads[planner].values()
+        if by_nuplan:
+            cells.append(mean_of(_scores(found, planner, traffic, NUPLAN).mean(axis=0)))
+        lines.append([short_name(planner) + mark, *cells])
     columns = [*scores, Column("mean"), Column("worst")]
+    columns += [Column(NUPLAN, "nuPlan's score")] if by_nuplan else []
     blocks: list[Block] = [Table(["score", *columns], lines)]
     if privileged:
         blocks.append("† privileged: uses what a vehicle cannot know, as the log.")

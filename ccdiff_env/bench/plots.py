@@ -74,8 +74,7 @@ def plot_robustness(
     planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
     if len(names) < 2:
         return None
-    if find_spec("matplotlib") is None:
-        print("no plot: it needs Matplotlib (pip install matplotlib)")
+    if not _drawn():
         return None
     figure, axes = new_plot(5.6, 3.8)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
@@ -97,6 +96,95 @@ def plot_robustness(
     axes.set_ylim(0, 1.02)
     axes.grid(alpha=0.3)
     return save_plot(figure, path)
+
+
+def plot_dots(
+    found: Mapping[str, Sequence[Mapping[str, Any]]],
+    figures: Mapping[str, str],
+    floor: str | None,
+    path: Path,
+) -> Path | None:
+    """Draw figures of methods as dots with 95 % intervals, side by side, the best of the first one
+    on top, against a line where the method ``floor`` is, as the log.
+
+    ``found`` are episodes by label, ``figures`` titles by name.
+    """
+    if not _drawn():
+        return None
+    order = sorted(found, key=lambda label: mean_interval(found[label], next(iter(figures)))[0])
+    high = 0.9 + 0.34 * len(order)
+    panels: Any
+    figure, panels = new_plot(3.1 * len(figures) + 2.0, high, ncols=len(figures), sharey=True)
+    for axes, (name, title) in zip(np.ravel(panels), figures.items(), strict=True):
+        means = np.array([mean_interval(found[label], name) for label in order])
+        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
+        axes.errorbar(
+            means[:, 0], np.arange(len(order)), xerr=whiskers, fmt="o", color=OKABE_ITO[0],
+            markersize=5, elinewidth=1, capsize=2.5,
+        )  # fmt: skip
+        if floor in found:
+            axes.axvline(mean_interval(found[str(floor)], name)[0], color="#777777", lw=1, ls="--")
+        axes.set_yticks(range(len(order)), order)
+        axes.set_xlabel(f"{title} (dashed: the log)" if floor in found else title)
+        axes.grid(alpha=0.3, axis="x")
+    return save_plot(figure, path)
+
+
+def plot_ranks(found: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -> Path | None:
+    """Draw rank histograms: a row of bars for each label, a panel for each moment, and a line where
+    a calibrated model's are.
+    """
+    if not found or not _drawn():
+        return None
+    moments = list(next(iter(found.values())))
+    panels: Any
+    figure, panels = new_plot(
+        1.7 * len(moments) + 1.6, 0.95 * len(found) + 0.5, nrows=len(found), ncols=len(moments),
+        sharex=True, sharey=True, squeeze=False,
+    )  # fmt: skip
+    for number, (row, (label, by_moment)) in enumerate(zip(panels, found.items(), strict=True)):
+        for axes, (moment, shares) in zip(row, by_moment.items(), strict=True):
+            axes.bar(range(len(shares)), shares, width=0.9, color=OKABE_ITO[0])
+            axes.axhline(1.0 / len(shares), color="#777777", lw=1, ls="--")
+            axes.set_xticks([])
+            if number == 0:
+                axes.set_title(moment, fontsize=9)
+        row[0].set_ylabel(label, rotation=0, ha="right", va="center", fontsize=8)
+    return save_plot(figure, path)
+
+
+def plot_front(
+    points: Mapping[str, Sequence[tuple[float, float, float, str]]],
+    titles: tuple[str, str],
+    path: Path,
+) -> Path | None:
+    """Draw methods by two figures, up and to the right better: x, y, size and its name each, joined
+    by a line for each label.
+    """
+    if not points or not _drawn():
+        return None
+    figure, axes = new_plot(6.2, 4.2)
+    ends = []
+    looks = zip(itertools.cycle(OKABE_ITO), itertools.cycle(MARKERS), strict=False)
+    for (label, of), (color, marker) in zip(points.items(), looks, strict=False):
+        x, y, sizes, _ = zip(*of, strict=True)
+        axes.plot(x, y, color=color, lw=0.8, alpha=0.6)
+        axes.scatter(x, y, s=[14.0 + 9.0 * size for size in sizes], color=color, marker=marker)
+        ends.append((y[-1], x[-1], label, color))
+    axes.set_xlabel(titles[0])
+    axes.set_ylabel(titles[1])
+    axes.grid(alpha=0.3)
+    span = np.diff(axes.get_ylim())[0]
+    name_ends(axes, ends, gap=0.05 * span, aside=0.02 * np.diff(axes.get_xlim())[0], fontsize=8)
+    return save_plot(figure, path)
+
+
+def _drawn() -> bool:
+    """Whether plots can be drawn; says so where they cannot."""
+    if find_spec("matplotlib") is None:
+        print("no plot: it needs Matplotlib (pip install matplotlib)")
+        return False
+    return True
 
 
 def name_ends(

@@ -125,7 +125,7 @@ def _of_module(name: str) -> str:
         target: Any = nuplan_planner(name)
         module = target.module
     else:
-        target, module = named_object(name, "planner"), name.partition(":")[0]
+        target, module = named_object(name, "code"), name.partition(":")[0]
     sources = _sources(module)
     files = [Path(file) for file in getattr(target, "files", ())]
     given = (part.partition("=")[2] for part in name.partition("?")[2].split("&"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from ccdiff_env.bench.intervals import (
 )
 from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
+from ccdiff_env.bench.plots import plot_dots, plot_ranks
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
@@ -68,6 +70,29 @@ def tables(
     }
 
 
+def plots(
+    found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path
+) -> tuple[Path | None, ...]:
+    """Draw likelihoods against the log's, and the ranks of the logged speed among the samples."""
+    labels = {label_of(m, of[0].get("own_weights", "")): of for m, of in found.items()}
+    floor = label_of("replay") if "replay" in found else None
+    titles = {name: name.replace("_half_s", ", 0.5 s") for name in _LIKELIHOODS[:2]}
+    dots = plot_dots(labels, {**titles, "interactive": "interactive"}, floor, folder / "realism")
+    ranks = {label: by for label, of in labels.items() if (by := _shares(of))}
+    return dots, plot_ranks(ranks, folder / "ranks")
+
+
+def _shares(of: Sequence[Mapping[str, Any]]) -> dict[str, list[float]]:
+    """Shares of the logged speed in each fifth of the samples', by moment; where known."""
+    found = {}
+    for seconds in RANK_SECONDS:
+        masses = [row[f"ranks_{seconds}s"] for row in of if row.get(f"ranks_{seconds}s")]
+        total = np.sum(masses, axis=0) if masses else np.zeros(RANK_BINS)
+        if total.sum() > 0.0:
+            found[f"after {seconds} s"] = (total / total.sum()).tolist()
+    return found
+
+
 def pairs_table(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
     """Return the likelihoods of each two methods, paired by scene: their difference, and its p by
     the permutation test of signs.
@@ -113,14 +138,9 @@ def _ranks(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
     fifths = [f"{100 * k // RANK_BINS} to {100 * (k + 1) // RANK_BINS} %" for k in range(RANK_BINS)]
     rows: TableRows = []
     for label, of in found.items():
-        for seconds in RANK_SECONDS:
-            masses = [row[f"ranks_{seconds}s"] for row in of if row.get(f"ranks_{seconds}s")]
-            total = np.sum(masses, axis=0) if masses else np.zeros(RANK_BINS)
-            if total.sum() == 0.0:
-                continue
-            shares = (total / total.sum()).tolist()
+        for moment, shares in _shares(of).items():
             off = 100.0 * max(abs(share * RANK_BINS - 1.0) for share in shares)
-            rows.append([label, str(seconds), *shares, off])
+            rows.append([label, moment.split()[1], *shares, off])
     head = "Rank of the logged speed among the samples': a calibrated model has 0.20 in each fifth."
     columns = [*map(Column, fifths), Column("rank-histogram error", unit="%", digits=0)]
     return [head, Table(["method", "after s", *columns], rows)] if rows else []

@@ -138,7 +138,11 @@ class Record:
         rows: dict[str, list[Mapping[str, Any]]] = {}
         for entry in entries:
             rows.setdefault(entry.traffic, []).extend(entry.rows)
-        rows = dict(sorted(rows.items(), key=lambda item: (*TRAFFIC, item[0]).index(item[0])))
+        rows = dict(
+            sorted(
+                rows.items(), key=lambda item: (*PROTOCOL.panel, *TRAFFIC, item[0]).index(item[0])
+            )
+        )
         seeds = sorted({entry.seed for entry in entries})
         wanted = {(scene, seed) for scene in scenes for seed in seeds}
         for traffic, found in rows.items():

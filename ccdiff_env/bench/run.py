@@ -149,10 +149,11 @@ class Run:
         episodes: Iterable[Mapping[str, Any]],
         files: Mapping[str, Table],
         *plots: Path | None,
+        folded: bool = False,
     ) -> int:
         """Write all files of the report, say its first part, and return the exit status.
 
-        ``files`` are further tables by file name.
+        ``files`` are further tables by file name; with ``folded`` the page opens with the plots.
         """
         if not self._begun:
             self._begin()
@@ -180,6 +181,7 @@ class Run:
             plots=[plot for plot in plots if plot is not None],
             parts=texts,
             command=shlex.join(["ccdiff-env", *sys.argv[1:]]),
+            folded=folded,
         )
         found, more, _ = first[1].partition("\n### ")
         say(found)

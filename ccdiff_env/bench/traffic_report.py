@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ccdiff_env.bench.intervals import (
     scene_means,
 )
 from ccdiff_env.bench.methods import METHODS, label_of
+from ccdiff_env.bench.plots import plot_front
 from ccdiff_env.metrics import comfort_distance, generational_distance, scores
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
@@ -183,6 +185,17 @@ def tables(played: Played, found: Found) -> list[Block]:
         rows.append([label, *c.cells[1:], *pair, *_known(figures, _SHOWN)])
     heads = ("method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN)
     return [Table(heads, rows), f"{brackets(played.values())} CS, RS: bounds over this table."]
+
+
+def plot(found: Found, path: Path) -> Path | None:
+    """Draw control against realism: a line for each method, a point for each K, larger with it."""
+    points: dict[str, list[tuple[float, float, float, str]]] = {}
+    for c, (cs, rs) in with_scores(found).items():
+        if np.isfinite([cs, rs]).all():
+            size = 12.0 if c.k == "Full" else float(c.k)
+            points.setdefault(c.cells[0], []).append((cs, rs, size, c.k))
+    titles = "CS: control, collisions reached", "RS: realism, nearness to the log"
+    return plot_front(points, titles, path)
 
 
 # methods against one another

@@ -6,6 +6,7 @@ import argparse
 
 import numpy as np
 
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from, sources_help
 from ccdiff_env.scenes.signals import recorded_passes
@@ -16,11 +17,16 @@ from ccdiff_env.system.terminal import say
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     add_scene_arguments(parser)
+    parser.add_argument("source", nargs="?", metavar="SOURCE", help="the same as --scenes SOURCE")
     parser.epilog = sources_help()
 
 
 def run(args: argparse.Namespace) -> int:
     """Print a table of the scenes, and how their recorded vehicles obey traffic lights."""
+    if args.source is not None:
+        if args.scenes is not None:
+            raise ConfigError(f"scenes of {args.source} and --scenes {args.scenes}: give one")
+        args.scenes = args.source
     heads, scenes = ("scene", "location", "seconds", "agents", "vehicles"), scenes_from(args)
     say(str(Table(heads, [_row(scene) for scene in scenes])))
     passes, red = np.sum([recorded_passes(scene) for scene in scenes], axis=0)
