@@ -39,6 +39,7 @@ SCENES = (
     "merge-in-01", "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
     "pedestrians-01", "hard-brake-04", "merge-in-03",
 )  # fmt: skip
+LIT = "tee-crossing-005"  #: The last one, with traffic lights: IDM waits and reaches its goal.
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
 MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))
 #: Scripts of the replay page that this one uses: all but its start.
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "names",
         nargs="*",
         metavar="SCENE",
-        help="scenes to drive in (default: nine embedded ones, or all of --scenes)",
+        help="scenes to drive in (default: ten embedded ones, or all of --scenes)",
     )
     add_scene_arguments(parser)
     parser.add_argument(
@@ -83,9 +84,11 @@ def write_playground(path: Path, scenes: Sequence[Scene] | None = None) -> None:
 
 
 def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str:
-    """Return the page of some scenes, :data:`SCENES` by default, as HTML that needs nothing else;
-    the module is WebAssembly, as ``tools.playground`` compiles it.
+    """Return the page of some scenes, :data:`SCENES` and :data:`LIT` by default, as HTML that needs
+    nothing else; the module is WebAssembly, as ``tools.playground`` compiles it.
     """
+    if scenes is None:
+        scenes = [*load(DEFAULT, names=SCENES), *load(f"{DEFAULT}/city-lights", names=[LIT])]
     ego = planners.load_ego("ego")
     settings = {
         **look(),
@@ -121,7 +124,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
         ),
         "ego": _packed(tensor_bytes(ego.tensors, {})),
         "engine": part("engine.js"),
-        "scenes": "\n".join(map(_scene, load(DEFAULT, names=SCENES) if scenes is None else scenes)),
+        "scenes": "\n".join(map(_scene, scenes)),
         "script": "\n".join(map(part, SCRIPTS)),
     }
     return page.filled_page("drive.html", parts, " 'wasm-unsafe-eval'; worker-src blob:")
