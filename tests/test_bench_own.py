@@ -283,3 +283,24 @@ def test_methods_of_realism_are_compared_in_pairs(desk):
     assert "Constant velocity" in drawn
     assert "dashed: the log" in drawn
     assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]
+
+
+def test_kept_samples_of_realism_are_played_again_bit_for_bit(desk, capsys):
+    words = "realism --methods ccdiff_one_sample,idm --samples 2 --limit 2 --keep"
+    assert bench(words) == 0
+    files = sorted((desk / "run/rollouts").glob("*.npz"))
+    assert len(files) == 2 * 2 + 2  # IDM draws nothing
+    assert ccdiff_env.Rollout.load(files[0]).meta["traffic"] == "ccdiff"
+    capsys.readouterr()
+    assert cli.main(["bench", "verify", "run"]) == 0
+    assert "4 of 4 scenes and methods" in capsys.readouterr().out
+    other = next(
+        file for file in files if file.name[:30] == files[0].name[:30] and file != files[0]
+    )
+    files[0].write_bytes(other.read_bytes())
+    assert cli.main(["bench", "verify", "run"]) == 1
+    assert "another rollout than the one" in capsys.readouterr().out
+    raw = next((desk / "run/raw").glob("idm*.json"))
+    raw.write_text(raw.read_text().replace('"kinematic": 0.', '"kinematic": 1.'))
+    assert cli.main(["bench", "verify", "run"]) == 1
+    assert "idm, " in capsys.readouterr().out

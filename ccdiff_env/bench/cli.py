@@ -382,6 +382,11 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add_run_arguments(parser)
     add_methods(parser, "replay,constant_velocity,idm,ccdiff_one_sample,ccdiff")
     parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="keep the rollouts of all samples in rollouts/ of the run folder",
+    )
     add_weights(parser)
     parser.set_defaults(run=_realism)
 
@@ -398,6 +403,7 @@ def _realism(args: argparse.Namespace) -> int:
         num_samples=args.samples,
         weights=run.own_weights,
         seed=args.seed,
+        keep=str((run.folder / "rollouts").resolve()) if args.keep else None,
     )
     rows = run.episodes(jobs, "method")
     found = {method: of for (method,), of in grouped(rows, "method").items()}
@@ -435,7 +441,9 @@ def _leaderboard(args: argparse.Namespace) -> int:
 
 def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("verify", help="replay the episodes of a run and compare every bit")
-    parser.add_argument("record", type=Path, help="run folder of bench planners, or submission")
+    parser.add_argument(
+        "record", type=Path, help="run folder of bench planners or realism, or submission"
+    )
     parser.add_argument(
         "--episodes",
         type=int,
@@ -462,9 +470,16 @@ def _verify(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.leaderboard import leaderboard
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
+    from ccdiff_env.bench.verify_realism import is_realism, verify_realism
 
     if args.base_instructions:
         _native.hold_to_base()
+    if is_realism(args.record):
+        found = verify_realism(args.record, own_code=args.own_code)
+        print(*found.differing, sep="\n", end="\n" * bool(found.differing))
+        same = found.played - len(found.differing)
+        print(f"{same} of {found.played} scenes and methods come out the same, bit for bit")
+        return 1 if found.differing else 0
     record = Record.read(args.record)
     for heading, text in leaderboard([record]).items():
         say(f"{escaped(heading)}\n\n{text}")

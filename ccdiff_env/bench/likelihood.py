@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, on_device, resolved
+from ccdiff_env.bench.scenarios import motion_hash
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, Episode, episodes, off_road
 from ccdiff_env.errors import ConfigError
@@ -289,6 +291,7 @@ def likelihood_jobs(
     num_samples: int = 16,
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
+    keep: str | None = None,
 ) -> list[Job]:
     """Return the jobs: methods x chunks of the scenes, all vehicles driven by the method.
 
@@ -300,6 +303,7 @@ def likelihood_jobs(
         METHODS[name]  # refuses a name that does not exist
     given: dict[str, Any] = {"num_samples": num_samples, "seed": seed}
     given |= {"weights": dict(weights)} if weights else {}
+    given |= {"keep": keep} if keep is not None else {}
     function = f"{__name__}:evaluate"
     return [
         job
@@ -316,11 +320,14 @@ def evaluate(
     num_samples: int,
     seed: int,
     weights: Mapping[str, str] | None = None,
+    keep: str | None = None,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Play scenes several times: one dictionary per scene, see :func:`scene_likelihoods`.
 
-    ``processor_s``: processor seconds of an episode, mean of the chunk.
+    ``processor_s``: processor seconds of an episode, mean of the chunk. With ``keep``, a folder,
+    the rollouts are saved there, and ``kept`` are their names; ``""`` saves none, and ``kept`` are
+    hashes of who was where.
     """
     METHODS.add(weights or {})
     chosen = on_device(resolved(METHODS[method].with_weights(weights or {})), device)
@@ -331,11 +338,19 @@ def evaluate(
     start = time.process_time()
     played = [episodes(scenes, chosen, num_controlled=None, seed=seed + k) for k in range(count)]
     spent = (time.process_time() - start) / (count * len(scenes))
-    return [
-        {
-            "scene": scene.name,
-            **scene_likelihoods([p[i] for p in played], num_samples),
-            "processor_s": spent,
-        }
-        for i, scene in enumerate(scenes)
-    ]
+    rows: list[dict[str, Any]] = []
+    for i, scene in enumerate(scenes):
+        samples = [p[i] for p in played]
+        row = {"scene": scene.name, **scene_likelihoods(samples, num_samples), "processor_s": spent}
+        rollouts = [sample.rollout for sample in samples if sample.rollout is not None]
+        if keep:
+            row["kept"] = names = [
+                file_name(f"{method}-{scene.name}-{seed + k}", ".npz") for k in range(count)
+            ]
+            Path(keep).mkdir(parents=True, exist_ok=True)
+            for name, rollout in zip(names, rollouts, strict=True):
+                rollout.save(Path(keep) / name)
+        elif keep is not None:
+            row["kept"] = [motion_hash(rollout) for rollout in rollouts]
+        rows.append(row)
+    return rows

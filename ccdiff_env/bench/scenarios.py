@@ -106,7 +106,7 @@ def generate(
             {
                 "scene": scene.name,
                 "scene_hash": scene.hash,
-                "motion_hash": _motion_hash(rollout),
+                "motion_hash": motion_hash(rollout),
                 "file": file,
                 "sha256": sha256_of(place / file),
                 "collision": bool(hits),
@@ -120,7 +120,8 @@ def generate(
     return found
 
 
-def _motion_hash(rollout: Rollout) -> str:
+def motion_hash(rollout: Rollout) -> str:
+    """Return the SHA-256 of who was where, which does not depend on who compressed the file."""
     arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 

@@ -257,13 +257,16 @@ class Episode:
     motion: Motion
     log: Motion
     plans: tuple[TrafficPlan, ...]
+    rollout: Rollout | None = None  #: The recording.
 
     @classmethod
     def of(cls, rollout: Rollout, chosen: list[int]) -> Episode:
         """Return what a recording shows of a control set."""
         agents = _vehicles(rollout.scene)
         both = motions(rollout, agents)
-        return cls(rollout.scene, agents, chosen, np.isin(agents, chosen), *both, rollout.plans)
+        return cls(
+            rollout.scene, agents, chosen, np.isin(agents, chosen), *both, rollout.plans, rollout
+        )
 
 
 def motions(rollout: Rollout, agents: npt.NDArray[np.int64]) -> tuple[Motion, Motion]:
