@@ -17,7 +17,8 @@ WORLDS: dict[str, Any] = {
     "reward": REWARD,
 }
 #: What is added where scenes have traffic lights: the ego sees the next one, and its episode ends
-#: where it runs red.
+#: where it runs red. An ego is not shown to learn from it to wait: after 704,512 decisions in
+#: ``city-lights``, 25 of 54 arrivals past a light ran red, as the log does in half.
 LIGHTS: dict[str, Any] = {
     "observation": {
         "ego_columns": [
