@@ -30,6 +30,8 @@ from ccdiff_env.system.settings import keep_settings
 
 #: Algorithm, its settings, worlds, and decisions that take about two minutes of one core.
 ALGORITHMS = {"ppo": (PPO, PPO_SETTINGS, 512, 700_000), "sac": (SAC, SAC_SETTINGS, 32, 50_000)}
+#: Options of training alone.
+TRAINED = ("ego", "standing_share", "reward", "terminate_at_goal", "observation", "on_red_light")
 FIGURES = ("score", "success", "collision", "on_road", "progress", "comfort")
 
 
@@ -40,7 +42,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--algorithm", default="ppo", choices=ALGORITHMS)
     parser.add_argument("--traffic", default="idm", help="driver of the other vehicles")
     parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
-    parser.add_argument("--dynamics", default="unicycle", help="model of motion")
+    parser.add_argument("--dynamics", help="model of motion (default: the recipe's unicycle)")
     parser.add_argument("--lights", action="store_true", help="scenes have traffic lights")
     parser.add_argument("--decisions", type=int, help="training decisions (default: two minutes)")
     parser.add_argument(
@@ -104,17 +106,19 @@ def main() -> None:
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
-    options = WORLDS | (LIGHTS if args.lights else {}) | {"dynamics": args.dynamics} | given
+    options = WORLDS | (LIGHTS if args.lights else {}) | given
+    options |= {"dynamics": args.dynamics} if args.dynamics else {}
     train = scenes_from(args)
-    env = SB3VecEnv(ccdiff_env.make_vec(worlds, scenes=train, **traffic, **options))
+    env = SB3VecEnv(
+        ccdiff_env.make_vec(worlds, scenes=train, **traffic, **options), clock_ends=True
+    )
     env = VecNormalize(env, norm_reward=False)
     keep_settings(args.out / "run.json", {n: of and str(of) for n, of in vars(args).items()})
     if args.start:
         env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
     begins = {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     begins |= {"autoreset_mode": "same_step", "info": "end"} | traffic
-    own = ("ego", "standing_share", "reward", "observation", "on_red_light")
-    given = {n: v for n, v in options.items() if n not in own}
+    given = {n: v for n, v in options.items() if n not in TRAINED}
     if args.lights:
         begins |= {"reward": {"red_light": -1.0}, "observation": LIGHTS["observation"]}
     test = ccdiff_env.make_vec(tests, **begins, **given)

@@ -6,7 +6,7 @@ from array_scenes import STEPS, TIMES_S, agent, array_scene, wide_road
 
 import ccdiff_env
 from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes
+from ccdiff_env.envs.outcomes import OUTCOMES, Learning, play_episodes
 from ccdiff_env.errors import ConfigError
 
 STEADY = agent("ego", 10.0 * TIMES_S)
@@ -50,6 +50,28 @@ def test_who_leaves_the_road_is_told_and_drivers_are_counted_as_policies_are():
         play_episodes(worlds(*scenes, driver="replay", observation={"ego_columns": ["speed"]}))
 
 
+def test_how_episodes_end_is_said_while_an_ego_learns(tmp_path, monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    learning = Learning(tmp_path)
+    learning.say(8, "then", last=True)  # no episode has ended
+    for seconds, decisions in ((5.0, 16), (11.0, 32)):
+        now[0] = seconds
+        learning.add(np.array([0, 0, 1, 4]))
+        learning.say(decisions, f"{seconds:.0f} s")
+    learning.add(np.array([6]))
+    learning.say(40, "end", last=True)
+    assert capsys.readouterr().out == (
+        "11 s 32 decisions, of 8 episodes: success 50.0%, drove into 25.0%, past 25.0%\n"
+        "end 40 decisions, of 1 episodes: late 100.0%\n"
+    )
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    board = events.EventAccumulator(str(tmp_path))
+    board.Reload()
+    said = [(one.step, one.value) for one in board.Scalars("outcomes/drove into")]
+    assert said == [(32, 0.25), (40, 0.0)]
+
+
 def test_demonstrations_drive_as_the_log_does():
     turn = np.clip(0.1 * (TIMES_S - 6.0), 0.0, 0.5)
     speed = np.clip(2.0 + 1.0 * (TIMES_S - 3.0), 2.0, 8.0)
@@ -71,13 +93,26 @@ def test_demonstrations_drive_as_the_log_does():
     assert len(TIMES_S) == STEPS
 
 
+@pytest.mark.parametrize("clock_ends", [False, True])
+def test_an_episode_that_runs_out_of_time_may_have_ended(clock_ends):
+    pytest.importorskip("stable_baselines3")
+    from ccdiff_env.envs import sb3
+
+    env = sb3.SB3VecEnv(worlds(array_scene(STEADY), horizon_steps=20), clock_ends=clock_ends)
+    env.reset()
+    for step in range(20):
+        _, _, dones, infos = env.step(np.array([[-1.0, 0.0]], np.float32))
+        assert bool(dones[0]) == (step == 19)
+    assert infos[0]["TimeLimit.truncated"] is not clock_ends
+
+
 def test_a_clone_does_what_was_shown(monkeypatch):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     from stable_baselines3.common.vec_env import VecNormalize
 
-    from ccdiff_env.envs import sb3
+    from ccdiff_env.envs import ego_network, sb3
 
-    monkeypatch.setattr(sb3, "CLONE_STEPS", 150)
+    monkeypatch.setattr(ego_network, "CLONE_STEPS", 150)
     env = VecNormalize(sb3.SB3VecEnv(worlds(array_scene(STEADY))), norm_reward=False)
     model = stable_baselines3.PPO("MlpPolicy", env, seed=0, device="cpu", **sb3.PPO_SETTINGS)
     rng = np.random.default_rng(0)

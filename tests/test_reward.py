@@ -134,6 +134,24 @@ def test_a_stop_of_the_log_is_a_goal_to_stop_at_and_the_clock_ends_with_the_log(
         assert seen["goal_braking"] * 10.0 == pytest.approx(100.0 / (2.0 * 60.0), abs=0.01)
 
 
+def test_a_goal_that_was_reached_asks_for_nothing_more():
+    scene = array_scene(agent("ego", np.minimum(10.0 * TIMES_S, 90.0)), agent("other", 500.0))
+    env = EgoEnv(scenes=[scene], dynamics="unicycle", terminate_at_goal=False)
+    obs, _ = env.reset(seed=0)
+    columns, reached = env.worlds.layout.entries[0].columns, False
+    for step in range(95):
+        seen = dict(zip(columns, obs, strict=False))
+        assert seen["goal_speed"] == float(reached)
+        if reached:
+            assert seen["goal_near"] == seen["goal_braking"] == seen["pace"] == 0.0
+        # it stops at the goal, and drives on
+        acceleration = 0.2 if reached else 0.0 if step < 40 else -2.5 / 8.0
+        obs, _, _, _, info = env.step(np.array([acceleration, 0.0], np.float32))
+        reached |= bool(info["goal_reached"])
+    assert reached
+    assert seen["speed"] > 0.0
+
+
 def test_a_detour_counts_when_the_route_is_reached_again():
     scene = array_scene(agent("ego", 10.0 * TIMES_S))
     k = np.arange(STEPS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,6 +14,7 @@ from ccdiff_env.worlds.spaces import Layout
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 WIDTH_ROWS, WIDTH = 64, 128
+CLONE_STEPS, CLONE_BATCH = 1000, 1024  #: Minibatches of :func:`imitate`, and their size.
 
 
 class Greatest(torch.autograd.Function):
@@ -132,3 +134,30 @@ class Agent(nn.Module):
     def log_prob(self, mean: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Log density [B] of actions, less a constant."""
         return (-0.5 * ((actions - mean) / self.log_std.exp()) ** 2 - self.log_std).sum(1)
+
+
+def imitate(
+    mean: Callable[[torch.Tensor], torch.Tensor],
+    weights: Sequence[nn.Parameter],
+    x: torch.Tensor,
+    actions: torch.Tensor,
+    seed: int = 0,
+) -> None:
+    """Fit the means of a policy to actions that were shown, by their absolute errors.
+
+    Args:
+        mean: Means [B, W] for observations [B, D] as the networks want them.
+        weights: What is fitted.
+        x: Observations [N, D], as the networks want them.
+        actions: Actions [N, W].
+        seed: Seed of the minibatches.
+    """
+    scale, optimiser = actions.std(dim=0) + 1e-3, torch.optim.Adam(weights)
+    random = torch.Generator().manual_seed(seed)
+    for step in range(CLONE_STEPS):
+        optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - step / CLONE_STEPS)
+        index = torch.randint(len(x), (CLONE_BATCH,), generator=random)
+        loss = ((mean(x[index]) - actions[index]).abs() / scale).mean()
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()

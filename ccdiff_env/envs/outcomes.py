@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +24,41 @@ STANDS_MPS = 0.5
 #: What tells how far the next light and the goal are, and how fast the ego is.
 SEEN = ("light_distance", "route_remaining", "speed")
 BRAKING_MPS2 = 2.5  #: Braking by which one may ask an ego to stop at a light.
+EVERY_S = 10.0  #: Seconds between two lines of :class:`Learning`.
+
+
+class Learning:
+    """How episodes end while an ego learns: a line that stays current in a terminal, one after the
+    other elsewhere, and scalars of TensorBoard in a folder, where it is installed.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._ended, self._said_s = np.zeros(len(OUTCOMES)), time.monotonic()
+        self._folder = folder
+        self._board: Any = None
+
+    def add(self, kinds: npt.NDArray[np.int64]) -> None:
+        """Count episodes that ended, indices of :data:`OUTCOMES`."""
+        self._ended += np.bincount(kinds, minlength=len(OUTCOMES))
+
+    def say(self, decisions: int, begin: str, *, last: bool = False) -> None:
+        """Say the shares since the last line, if that is long enough ago, or this is the last."""
+        count = self._ended.sum()
+        if not count or not (last or time.monotonic() - self._said_s >= EVERY_S):
+            return
+        shares = dict(zip(OUTCOMES, self._ended / count, strict=True))
+        line = f"{begin} {decisions:,} decisions, of {count:,.0f} episodes: "
+        line += ", ".join(f"{name} {share:.1%}" for name, share in shares.items() if share)
+        is_live = sys.stdout.isatty()
+        print(f"\x1b[2K{line}" if is_live else line, end="\r" if is_live and not last else "\n")
+        sys.stdout.flush()
+        if self._board is None and find_spec("tensorboard"):
+            self._board = import_module("torch.utils.tensorboard").SummaryWriter(self._folder)
+        if self._board is not None:
+            for name, share in shares.items():
+                self._board.add_scalar(f"outcomes/{name}", share, decisions)
+            self._board.flush()
+        self._ended[:], self._said_s = 0.0, time.monotonic()
 
 
 def outcomes(env: EgoVectorEnv, infos: dict[str, Any]) -> npt.NDArray[np.int64]:

@@ -19,14 +19,17 @@ from torch import nn
 
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
-from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.envs.recipe import REWARD, WORLDS
+from ccdiff_env.envs.cloning import demonstrations
+from ccdiff_env.envs.ego_network import Agent, imitate
+from ccdiff_env.envs.outcomes import Learning, outcomes
+from ccdiff_env.envs.recipe import DYNAMICS, GAMMA, WORLDS
 from ccdiff_env.errors import CheckpointError, ConfigError
+from ccdiff_env.models.training import LICENCE
 from ccdiff_env.planners import load_ego
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
-from ccdiff_env.scenes.arguments import scenes_from
+from ccdiff_env.scenes.arguments import place_from, scenes_from
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
 from ccdiff_env.traffic import EGOS, SWIFT
@@ -35,7 +38,7 @@ from ccdiff_env.worlds.policy_file import LEARNED
 Floats: TypeAlias = np.ndarray[Any, Any]
 ROLLOUT = 16  # decisions of each world between updates
 EPOCHS, MINIBATCH = 3, 2048
-GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
+ASSISTED_GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
 #: Noise of one decision stays in the next, so that the ego tries to brake, not to tremble; and the
 #: standard deviations fall no faster than the learning rate does.
 CORRELATION = 0.7
@@ -65,18 +68,17 @@ STYLES: dict[str, Any] = {
 }
 #: Arguments that do not decide what an update does: a run may go on with others.
 FREE = ("decisions", "out", "run", "smoke", "threads", "verb")
-SHOWN = ("is_success", "collision", "at_fault", "off_road", "route_completion")
 
 
 class Worlds:
     """Vector environments side by side, one for each traffic, as one batch of E worlds."""
 
     def __init__(self, args: argparse.Namespace, config: WorldConfig, seed: int) -> None:
-        scenes = scenes_from(args)
+        self.scenes = scenes = scenes_from(args)
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
-        drawn = drawn if args.any_ego else {}
+        self.drawn = drawn = drawn if args.any_ego else {}
         if args.differences:
             gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
             config = config.with_options(randomization={**gains, "delay_steps": 2})
@@ -124,10 +126,14 @@ class Worlds:
         self.acceleration = ego.offset + ego.columns.index("acceleration")
         self.decision_s = config.decision_steps * config.dt_s
         self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
-        self.episodes: list[Floats] = []
+        self.learning = Learning(args.out)
         begun = zip(self.envs, self.parts, strict=True)
         self.obs = np.concatenate([env.reset(seed=seed + part.start)[0] for env, part in begun])
-        self.aside = ASIDE if isinstance(config.action.dynamics, AssistedLimits) else 0.0
+        is_assisted = isinstance(config.action.dynamics, AssistedLimits)
+        self.aside, self.gamma = (ASIDE, ASSISTED_GAMMA) if is_assisted else (0.0, GAMMA)
+        # whether what would come after the clock counts: who sees the clock would else rather crash
+        # after the goal than go on at a small price without an end
+        self.goes_on = is_assisted
 
     def step(self, actions: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
@@ -149,7 +155,7 @@ class Worlds:
                 metrics = info["final_info"]["metrics"]
                 reward[end] += AT_FAULT * metrics["at_fault"][end]
                 reward[end] += WRONG_WAY * metrics["wrong_way"][end]
-                self.episodes.append(np.stack([metrics[k][end] for k in SHOWN], axis=1))
+                self.learning.add(outcomes(env, info))
             rewards.append(reward)
             ends.append(end)
         found = np.concatenate(cut) if cut else np.empty(0, np.int64)
@@ -160,7 +166,7 @@ def rollout(
     agent: Agent, worlds: Worlds, anchor: Callable[[Floats], Floats] | None = None
 ) -> dict[str, torch.Tensor]:
     """Let all worlds decide ROLLOUT times; tensors [T, E, ...], with what the anchor would do."""
-    size, width = worlds.obs.shape[0], len(agent.log_std)
+    size, width, gamma = worlds.obs.shape[0], len(agent.log_std), worlds.gamma
     x, values = torch.empty(ROLLOUT, *worlds.obs.shape), torch.empty(ROLLOUT + 1, size)
     actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
@@ -176,14 +182,14 @@ def rollout(
         log_prob[t] = agent.log_prob(mean, actions[t])
         reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
         rewards[t], ends[t] = torch.from_numpy(reward), torch.from_numpy(end)
-        if len(cut):  # a clock that runs out says nothing about the state: its value counts
-            rewards[t, cut] += GAMMA * agent(agent.normalised(torch.from_numpy(last)))[1]
+        if len(cut) and worlds.goes_on:  # a clock that runs out says nothing about such a state
+            rewards[t, cut] += gamma * agent(agent.normalised(torch.from_numpy(last)))[1]
     values[ROLLOUT] = agent(agent.normalised(torch.from_numpy(worlds.obs)))[1]
     advantage, later = torch.empty(ROLLOUT, size), torch.zeros(size)
     for t in reversed(range(ROLLOUT)):
         goes_on = 1.0 - ends[t]
-        delta = rewards[t] + GAMMA * goes_on * values[t + 1] - values[t]
-        later = delta + GAMMA * LAMBDA * goes_on * later
+        delta = rewards[t] + gamma * goes_on * values[t + 1] - values[t]
+        later = delta + gamma * LAMBDA * goes_on * later
         advantage[t] = later
     found = {"x": x, "actions": actions, "log_prob": log_prob, "advantage": advantage}
     found |= {"returns": advantage + values[:-1], "anchor": anchored}
@@ -192,14 +198,10 @@ def rollout(
 
 def update(
     agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch.Tensor], kl: float = 0.0
-) -> float:
-    """Some epochs of PPO; returns how far the policy moved, an estimate of the KL divergence.
-
-    ``kl`` is the price of the KL divergence from the anchor.
-    """
+) -> None:
+    """Some epochs of PPO; ``kl`` is the price of the KL divergence from the anchor."""
     advantage = data["advantage"]
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    moved = 0.0
     x = data["x"].bfloat16() if HALF else data["x"]
     for _ in range(EPOCHS):
         order = torch.randperm(len(advantage))
@@ -219,8 +221,6 @@ def update(
             loss.backward()
             nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
             optimiser.step()
-            moved = float(((ratio - 1.0) - change).detach().mean())
-    return moved
 
 
 def train(args: argparse.Namespace) -> None:
@@ -235,16 +235,16 @@ def train(args: argparse.Namespace) -> None:
     near = None if args.anchor in (None, "zero") else load_ego(args.anchor)
     given = load_ego(args.start) if args.start and not args.start.endswith(".pt") else None
     policies = [policy for policy in (near, given) if policy is not None]
-    dynamics: Any = args.dynamics
-    if dynamics == "assisted":
-        dynamics = {"assisted": {"base": args.base, **ASSISTED}}
+    own = {"assisted": {"assisted": {"base": args.base, **ASSISTED}}, "unicycle": DYNAMICS}
+    dynamics: Any = own.get(args.dynamics, args.dynamics)
     fitting: dict[str, Any] = {
         "dynamics": policies[0].config.action.dynamics if policies else dynamics,
         "decision_steps": args.decision_steps,
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
-    weights = ASSISTED_WEIGHTS if isinstance(config.action.dynamics, AssistedLimits) else REWARD
-    config = config.with_options(reward=weights)
+    is_assisted = isinstance(config.action.dynamics, AssistedLimits)
+    alone = {name: WORLDS[name] for name in ("reward", "terminate_at_goal")}
+    config = config.with_options(**{"reward": ASSISTED_WEIGHTS} if is_assisted else alone)
     checkpoint = args.out / "checkpoint.pt"
     settings = {n: of for n, of in vars(args).items() if n not in FREE}
     settings["bank"] = [*map(str, args.bank)]
@@ -267,6 +267,19 @@ def train(args: argparse.Namespace) -> None:
     elif args.start:
         agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
         agent.log_std.data = torch.tensor(args.noise).log()
+    elif args.shown and not is_assisted:
+        log = {"config": config.with_options(decision_steps=1), **worlds.drawn}
+        steps = {"seed": args.seed, "decision_steps": config.decision_steps}
+        obs, actions = map(
+            torch.from_numpy, demonstrations(worlds.scenes, args.shown, **steps, **log)
+        )
+        agent.see(obs)
+        actor = [p for name, p in agent.named_parameters() if not name.startswith("value")]
+        imitate(lambda x: agent(x)[0], actor, agent.normalised(obs), actions, args.seed)
+
+    # weights that saw nuScenes, or began with such, are not for commercial use
+    of_nuscenes = str(place_from(args)).startswith("nuscenes:")
+    is_bound = of_nuscenes or any("licence" in policy.about for policy in policies)
 
     def still(obs: Floats) -> Floats:
         return np.zeros((len(obs), len(agent.log_std)), np.float32)
@@ -282,11 +295,11 @@ def train(args: argparse.Namespace) -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
-        file, about = args.out / "ego.safetensors", {"done": done}
-        save_ego(file, agent.state_dict(), fitting, about)
+        about = {"done": done, **({"licence": LICENCE} if is_bound else {})}
+        save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, about)
 
     keep_settings(args.out / "run.json", settings)
-    begin = shown = kept = time.perf_counter() - done["seconds"]
+    begin = kept = time.perf_counter() - done["seconds"]
     try:
         while done["decisions"] < args.decisions:
             left = 1.0 - done["decisions"] / args.decisions
@@ -294,24 +307,12 @@ def train(args: argparse.Namespace) -> None:
             with torch.no_grad():
                 agent.see(torch.from_numpy(worlds.obs))
                 data = rollout(agent, worlds, anchor)
-            moved = update(agent, optimiser, data, args.kl)
+            update(agent, optimiser, data, args.kl)
             agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
             done["decisions"] += len(data["x"])
             done["updates"] += 1
             done["seconds"] = now = time.perf_counter() - begin
-            if args.smoke or now - (shown - begin) > 30.0:
-                means = np.concatenate([*worlds.episodes, np.zeros((1, len(SHOWN)))])[:-1].mean(
-                    axis=0
-                )
-                figures = " ".join(f"{n} {m:.3f}" for n, m in zip(SHOWN, means, strict=True))
-                noise = " ".join(f"{s:.2f}" for s in agent.log_std.exp().tolist())
-                print(
-                    f"{now / 60:5.1f} min {done['decisions']:9d} decisions {figures} noise {noise} "
-                    f"kl {moved:.3f}",
-                    flush=True,
-                )
-                worlds.episodes.clear()
-                shown = time.perf_counter()
+            worlds.learning.say(done["decisions"], f"{now / 60:5.1f} min")
             if time.perf_counter() - kept > 120.0:
                 keep()
                 kept = time.perf_counter()
@@ -320,4 +321,5 @@ def train(args: argparse.Namespace) -> None:
             keep()
         raise
     keep()
+    worlds.learning.say(done["decisions"], f"{done['seconds'] / 60:5.1f} min", last=True)
     print(f"policy in {args.out / 'ego.safetensors'}")

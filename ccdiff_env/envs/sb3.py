@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 from ccdiff_env.envs.agent_vector import AgentVectorEnv
 from ccdiff_env.envs.parts import reset_options
+from ccdiff_env.envs.recipe import GAMMA
 from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError, MissingFeatureError
@@ -26,6 +27,8 @@ try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.running_mean_std import RunningMeanStd
     from stable_baselines3.common.vec_env import VecEnv
+
+    from ccdiff_env.envs.ego_network import imitate
 except ModuleNotFoundError as error:
     raise MissingFeatureError(
         "this needs stable-baselines3: pip install 'ccdiff-env[rl]'"
@@ -38,19 +41,17 @@ def falling_rate(left: float) -> float:
 
 
 #: Settings of PPO for 512 worlds of :mod:`ccdiff_env.envs.recipe` under ``VecNormalize`` of
-#: the observations: a short horizon, and little noise at first, since full noise leaves the road
-#: within a second.
+#: the observations: little noise at first, since full noise leaves the road within a second.
 PPO_SETTINGS: dict[str, Any] = {
     "n_steps": 16,
     "batch_size": 1024,
     "n_epochs": 5,
     "learning_rate": falling_rate,
-    "gamma": 0.96,
+    "gamma": GAMMA,
     "gae_lambda": 0.95,
     "policy_kwargs": {"log_std_init": -1.7},
 }
-#: Minibatches of cloning, and the observations that its statistics count for.
-CLONE_STEPS, CLONE_COUNT = 1000, 1e4
+CLONE_COUNT = 1e4  #: Observations that the statistics of a clone count for.
 #: Settings of SAC for 32 worlds: one gradient step for every four decisions.
 SAC_SETTINGS: dict[str, Any] = {
     "buffer_size": 200_000,
@@ -103,6 +104,8 @@ class SB3VecEnv(VecEnv):
         torch_threads: Threads of torch in this process. Networks of this size are
             slower with more than one, which then take several times the processor time; ``None``
             leaves torch's setting.
+        clock_ends: Whether an episode that runs out of time has ended, as for a learner that sees
+            the clock (``time_remaining``): ``TimeLimit.truncated`` stays false.
 
     Raises:
         ConfigError: If the environment is in another autoreset mode and has been reset, or is
@@ -114,6 +117,7 @@ class SB3VecEnv(VecEnv):
         env: EgoVectorEnv | AgentVectorEnv | AdversarySelectionVectorEnv,
         *,
         torch_threads: int | None = 1,
+        clock_ends: bool = False,
     ) -> None:
         wanted = getattr(env, "unwrapped", env)
         if isinstance(wanted, AgentVectorEnv) != isinstance(self, AgentSB3VecEnv):
@@ -134,6 +138,7 @@ class SB3VecEnv(VecEnv):
             torch.set_num_threads(torch_threads)
         self.env = env
         self.render_mode = env.render_mode
+        self._clock_ends = clock_ends
         self._actions: np.ndarray[Any, Any] | None = None
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
@@ -189,7 +194,9 @@ class SB3VecEnv(VecEnv):
             out[i] = {
                 **said,
                 "terminal_observation": infos["final_obs"][i],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "TimeLimit.truncated": bool(
+                    truncated[i] and not terminated[i] and not self._clock_ends
+                ),
                 "episode": {**episode, "t": seconds},
             }
             self.reset_infos[i] = fresh
@@ -314,15 +321,10 @@ def clone(model: PPO, obs: np.ndarray[Any, Any], actions: np.ndarray[Any, Any]) 
     norm.obs_rms.count = CLONE_COUNT
     policy = model.policy
     x, wanted = torch.from_numpy(norm.normalize_obs(obs)), torch.from_numpy(actions)
-    scale = wanted.std(dim=0) + 1e-3
-    actor = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
-    optimiser = torch.optim.Adam(actor)
-    random = torch.Generator().manual_seed(model.seed or 0)
-    for step in range(CLONE_STEPS):
-        optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - step / CLONE_STEPS)
-        index = torch.randint(len(x), (1024,), generator=random)
-        mean = policy.action_net(policy.mlp_extractor.forward_actor(x[index]))
-        loss = ((mean - wanted[index]).abs() / scale).mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+    imitate(
+        lambda x: policy.action_net(policy.mlp_extractor.forward_actor(x)),
+        [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()],
+        x,
+        wanted,
+        model.seed or 0,
+    )

@@ -59,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--noise", type=float, nargs=2, default=(0.4, 0.2), help="initial standard deviations"
     )
+    parser.add_argument(
+        "--shown",
+        type=int,
+        default=100_000,
+        help="logged decisions that it begins with, where it is not assisted",
+    )
     parser.add_argument("--threads", type=int, default=2, help="threads of torch and worlds")
     parser.add_argument("--seed", type=int, default=0, help="seed of networks and worlds")
     parser.add_argument(

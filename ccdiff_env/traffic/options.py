@@ -45,6 +45,11 @@ class UnicycleLimits(Options):
     max_curvature_1pm: float = 0.5  #: Highest yaw rate per speed, a curvature (1/m, in (0, 10]).
     #: Highest yaw rate times speed (m/s², in (0, 100]).
     max_lateral_acceleration_mps2: float = 6.2831855
+    #: The acceleration of an agent of a world changes no faster than this (m/s³, in (0, 1000]).
+    max_jerk_mps3: float = 1000.0
+    #: The yaw rate of an agent of a world changes no faster than this, but for the limits above
+    #: (rad/s², in (0, 1000]).
+    max_yaw_acceleration_radps2: float = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -165,6 +165,29 @@ proptest! {
     }
 
     #[test]
+    fn rates_of_agents_change_no_faster_than_the_limits(
+        speed in 0f32..20.0, actions in prop::collection::vec(prop::array::uniform2(-9f32..9.0), 20),
+    ) {
+        let limits = UnicycleLimits {
+            max_jerk_mps3: 6.0,
+            max_yaw_acceleration_radps2: 1.5,
+            ..UnicycleLimits::default()
+        };
+        let unicycle = Dynamics::Unicycle(limits);
+        let mut states = AgentStates::new(1);
+        states.set_pose(0, Pose2::new(0.0, 0.0, 0.0), Vector2::new(speed, 0.0));
+        for [a, w] in actions {
+            let (speed, before) = (states.speed_mps[0], [states.acceleration_mps2[0], states.yaw_rate_radps[0]]);
+            unicycle.step_agent(&mut states, 0, [a, w, 0.0], DT_S, &car());
+            let [jerk, bend] = [states.acceleration_mps2[0] - before[0], states.yaw_rate_radps[0] - before[1]];
+            let stops = states.speed_mps[0] == 0.0 || states.speed_mps[0] == limits.speed_mps[1];
+            prop_assert!(stops || jerk.abs() <= 6.0 * DT_S + 1e-3, "{jerk}");
+            let is_bound = states.yaw_rate_radps[0].abs() >= limits.yaw_rate_bound(speed) - 1e-3;
+            prop_assert!(is_bound || bend.abs() <= 1.5 * DT_S + 1e-3, "{bend}");
+        }
+    }
+
+    #[test]
     fn agents_of_a_world_move_like_their_kinematic_state(
         start in kin_state(), u in prop::array::uniform3(-1f32..1.0),
     ) {

@@ -133,6 +133,11 @@ impl Dynamics {
     ) {
         let before = states.kin_state(agent_idx);
         let mut after = before;
+        let rates = [states.acceleration_mps2[agent_idx], states.yaw_rate_radps[agent_idx]];
+        let action = match self {
+            Self::Unicycle(limits) => limits.within_reach(action, rates, dt_s),
+            _ => action,
+        };
         let heading = Vector2::new(states.cos[agent_idx], states.sin[agent_idx]);
         let lateral_mps = self.advance(&mut after, heading, action, dt_s, footprint);
         let pose = Pose2::new(after.x, after.y, after.heading_rad);

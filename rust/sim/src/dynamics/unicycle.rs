@@ -22,6 +22,10 @@ options! {
         max_curvature_1pm: Real = 0.5, unit "1/m", range within(0.0, 10.0).open_below();
         /// Highest yaw rate times speed.
         max_lateral_acceleration_mps2: Real = TAU, unit "m/s²", range POSITIVE_MOTION;
+        /// The acceleration of an agent of a world changes no faster than this.
+        max_jerk_mps3: Real = 1000.0, unit "m/s³", range within(0.0, 1000.0).open_below();
+        /// The yaw rate of an agent of a world changes no faster than this, but for the limits above.
+        max_yaw_acceleration_radps2: Real = 1000.0, unit "rad/s²", range within(0.0, 1000.0).open_below();
     }
 }
 
@@ -36,6 +40,18 @@ impl UnicycleLimits {
         let by_speed = (self.max_curvature_1pm * speed)
             .min(self.max_lateral_acceleration_mps2 / speed.max(Self::LEAST_PACE_MPS));
         by_speed.max(self.min_yaw_rate_radps)
+    }
+
+    /// The action as far as an agent with this acceleration and yaw rate can take it within a step.
+    #[inline(always)]
+    pub(super) fn within_reach(&self, action: Action, rates: [Real; 2], dt_s: Real) -> Action {
+        let (low, high) = self.action_bounds();
+        let changes = [self.max_jerk_mps3 * dt_s, self.max_yaw_acceleration_radps2 * dt_s];
+        let reach = |i: usize| {
+            let from = math::within(rates[i], low[i], high[i]);
+            math::within(action[i], from - changes[i], from + changes[i])
+        };
+        [reach(0), reach(1), 0.0]
     }
 
     pub(super) fn action_bounds(&self) -> (Action, Action) {

@@ -110,9 +110,14 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("time_remaining", "", 1.0, POSITIVE, "share of the episode that is left", |e| {
         e.view.facts.time_remaining
     }),
-    entry("goal_speed", "m/s", 20.0, POSITIVE, "of the log at the goal, 0 where it stands there", |e| {
-        e.view.facts.goal_speed_mps
-    }),
+    entry(
+        "goal_speed",
+        "m/s",
+        20.0,
+        POSITIVE,
+        "of the log at the goal, 0 where it stands there, 1 once it is reached",
+        |e| e.view.facts.goal_speed_mps,
+    ),
     entry("pace", "m/s", 20.0, POSITIVE, "mean speed that reaches the goal in the time that is left", |e| {
         e.view.facts.goal_ahead_m / e.view.facts.time_left_s.max(LEAST_TIME_S)
     }),

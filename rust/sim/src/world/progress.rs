@@ -152,9 +152,9 @@ impl Progress {
         }
     }
 
-    /// Speed of the log at the goal, 0 where it stands there, m/s.
+    /// Speed of the log at the goal, 0 where it stands there, m/s; any speed will do once it is reached.
     pub(crate) fn goal_speed_mps(&self) -> Real {
-        self.goal_speed_mps
+        if self.reached { Real::MAX } else { self.goal_speed_mps }
     }
 
     /// Numbers that must be finite.
