@@ -23,7 +23,7 @@ def crowd_the_ego(states: torch.Tensor, batch: dict[str, torch.Tensor]) -> torch
 
 def nearest_m(*objectives: dict[str, object]) -> float:
     """Return how near the guided plans of four worlds come to the ego, mean."""
-    guidance = {"target": "finished", "gradient_steps": 4, "objectives": list(objectives)}
+    guidance = {"objectives": list(objectives)}
     ccdiff = {"criticality": 4.0, "guidance": guidance}
     env = ccdiff_env.make_vec(4, traffic="ccdiff", driver="replay", ccdiff=ccdiff)
     env.reset(seed=0)

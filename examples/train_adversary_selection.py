@@ -27,8 +27,8 @@ from ccdiff_env.envs.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.table import document
 
-#: Cost per standard deviation of shift, one stage of the training after the other.
-SHIFT_COSTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.04, 0.04, 0.04)
+#: Cost per metre of move, one stage of the training after the other.
+MOVE_COSTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.04, 0.04, 0.04)
 SEED_STRIDE = 1_000_003  #: Seeds of two trainings share no world.
 
 
@@ -60,7 +60,7 @@ def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int
     hits = selection.play(scenes, everybody, seeds=(0, 1), **options)["is_success"]
     env.worlds.set_scene_weights(0.5 + 2.0 * np.array(hits))
     per_episode = max(env.worlds.config.horizon_steps // env.decision_steps, 1)
-    stages, curve, begun, stage = len(SHIFT_COSTS), [], time.process_time(), 0
+    stages, curve, begun, stage = len(MOVE_COSTS), [], time.process_time(), 0
     model = MaskablePPO(
         CandidatePolicy,
         SelectionSB3VecEnv(env),
@@ -75,15 +75,15 @@ def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int
         device="cpu",
     )
     print(f"policy {seed}: decisions, cost, share of the latest episodes with a collision")
-    for stage, env.shift_cost in enumerate(SHIFT_COSTS):
+    for stage, env.move_cost in enumerate(MOVE_COSTS):
         model.learn(args.steps)
         hit = float(np.mean(model.ep_success_buffer))
-        curve.append([(stage + 1) * args.steps, env.shift_cost, hit])
+        curve.append([(stage + 1) * args.steps, env.move_cost, hit])
         print(curve[-1], flush=True)
     seconds = time.process_time() - begun
     print(f"{seconds:.0f} CPU seconds, {curve[-1][0] / seconds:.0f} decisions a second")
     path.with_name(f"curve-{seed}.json").write_text(json.dumps(curve))
-    notes = {"ego": args.ego, "steps": args.steps, "costs": SHIFT_COSTS, "seed": seed}
+    notes = {"ego": args.ego, "steps": args.steps, "costs": MOVE_COSTS, "seed": seed}
     save_policy(model, path.with_suffix(".safetensors"), env.strengths, **notes)
     model.save(path)
 

@@ -157,7 +157,7 @@ def naming(name: str) -> list[str]:
         ("leader_gap", ["sim/observe/columns.rs"]),  # a column of observations
         ("log_distance", ["sim/world/reward_columns.rs"]),  # a column of infos
         ("gpudrive", ["ccdiff_env/scenes/sources.py", "nuscenes/gpudrive.rs"]),  # a data source
-        ("ccdiff_released", ["ccdiff_env/bench/methods.py"]),  # a method of benchmarks
+        ("ccdiff_paper", ["ccdiff_env/bench/methods.py"]),  # a method of benchmarks
         # planners: where one is made, and its title
         ("noop", ["ccdiff_env/planners/built_in.py", "ccdiff_env/view/captions.py"]),
     ],

@@ -102,15 +102,15 @@ def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(ve
         shown = (env.render() == render.legend()["adversary"]).all(axis=-1).any()
         return reward, info["agent_ids"], after, shown
 
-    shifts = np.zeros((3, 4))
+    moves_m = np.zeros((3, 4))
     for strength, seed in np.ndindex(3, 4):
         reward, ids, after, shown = played(strength, seed)
         assert (after["adversary"], after["guided"], after["steps"], shown) == (ids[0], 1, 5, True)
         plan = env.worlds.explain(0)
         assert [env.scene.agent_ids[i] for i in plan.agents[plan.guided]] == [ids[0]]
-        assert reward == pytest.approx(after["collisions"] - 0.03 * after["shift_sigmas"], abs=1e-6)
-        shifts[strength, seed] = after["shift_sigmas"]
-    assert 0.0 < shifts[0].mean() < shifts[1].mean() < shifts[2].mean()
+        assert reward == pytest.approx(after["collisions"] - 0.03 * after["moved_m"], abs=1e-6)
+        moves_m[strength, seed] = after["moved_m"]
+    assert 0.0 < moves_m[0].mean() < moves_m[1].mean() < moves_m[2].mean()
     for action in (int(env.action_space.n) - 1, *np.flatnonzero(~env.action_masks())[:1]):
         reward, _, after, shown = played(action, 0)
         assert (reward, after["adversary"], after["guided"], shown) == (0.0, None, 0.0, False)
@@ -166,7 +166,7 @@ def test_worlds_of_the_vector_form_and_copies_run_as_single_ones(scenes):
                     env.step(0)
                 seen, _ = env.reset()
             else:
-                assert infos["shift_sigmas"][i] == said["shift_sigmas"]
+                assert infos["moved_m"][i] == said["moved_m"]
             assert (seen == obs[i]).all()
     assert ends > 2
 
@@ -231,7 +231,7 @@ def test_a_learned_policy_drives_traffic_as_it_chose_in_torch(scenes, tmp_path, 
     native = selection.traffics("", "", adversary_policy=str(path))
     played = [selection.play(scenes, one) for one in (loaded, native)]
     assert played[0] == played[1]
-    assert sum(played[0]["mean_shift_sigmas"]) > 0.0
+    assert sum(played[0]["mean_moved_m"]) > 0.0
 
 
 def test_candidates_are_scored_alike_wherever_they_stand(policy):
@@ -272,13 +272,13 @@ def test_damaged_policy_files_are_refused(tmp_path, policy):
         ccdiff_env.EgoEnv(traffic="ccdiff", ccdiff={"adversary_policy": "none.safetensors"})
 
 
-def test_shares_at_an_equal_shift_lie_on_the_line_between_points(monkeypatch, scenes):
-    def figures(shift, *hits):
-        return {"mean_shift_sigmas": [shift] * len(hits), "is_success": list(hits)}
+def test_shares_at_an_equal_move_lie_on_the_line_between_points(monkeypatch, scenes):
+    def figures(moved_m, *hits):
+        return {"mean_moved_m": [moved_m] * len(hits), "is_success": list(hits)}
 
     line = [figures(0.0, 0, 0), figures(2.0, 1, 0), figures(1.0, 0, 1)]
-    assert selection.at_shift(line, 1.25).tolist() == [0.25, 0.75]
-    assert selection.at_shift(line, 2.5) is None
+    assert selection.at_move(line, 1.25).tolist() == [0.25, 0.75]
+    assert selection.at_move(line, 2.5) is None
     # 7 m at 2 lies below the line from 5 m at 4 to 30 m at 4; the others follow no order
     found = {"4 within 5 m": (1.0, 0.3), "2 within 7 m": (1.5, 0.3), "4 within 30 m": (3.0, 0.4)}
     monkeypatch.setattr(
@@ -292,7 +292,7 @@ def test_shares_at_an_equal_shift_lie_on_the_line_between_points(monkeypatch, sc
     "options",
     [
         {"max_candidates": 0}, {"max_candidates": 2.0}, {"num_adversaries": 0}, {"strengths": ()},
-        {"strengths": (1e9,)}, {"counts": "everything"}, {"shift_cost": float("nan")},
+        {"strengths": (1e9,)}, {"counts": "everything"}, {"move_cost": float("nan")},
         {"driver": "idm"}, {"controlled": "any"}, {"ego": "robot"}, {"traffic": "replay"},
         {"traffic": "idm"},
     ],
@@ -316,5 +316,5 @@ def test_actions_that_do_not_fit_are_refused(vector):
             env.step(actions)
     tokens = vector(traffic="tokens")
     tokens.reset(seed=0)
-    with pytest.raises(errors.ConfigError, match="denoises"):
+    with pytest.raises(errors.ConfigError, match="finished"):
         tokens.step([0])

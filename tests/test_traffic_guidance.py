@@ -19,7 +19,7 @@ def test_careful_plans_leave_the_road_less(scenes):
                 corners += int(play.native.off_road(w)[0][driven].sum())
         plan = play.native.explain(0)
         assert not plan["guided"].any()
-        assert (plan["shift_sigmas"].max() > 0.0) == careful
+        assert (plan["moved_m"] is not None and plan["moved_m"].max() > 0.0) == careful
         off_road[careful] = corners
     assert off_road[True] < 0.9 * off_road[False]
 
@@ -73,7 +73,7 @@ def test_guided_plans_that_leave_the_ego_no_way_out_are_dropped(scenes):
             for w in range(len(scenes)):
                 plan = play.native.explain(w)
                 guided.append(plan["guided"].any())
-                assert guided[-1] or not plan["shift_sigmas"].any()
+                assert guided[-1] or not np.any(plan["moved_m"] or 0.0)
         shares[only] = np.mean(guided)
     assert 0.2 < shares[True] < 0.9
     assert shares[False] == 1.0
@@ -187,7 +187,7 @@ def without_a_row(states, batch):
 
 def _guided(scenes, objective, **guidance):
     """Poses of the first guided plans, two samples each."""
-    guidance = {"target": "finished", "gradient_steps": 2, "objectives": [objective], **guidance}
+    guidance = {"learning_rate": 0.3, "objectives": [objective], **guidance}
     ccdiff = {"criticality": 4.0, "num_samples": 2, "guidance": guidance}
     play = Play(scenes[:2], ccdiff=ccdiff)
     play.step()

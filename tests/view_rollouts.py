@@ -57,8 +57,6 @@ def plan_of(made_at: int, agents: list[int], samples: np.ndarray, **fields) -> T
         "ranking": np.array(agents, np.int64),
         "selected_sample": np.zeros(m, np.int64),
         "losses": np.zeros((0, n, m), np.float32),
-        "realism_cost": np.zeros(m, np.float32),
-        "shift_sigmas": np.full(m, np.nan, np.float32),
         "objectives": (),
     }
     optional = (
@@ -82,7 +80,7 @@ def _plan(position: np.ndarray, step: int, rng: np.random.Generator) -> TrafficP
         [1, 2],
         (position[1:3][:, ahead] + spread).astype(np.float32),
         selected_sample=np.array([1, 3]),
-        realism_cost=np.array([0.0, 0.25], np.float32),
+        moved_m=np.array([0.0, 0.25], np.float32),
         graph=np.array([[True, True], [False, True]]),
         guided=np.array([False, True]),
     )

@@ -89,9 +89,8 @@ _NUPLAN = Made(
 )
 _SCR, _ORR = Column("scr"), Column("orr", interval=False)
 _FDE, _CFD = Column("fde", digits=1, interval=False), Column("cfd", digits=1, interval=False)
-_COST, _SHIFT = Column("realism_cost", interval=False), Column("shift_sigmas", interval=False)
 _TRAFFIC = {"SCR": _SCR, "off road %": _ORR, "FDE m": _FDE, "CFD": _CFD}
-_GUIDED = {**_TRAFFIC, "C(tau)": _COST, "shift, sigmas": _SHIFT}
+_GUIDED = {**_TRAFFIC, "moved at 2 s m": Column("moved_m", interval=False)}
 
 _REALISM = Made(
     "bench realism --samples 16 --methods replay,constant_velocity,idm,swift,ccdiff_one_sample,"

@@ -290,7 +290,7 @@ METHODS = _Methods(
     },
 )
 METHODS |= _network("ccdiff_no_enc", "CCDiff, no causal graph", graph="full")
-METHODS |= _network("ccdiff_released", "CCDiff, released guidance", guidance="released")
+METHODS |= _network("ccdiff_paper", "CCDiff, guidance of the paper", guidance="paper")
 # classifier-free guidance by the causal graph, from the paper's range of weights
 for _x in (1.3, 1.6, 1.9):
     METHODS |= _network(f"ccdiff_cfg-{_x:g}", f"CCDiff, w = {_x:g}", ends=_TWO, cfg_weight=_x)
@@ -321,34 +321,10 @@ for _end, _title, _ranking in (
     ("reach", "ranking by reach", "reach"),
 ):
     _variant("ccdiff", _end, _title, ranking=_ranking)
-#: Gradient steps as the authors have them (docs/rivals.md), of which those that do not denoise make
-#: four times as many. SimNet's are those of all.
-_AUTHORS: dict[str, dict[str, Any]] = {
-    "trafficsim": {"gradient_steps": 10},
-    "strive": {"gradient_steps": 10, "learning_rate": 0.1},
-    "bits": {"gradient_steps": 1},
-    **{name: {"gradient_steps": 1} for name in ("ctg", "ctgpp", "ccdiff_equal")},
-}
-for _name, _settings in _AUTHORS.items():
-    _variant(_name, "authors", "authors' effort", guidance=_settings)
-# who published a choice among samples without the signs of the weights
-for _name in ("strive", "ctg", "ctgpp", "ccdiff_equal"):
-    _variant(_name, "published", "published filter", guidance={"filter_weights": "unweighted"})
-
-# the finished plan is moved, which nothing denoises away
-for _name in ("ctg", "ctgpp", "ccdiff_equal", "ccdiff"):
-    _own = {**METHODS[_name].ccdiff, "guidance": "finished"}
-    _variant(_name, "finished", "finished plan", ccdiff=_own)
 # as the paper most likely ran its rivals (docs/rivals.md): SimNet's one plan and STRIVE's first are
 # ``simnet_unguided`` and ``strive_one_sample``
 for _name in ("trafficsim", "strive", "bits"):
-    _variant(
-        _name,
-        "samples",
-        "choice among samples",
-        ccdiff={**_GUIDED, "guidance": "released"},
-        guidance={"gradient_steps": 0},
-    )
+    _variant(_name, "samples", "choice among samples", guidance={"gradient_steps": 0})
 
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(

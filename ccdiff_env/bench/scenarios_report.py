@@ -23,8 +23,7 @@ _FIGURES = {
 }
 #: How far the guided vehicles are from what the model or the log has.
 _REALISM = (
-    Column("realism_cost", "C(tau)"),
-    Column("shift_sigmas"),
+    Column("moved_m", "moved at 2 s, m"),
     Column("fde_m", "FDE m", digits=1),
 )
 

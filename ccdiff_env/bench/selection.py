@@ -1,7 +1,7 @@
 """Who is turned on the ego: learned choices beside rules, at an equal cost of guidance.
 
 A rule pays for its collisions by the strength of the guidance, or by how often it acts. Its share
-of scenes with a collision at a policy's shift is read off the line through its points. The test of
+of scenes with a collision at a policy's move is read off the line through its points. The test of
 a policy is the difference of the two, paired over scenes, by the permutation of signs; that of all
 policies is the same of their means. Gates of the closest approach are chosen on other scenes.
 """
@@ -133,13 +133,13 @@ def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
     points += [(_means(play(scenes, choice, **options)), choice) for choice in tried]
     points.sort(key=lambda point: point[0])
 
-    def mixed(shift: float) -> float:
-        """The most of two others at a shift."""
-        pairs = combinations([at for at, _ in points if at[0] != shift], 2)
-        found = [np.interp(shift, [x, u], [y, v]) for (x, y), (u, v) in pairs if x < shift]
+    def mixed(moved_m: float) -> float:
+        """The most of two others at a move."""
+        pairs = combinations([at for at, _ in points if at[0] != moved_m], 2)
+        found = [np.interp(moved_m, [x, u], [y, v]) for (x, y), (u, v) in pairs if x < moved_m]
         return float(max(found, default=0.0))
 
-    return [choice for (shift, share), choice in points[1:] if share > mixed(shift)]
+    return [choice for (moved_m, share), choice in points[1:] if share > mixed(moved_m)]
 
 
 def play(
@@ -164,25 +164,25 @@ def play(
 
 
 def _means(figures: Figures) -> tuple[float, float]:
-    """Shift and share of scenes with a collision."""
-    return float(np.mean(figures["mean_shift_sigmas"])), float(np.mean(figures["is_success"]))
+    """Metres moved and share of scenes with a collision."""
+    return float(np.mean(figures["mean_moved_m"])), float(np.mean(figures["is_success"]))
 
 
 def _interval(values: Sequence[float]) -> tuple[float, float, float]:
     return difference(np.asarray(values, np.float64))[0]
 
 
-def at_shift(line: Iterable[Figures], shift: float) -> npt.NDArray[np.float64] | None:
-    """Return collisions by scene of a line at a shift, between its points; ``None`` beyond them."""
+def at_move(line: Iterable[Figures], moved_m: float) -> npt.NDArray[np.float64] | None:
+    """Return collisions by scene of a line at a move, between its points; ``None`` beyond them."""
     points = sorted(line, key=_means)
     at, hits = np.array([_means(one)[0] for one in points]), [one["is_success"] for one in points]
-    if not at[0] <= shift <= at[-1]:
+    if not at[0] <= moved_m <= at[-1]:
         return None
-    return np.array([np.interp(shift, at, of) for of in np.transpose(hits)])
+    return np.array([np.interp(moved_m, at, of) for of in np.transpose(hits)])
 
 
 def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
-    """Return all choices, and those of the line ``learned`` less each rule at the same shift.
+    """Return all choices, and those of the line ``learned`` less each rule at the same move.
 
     ``played`` is what :func:`play` gave, by line and point.
     """
@@ -190,8 +190,7 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
     heads = [
         Column("is_success", "ego collides", **percent),
         Column("ego_at_fault", "at fault", interval=False, **percent),
-        Column("mean_shift_sigmas", "shift, sigmas", interval=False),
-        Column("mean_realism_cost", "C(tau)", interval=False),
+        Column("mean_moved_m", "moved at 2 s, m", interval=False),
         Column("guided", "guided plans", interval=False, **{**percent, "digits": 0}),
     ]
     whole: TableRows = [
@@ -204,7 +203,7 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
         pairs, shares = [], []
         for point, figures in played["learned"].items():
             line = [*played["none"].values(), *played[rule].values()]
-            other = at_shift(line, _means(figures)[0])
+            other = at_move(line, _means(figures)[0])
             if other is None:
                 less.append([point, rule, None, None, "beyond its strongest"])
                 continue
@@ -215,7 +214,7 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
         if len(pairs) > 1:
             figure, p = difference(np.mean(pairs, axis=0))
             less.append(["all", rule, float(np.mean(shares)), figure, f"{p:.4f}"])
-    shown = Column("share", "collides at that shift", **percent)
+    shown = Column("share", "collides at that move", **percent)
     gain = Column("difference", "learned less it", digits=1, sign="+", factor=100.0)
     return [
         Table(["chooses", "at", *heads], whole),
@@ -224,7 +223,7 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
 
 
 def plot(played: Mapping[str, Mapping[str, Figures]], path: Path, *, ego: str) -> None:
-    """Draw collisions against shift: lines of the rules, the learned ones as points."""
+    """Draw collisions against moves: lines of the rules, the learned ones as points."""
     figure, axes = new_plot(7.0, 4.4)
     for line, points in played.items():
         found = sorted((_means(one)[0], *_interval(one["is_success"])) for one in points.values())
@@ -234,7 +233,7 @@ def plot(played: Mapping[str, Mapping[str, Figures]], path: Path, *, ego: str) -
             look = {"fmt": "*", "markersize": 11, "color": "#000000"}
         spread = 100.0 * np.array([share - low, high - share])
         axes.errorbar(x, 100.0 * share, yerr=spread, label=line, **look)
-    axes.set_xlabel("shift of the guided plan, standard deviations, mean over plans")
+    axes.set_xlabel("move of the guided plan at 2 s, m, mean over plans")
     axes.set_ylabel(f"scenes in which the ego ({ego}) collides, %")
     axes.legend(frameon=False)
     save_plot(figure, path)

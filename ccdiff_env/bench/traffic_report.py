@@ -29,7 +29,7 @@ Rows = Sequence[Mapping[str, Any]]
 _MEANS = (
     "scr", "scr_new", "scr_controlled", "scr_by_controlled", "collision_rate", "orr", "orr_box",
     "orr_reference_impl", "fde", "fde_controlled", "hard_acceleration", "hard_jerk", "sor",
-    "realism_cost", "shift_sigmas", "moved_m",
+    "moved_m",
 )  # fmt: skip
 #: Comfort distances, of histograms that are summed over scenes, x 100.
 _COMFORT = {

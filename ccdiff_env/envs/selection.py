@@ -49,8 +49,7 @@ _NO_ROWS = {"num_neighbors": 0, "num_map_segments": 0, "num_route_points": 1}
 INFO_COLUMNS: tuple[InfoColumn, ...] = (
     InfoColumn("collisions", "", "collisions that count, begun in the decision"),
     InfoColumn("ego_at_fault", "", "1 if the ego is at fault for a collision begun in it"),
-    InfoColumn("shift_sigmas", "", "shift of the adversaries' plans by the guidance; 0 for nobody"),
-    InfoColumn("realism_cost", "", "the same as total variation, the paper's C, which saturates"),
+    InfoColumn("moved_m", "m", "move of the adversaries' plans by guidance, at 2 s; 0 for nobody"),
     InfoColumn("guided", "", "1 if a vehicle was guided"),
     InfoColumn("steps", "", "steps of the world in the decision"),
 )
@@ -71,8 +70,8 @@ class AdversarySelectionVectorEnv(AsVector):
     Actions are Discrete(R S + 1): candidate ``action // S`` at criticality ``strengths[action %
     S]``, and nobody for the last index. Observations are rows [R, F] of :data:`FEATURES`, the
     candidates nearest to the ego first. The reward is 1 for a collision that counts, less
-    ``shift_cost`` times the shift of the guided plan in standard deviations. Episodes end with the
-    ego's and with the horizon, which belongs to the task: both are terminations. Worlds that ended
+    ``move_cost`` times the metres that guidance moved the plan by 2 s. Episodes end with the ego's
+    and with the horizon, which belongs to the task: both are terminations. Worlds that ended
     restart within the step (SAME_STEP); seeds and copies are those of :class:`EgoVectorEnv`.
 
     Args:
@@ -83,7 +82,7 @@ class AdversarySelectionVectorEnv(AsVector):
         num_adversaries: Vehicles that an action guides: its candidate and the others of closest
             approach.
         counts: Which collisions with adversaries count, see :data:`Counts`.
-        shift_cost: Reward lost per standard deviation of shift; may be changed as training goes on.
+        move_cost: Reward lost per metre of move; may be changed as training goes on.
         **options: As for :class:`~ccdiff_env.EgoVectorEnv`. Traffic is ``"ccdiff"`` with
             :data:`DEFAULT_CCDIFF` unless told otherwise; its plans set the pace.
 
@@ -104,7 +103,7 @@ class AdversarySelectionVectorEnv(AsVector):
         strengths: Sequence[float] = STRENGTHS,
         num_adversaries: int = 1,
         counts: Counts = "all",
-        shift_cost: float = 0.03,
+        move_cost: float = 0.03,
         **options: Any,
     ) -> None:
         given = dict(options)
@@ -116,14 +115,14 @@ class AdversarySelectionVectorEnv(AsVector):
         for name, value, fits, expected in (
             ("strengths", strengths, sound != [] and all(sound), "numbers above 0, at most 10"),
             ("counts", counts, counts in known_counts, f"one of {known_counts}"),
-            ("shift_cost", shift_cost, 0.0 <= shift_cost <= 1e6, "0 to 1000000"),
+            ("move_cost", move_cost, 0.0 <= move_cost <= 1e6, "0 to 1000000"),
             ("max_candidates", max_candidates, rows, "1 to 64"),
             ("num_adversaries", num_adversaries, several, "1 to 64"),
         ):
             if not fits:
                 raise ConfigError(f"{name} is {value!r}, expected {expected}")
         self.strengths, self.num_adversaries = tuple(map(float, strengths)), num_adversaries
-        self.counts, self.shift_cost = counts, shift_cost
+        self.counts, self.move_cost = counts, move_cost
         scenes, config = scene_set(given.pop("scenes", None)), given.pop("config", None)
         own = given.get("ccdiff", {})
         if config is None and given.setdefault("traffic", "ccdiff") == "ccdiff":
@@ -260,13 +259,13 @@ class AdversarySelectionVectorEnv(AsVector):
             for e in np.flatnonzero(running).tolist() if step == 0 else ():
                 if (found := native.guidance(e)) is None:
                     continue
-                agent, shift_sigmas, table["realism_cost"][e] = found
-                if np.isnan(shift_sigmas):
+                agent, moved_m = found
+                if np.isnan(moved_m):
                     raise ConfigError(
-                        f"traffic is {self.config.traffic!r}, expected a network that denoises: "
-                        "the shift of its plans is the cost of guidance"
+                        f"traffic is {self.config.traffic!r}, expected a network whose finished "
+                        "plans are moved: how far is the cost of guidance"
                     )
-                table["shift_sigmas"][e] = shift_sigmas * self.num_adversaries
+                table["moved_m"][e] = moved_m * self.num_adversaries
                 table["guided"][e] = 1.0
                 self.adversaries[e].add(agent)
                 who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
@@ -281,19 +280,18 @@ class AdversarySelectionVectorEnv(AsVector):
                 self.on_step()
         self._totals += np.stack([*table.values(), began])
         self._look(began)
-        rewards = table["collisions"] - self.shift_cost * table["shift_sigmas"]
+        rewards = table["collisions"] - self.move_cost * table["moved_m"]
         return rewards.astype(np.float32), {**table, "adversary": who}
 
     def metrics(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return figures [E] of the episodes so far; ``is_success``: a collision counted."""
-        collisions, at_fault, shift, realism, guided, _, decisions = self._totals
+        collisions, at_fault, moved_m, guided, _, decisions = self._totals
         each = np.maximum(decisions, 1.0)
         return {
             "is_success": np.minimum(collisions, 1.0),
             "collisions": collisions.copy(),
             "ego_at_fault": np.minimum(at_fault, 1.0),
-            "mean_shift_sigmas": shift / each,
-            "mean_realism_cost": realism / each,
+            "mean_moved_m": moved_m / each,
             "guided": guided / each,
             "decisions": decisions.copy(),
         }

@@ -37,9 +37,8 @@ class ScenePlan:
     attention: npt.NDArray[np.float32] | None
     #: Sample that guidance selected for each vehicle, ``[M]``; 0 without guidance.
     selected_sample: npt.NDArray[np.int64]
-    #: With guidance ``losses [J, N, M]`` of the objectives, ``realism_cost [M]`` (C(τ), total
-    #: variation in [0, 1]), ``shift_sigmas [M]`` (the same in standard deviations) and
-    #: ``moved_m [M]`` (by 2 s, metres; NaN where plans are moved before they are finished).
+    #: With guidance ``losses [J, N, M]`` of the objectives and ``moved_m [M]`` (by 2 s, metres; NaN
+    #: where plans are moved before they are finished, or chosen).
     guidance: dict[str, npt.NDArray[np.float32]] | None
 
     __repr__ = shapes
@@ -60,8 +59,7 @@ class ScenePlan:
 
 
 def guidance_preset(name: str) -> dict[str, Any]:
-    """Return the settings of a preset: ``"paper"``, ``"released"``, ``"rl"``,
-    ``"finished"``.
+    """Return the settings of a preset: ``"rl"``, the default, or ``"paper"``.
 
     docs/method.md says what they mean; every one of them may be changed.
     """
@@ -142,7 +140,7 @@ class TrajectoryModel:
             guidance_weight: w of (1 - w) unconditional + w conditional, in [1, 2); 1 skips the
                 unconditional pass.
             guidance: Name of a preset or settings, see :func:`guidance_preset`; settings that are
-                absent are those of ``"released"``. Needs two solver steps or more.
+                absent are those of ``"rl"``.
             guided: Agents of each scene whose plans are guided; needs ``guidance``.
             attention: Whether plans come with the attention between vehicles.
             follow_route: Whether the network knows where the vehicles go, as

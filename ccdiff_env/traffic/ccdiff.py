@@ -54,15 +54,8 @@ class TrafficPlan:
     selected_sample: npt.NDArray[np.int64]  #: Sample that each agent follows, [M].
     objectives: tuple[str, ...]  #: Names of the guidance objectives, J of them.
     losses: npt.NDArray[np.float32]  #: Loss of each objective without its weight, [J, N, M].
-    #: Total variation of guided and unguided actions in [0, 1], the paper's C(tau); NaN for
-    #: networks that do not denoise, [M].
-    realism_cost: npt.NDArray[np.float32]
-    #: Move of the guidance over all denoising steps in standard deviations of the process: the same
-    #: as the realism cost, which is erf(shift / sqrt(8)), but it does not saturate. NaN where it
-    #: was not recorded. [M].
-    shift_sigmas: npt.NDArray[np.float32]
     #: How far guidance moved the plan by 2 s, metres; 0 for agents that are not guided, NaN where
-    #: the plan was moved before it was finished. Not kept without guidance. [M].
+    #: the plan was moved before it was finished, or chosen. Not kept without guidance. [M].
     moved_m: npt.NDArray[np.float32] | None
     #: Mean cosine of the gradients of two objectives over guided agents. Not kept unless
     #: ``explain`` is set. [J, J].

@@ -421,12 +421,12 @@ class CcdiffConfig(Options):
     rerank: bool = True  #: Whether they are chosen again at every plan, not only at the first one.
     #: The driver of the vehicles that are not guided.
     background_driver: BackgroundDriver = "ccdiff"
-    #: Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising
-    #: step: 0.24 of it, routes: 1.65, so that an ego collides as often) (in [0, 10]). Tokens:
-    #: guided vehicles take the best of 1 plus its square of draws. Worlds can change it at any
-    #: time.
+    #: Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (in [0, 10]); the
+    #: learning rate grows with its power of 1.5 (routes: 1.8 times that, so that an ego collides as
+    #: often). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds can
+    #: change it at any time.
     criticality: float = 0.0
-    #: Guidance: a preset (``"rl"``, ``"released"``, ``"paper"``) or settings.
+    #: Guidance: a preset (``"rl"``, ``"paper"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
     #: Whether unguided plans are moved away from contacts and onto the road, at the cost of the
     #: gradients. Tokens: whether they are the first of 8 draws without contact or road departure in

@@ -191,6 +191,7 @@ def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
     here = np.broadcast_to(rollout.position[agents, plan.made_at], kept[:, :, 0].shape)
     kept = np.nan_to_num(np.concatenate([here[:, :, None], kept], axis=2))
     into, origin = np.nonzero(plan.graph & ~np.eye(len(agents), dtype=bool))
+    moved_m = np.zeros(len(agents)) if plan.moved_m is None else plan.moved_m
     return {
         "x": _packed(kept[..., 0], 5 * LENGTH_STEP_M),
         "y": _packed(kept[..., 1], 5 * LENGTH_STEP_M),
@@ -200,7 +201,7 @@ def _plan(rollout: Rollout, plan: TrafficPlan) -> dict[str, Any]:
         "num_points": kept.shape[2],
         "guided": [int(g) for g in plan.guided],
         "follows_plan": [int(e) for e in plan.follows_plan],
-        "realism_cost": [round(float(c), 4) for c in np.nan_to_num(plan.realism_cost)],
+        "moved_m": [round(float(m), 2) for m in np.nan_to_num(moved_m)],
         "edges": [[agents[j], agents[i]] for i, j in zip(into, origin, strict=True)],
     }
 

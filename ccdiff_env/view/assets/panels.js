@@ -40,7 +40,7 @@ function planCaptions(run, agent, step) {
   if (run.agents[agent].driver === "ego" && !plan.follows_plan[row]) return [];
   const age = `made ${((step - plan.made_at) * run.dt).toFixed(1)} s ago`;
   const captions = [["plan", plan.follows_plan[row] ? age : `${age}, not followed`]];
-  if (plan.guided[row]) captions.push(["guided, at a cost of", plan.realism_cost[row].toFixed(3)]);
+  if (plan.guided[row]) captions.push(["guided, moved at 2 s", `${plan.moved_m[row].toFixed(1)} m`]);
   return captions;
 }
 

@@ -160,7 +160,7 @@ fn plan_dict<'py>(py: Python<'py>, scene: &Scene, plan: Plan) -> PyResult<Bound<
     Ok(dict)
 }
 
-/// `losses` [J, N, M], `realism_cost`, `shift_sigmas`, `moved_m` [M].
+/// `losses` [J, N, M], `moved_m` [M].
 fn guidance_dict(
     py: Python<'_>,
     num_samples: usize,
@@ -171,8 +171,6 @@ fn guidance_dict(
     let objectives = report.losses.len() / (num_samples * num_agents).max(1);
     let losses = report.losses.into_pyarray(py).reshape([objectives, num_samples, num_agents])?;
     dict.set_item("losses", losses)?;
-    dict.set_item("realism_cost", report.realism_cost.into_pyarray(py))?;
-    dict.set_item("shift_sigmas", report.shift_sigmas.into_pyarray(py))?;
     dict.set_item("moved_m", report.moved_m.into_pyarray(py))?;
     Ok(dict)
 }

@@ -272,7 +272,7 @@ fn guidance_by_a_weight_moves_the_joined_pair_and_leaves_the_lone_vehicle() {
 fn a_standing_vehicle_alone_in_the_void_gets_a_finite_plan() {
     let scene = common::scene(&[[0.0, 0.0, 0.0, 0.0, 0.0]], 110);
     for kind in kinds() {
-        let options = PlanOptions { guidance: Some(GuidanceConfig::rl()), ..samples(2) };
+        let options = PlanOptions { guidance: Some(GuidanceConfig::default()), ..samples(2) };
         let mut model = trained(kind, 1);
         // step 0: hardly any history; the map is left out: no lines anywhere
         let window = Window::from_scene(&scene, 0, &[0], model.config().history_steps);

@@ -46,7 +46,7 @@ fn actions(m: usize, seed: u64, size: f32) -> Vec<f32> {
 fn the_adjoint_is_that_of_torch_autograd_with_and_without_clipping() {
     let toy = toy(&BOTH_WAYS, ModelConfig::fast());
     let nobody = vec![false; 4];
-    let config = GuidanceConfig::released();
+    let config = GuidanceConfig::default();
     let s = toy.context(&WorldGuidance::new(&nobody), &config);
     for (seed, size) in [(1, 1.0), (2, 3.0), (3, 8.0), (4, 20.0)] {
         let given = actions(4, seed, size);
@@ -120,7 +120,7 @@ proptest! {
     fn gradients_of_objectives_are_their_differences(seed in 0u64..10_000, which in 0usize..4) {
         let toy = toy(&BOTH_WAYS, ModelConfig::fast());
         let all = vec![true; 4];
-        let config = GuidanceConfig { discount: 0.97, ..GuidanceConfig::released() };
+        let config = GuidanceConfig { discount: 0.97, least_target_mps: 0.0, ..GuidanceConfig::default() };
         let objective = smooth_objectives().swap_remove(which);
         let s = toy.context(&WorldGuidance::new(&all), &config);
         let plan = toy.roll(&s, &actions(4, seed, 0.5));
@@ -168,7 +168,7 @@ fn who_stands_has_a_collision_loss_where_it_may_start() {
     actions.iter_mut().take(2 * T).step_by(2).for_each(|a| *a = 2.0);
     let losses = |starts| {
         let guide = WorldGuidance { starts, ..WorldGuidance::new(&[true; 2]) };
-        let s = toy.context(&guide, &GuidanceConfig::released());
+        let s = toy.context(&guide, &GuidanceConfig::default());
         let objective = Objective::AgentCollision(AgentCollision::default());
         evaluate(&objective, &s, &toy.roll(&s, &actions)).0
     };
@@ -190,7 +190,7 @@ fn the_off_road_loss_is_that_of_its_definition_and_autograd_with_frozen_points_g
     );
     let all = vec![true; 3];
     let region = road();
-    let config = GuidanceConfig::released();
+    let config = GuidanceConfig::default();
     let s = toy.context(&WorldGuidance { road: Some(&region), ..WorldGuidance::new(&all) }, &config);
     let plan = toy.roll(&s, &actions(3, 5, 0.3));
     let objective = Objective::MapCollision(MapCollision::default());

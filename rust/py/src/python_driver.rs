@@ -109,8 +109,6 @@ impl PythonDriver {
             let m = p.agents.len();
             (p.follows_plan, p.guided, p.selected_sample) = (vec![true; m], vec![false; m], vec![0; m]);
             (p.graph, p.ttc_s) = (vec![false; m * m], vec![f32::INFINITY; m * m]);
-            p.realism_cost = vec![0.0; m];
-            p.shift_sigmas = vec![0.0; m];
         }
         Ok(plans)
     }

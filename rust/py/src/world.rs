@@ -349,15 +349,15 @@ impl PyVecWorld {
         swift::rows(py, &status, &agents)
     }
 
-    /// The vehicle that the latest plan guides (the first of several), and the mean of `shift_sigmas` and `realism_cost` over all that it
-    /// guides; `None` where it guides none.
-    fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32, f32)>> {
+    /// The vehicle that the latest plan guides (the first of several), and the mean of `moved_m` over all that it guides, NaN where it
+    /// is not kept; `None` where it guides none.
+    fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32)>> {
         let me = self.lock()?;
         let Some(plan) = me.world.explain(world_idx, None).map_err(from_sim)? else { return Ok(None) };
         let guided: Vec<usize> = (0..plan.agents.len()).filter(|row| plan.guided[*row]).collect();
-        let mean = |of: &[f32]| guided.iter().map(|row| of[*row]).sum::<f32>() / guided.len() as f32;
-        let figures = || (mean(&plan.shift_sigmas), mean(&plan.realism_cost));
-        Ok(guided.first().map(|row| (plan.agents[*row], figures().0, figures().1)))
+        let moved_m = |row: &usize| plan.moved_m.get(*row).copied().unwrap_or(f32::NAN);
+        let mean_m = || guided.iter().map(moved_m).sum::<f32>() / guided.len() as f32;
+        Ok(guided.first().map(|row| (plan.agents[*row], mean_m())))
     }
 
     /// Name of the driver of each agent.

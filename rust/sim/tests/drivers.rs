@@ -34,8 +34,6 @@ impl Steady {
             guided: vec![false; m],
             graph: vec![false; m * m],
             ttc_s: vec![0.0; m * m],
-            realism_cost: vec![0.0; m],
-            shift_sigmas: vec![0.0; m],
             num_samples: 1,
             num_steps: STEPS,
             selected_sample: vec![0; m],

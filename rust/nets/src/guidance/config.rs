@@ -6,27 +6,14 @@ use ccdiff_sim::options::{Table, within};
 use ccdiff_sim::{choices, options};
 
 choices! {
-    /// How far guidance may move a plan in one denoising step.
-    #[derive(Clone, Copy, Eq)]
-    pub enum Clip {
-        /// Each coordinate by `clip_limit` standard deviations of the denoising step.
-        Sigma = "sigma",
-        /// Each agent's plan by a Euclidean norm of `clip_limit` in normalised units.
-        Norm = "norm",
-    }
-}
-
-choices! {
     /// What guidance moves.
     #[derive(Clone, Copy, Eq)]
     pub enum Target {
-        /// The mean of the denoising step (paper, released).
-        Mu = "mu",
-        /// The predicted clean plan, from which the step's mean is then formed. Losses see no noise, which suits few
-        /// steps.
-        X0 = "x0",
-        /// The finished plan, once: nothing denoises the move away. What networks that do not denoise are guided on in any case.
+        /// The finished plan, once: nothing denoises the move away.
         Finished = "finished",
+        /// The mean of each denoising step but the last (paper). Networks that do not denoise, or in one step, are guided on
+        /// their finished plans.
+        Mean = "mean",
     }
 }
 
@@ -53,34 +40,28 @@ pub const TABLES: &[&Table] = &[
 ];
 
 options! {
-    /// Settings of guidance. The defaults are those of the released evaluation: one step of 0.3 within σ, discount 0.9, the
-    /// mean is moved (reference.md#guidance-settings).
-    ///
-    /// Differs from the released code: the step does reach the plan, σ does clip, and the filter keeps the signs.
+    /// Settings of guidance. The defaults are those of the preset `"rl"`.
     #[derive(Clone)]
     #[serde(deny_unknown_fields, default)]
     pub struct GuidanceConfig {
         /// Terms of the loss, at most 32, Σ w · mean: a negative weight on a collision loss seeks collisions.
         objectives: Vec<Objective> = vec![
             Objective::AgentCollision(AgentCollision::default()),
+            Objective::Approach(Approach::default()),
             Objective::MapCollision(MapCollision::default()),
         ];
         /// Weight γ^t of future step t in the collision losses, over the sum of all.
-        discount: f32 = 0.9, range within(0.0, 1.0).open_below();
-        /// Gradient steps per denoising step; 0 chooses among samples only.
-        gradient_steps: usize = 1, range within(0.0, 1000.0);
-        /// Learning rate of Adam, fresh in every denoising step, normalised units.
-        learning_rate: f32 = 0.3, range within(0.0, 1000.0).open_below();
-        /// How far guidance may move a plan in one denoising step.
-        clip: Clip = Clip::Sigma;
-        /// Limit of that move.
-        clip_limit: f32 = 1.0, range within(0.0, 1e6).open_below();
+        discount: f32 = 0.98, range within(0.0, 1.0).open_below();
+        /// Gradient steps per plan, or per denoising step where its mean is moved; 0 chooses among samples only.
+        gradient_steps: usize = 8, range within(0.0, 1000.0);
+        /// Learning rate of Adam, normalised units.
+        learning_rate: f32 = 0.05, range within(0.0, 1000.0).open_below();
         /// What guidance moves.
-        target: Target = Target::Mu;
+        target: Target = Target::Finished;
         /// Greatest distance of a guided finished plan from the plan that it was, after 2 s; `None`: any.
         bound_m: Option<f32> = None, unit "m", range within(0.0, 1000.0).open_below();
-        /// Contacts do not count at steps at which the target is planned to be slower than this: who stands is not rammed.
-        least_target_mps: f32 = 0.0, unit "m/s", range within(0.0, 100.0);
+        /// Contacts are not sought at steps at which the target is planned to be slower than this; 0: who stands is rammed, too.
+        least_target_mps: f32 = 1.0, unit "m/s", range within(0.0, 100.0);
         /// Leading actions of the plan that may be moved; `None`: all. With knots several steps apart, a knot may be moved
         /// where the first step nearest to it is one of these.
         executed_steps: Option<usize> = None, range within(1.0, 1000.0);
@@ -92,54 +73,35 @@ options! {
 }
 
 impl GuidanceConfig {
-    /// Values of the paper's table: 30 steps of 0.001 within a norm of 100, discount 0.99 (reference.md#guidance-settings).
+    /// Values of the paper's table: 30 steps of 0.001, discount 0.99, its objectives, on the mean of each denoising step
+    /// (reference.md#guidance-settings). Its bound, a norm of 100, is out of their reach.
     pub fn paper() -> Self {
-        Self {
-            discount: 0.99,
-            gradient_steps: 30,
-            learning_rate: 1e-3,
-            clip: Clip::Norm,
-            clip_limit: 100.0,
-            ..Self::released()
-        }
-    }
-
-    /// Values of the released evaluation, which are the defaults.
-    pub fn released() -> Self {
-        Self::default()
-    }
-
-    /// For few-step sampling in a training loop: the clean plan is moved, with a gradient before contact.
-    ///
-    /// Differs from the paper: ours.
-    pub fn rl() -> Self {
         Self {
             objectives: vec![
                 Objective::AgentCollision(AgentCollision::default()),
-                Objective::Approach(Approach::default()),
                 Objective::MapCollision(MapCollision::default()),
             ],
-            discount: 0.98,
-            gradient_steps: 2,
-            target: Target::X0,
-            ..Self::released()
+            discount: 0.99,
+            gradient_steps: 30,
+            learning_rate: 1e-3,
+            target: Target::Mean,
+            least_target_mps: 0.0,
+            ..Self::default()
         }
     }
 
     /// A preset by name.
     ///
     /// # Errors
-    /// [`ModelError::Config`] for another name than `paper`, `released`, `rl` and `finished`, which is `rl` on the finished plan.
+    /// [`ModelError::Config`] for another name than `paper` and `rl`, the defaults.
     pub fn preset(name: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
-            "released" => Ok(Self::released()),
-            "rl" => Ok(Self::rl()),
-            "finished" => Ok(Self { target: Target::Finished, ..Self::rl() }),
+            "rl" => Ok(Self::default()),
             _ => Err(ModelError::Config {
                 field: "guidance.preset",
                 got: format!("{name:?}"),
-                expected: "\"finished\", \"paper\", \"released\" or \"rl\"",
+                expected: "\"paper\" or \"rl\"",
             }),
         }
     }
@@ -162,7 +124,7 @@ mod tests {
 
     #[test]
     fn presets_are_valid_and_survive_json() {
-        for name in ["paper", "released", "rl", "finished"] {
+        for name in ["paper", "rl"] {
             let config = GuidanceConfig::preset(name).unwrap().validated().unwrap();
             let text = serde_json::to_string(&config).unwrap();
             assert_eq!(serde_json::from_str::<GuidanceConfig>(&text).unwrap(), config);
@@ -175,7 +137,7 @@ mod tests {
         let text = r#"{"objectives": [{"kind": "agent_collision", "weight": 50.0}], "gradient_steps": 4}"#;
         let config: GuidanceConfig = serde_json::from_str(text).unwrap();
         assert_eq!((config.objectives[0].weight(), config.gradient_steps), (50.0, 4));
-        assert_eq!(config.learning_rate, 0.3);
+        assert_eq!(config.learning_rate, GuidanceConfig::default().learning_rate);
         for wrong in [
             r#"{"gradient_step": 4}"#,
             r#"{"objectives": [{"kind": "agent_collision", "wieght": 50.0}]}"#,
@@ -188,7 +150,7 @@ mod tests {
     #[test]
     fn too_many_objectives_are_refused() {
         let objectives = vec![Objective::Approach(Approach::default()); 33];
-        let error = GuidanceConfig { objectives, ..GuidanceConfig::released() }.validated().unwrap_err();
+        let error = GuidanceConfig { objectives, ..GuidanceConfig::default() }.validated().unwrap_err();
         assert!(error.to_string().contains("guidance.objectives is 33 objectives"));
     }
 }

@@ -13,7 +13,7 @@ pub const MOVING_MPS: f32 = 0.5;
 pub struct WorldGuidance<'a> {
     /// Whose plans are moved, [A].
     pub guided: &'a [bool],
-    /// Share of each guided move that is made, at least 0; 1 is the configured guidance itself.
+    /// Share of the configured learning rate, at least 0.
     pub guidance_scale: f32,
     /// Where vehicles may drive; map collision is zero without.
     pub road: Option<&'a Region>,
@@ -61,7 +61,7 @@ pub struct GuidanceContext<'a> {
     pub moving: Vec<bool>,
     /// Whether the agent's plan is moved, [M].
     pub guided: Vec<bool>,
-    /// Share of each guided move that is made.
+    /// Share of the configured learning rate.
     pub guidance_scale: f32,
     /// Whether contacts with the agent count, [M].
     pub partner: Vec<bool>,
@@ -119,14 +119,14 @@ impl<'a> GuidanceContext<'a> {
         self.poses.len()
     }
 
-    /// Whether a guided agent has the other one of a pair as a target at a step of plans with speeds [M, T], or nobody asks for
-    /// its speed.
-    pub fn counts(&self, speed_mps: &[f32], (i, j): (usize, usize), t: usize) -> bool {
+    /// Whether a guided agent has the other one of a pair as a target at a step of plans with speeds [M, T], or its speed does not
+    /// matter, as with a weight that avoids.
+    pub fn counts(&self, weight: f32, speed_mps: &[f32], (i, j): (usize, usize), t: usize) -> bool {
         let is_aimed_at = |by: usize, target: usize| {
             let target_mps = speed_mps[target * self.num_steps + t].abs();
             self.guided[by] && self.partner[target] && target_mps >= self.least_target_mps
         };
-        self.least_target_mps <= 0.0 || is_aimed_at(i, j) || is_aimed_at(j, i)
+        weight >= 0.0 || self.least_target_mps <= 0.0 || is_aimed_at(i, j) || is_aimed_at(j, i)
     }
 
     /// Whether two agents are on different levels.

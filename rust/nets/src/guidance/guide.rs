@@ -1,11 +1,11 @@
-//! Moving the plans of a batch down the guidance loss, in every denoising step.
+//! Moving the plans of a batch down the guidance loss: finished ones, or in every denoising step.
 
-use super::config::{Clip, GuidanceConfig, Target};
+use super::config::{GuidanceConfig, Target};
 use super::context::GuidanceContext;
 use super::descent::Descent;
 use super::knots::KnotMap;
 use super::objective::{Evaluation, Objective};
-use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples, total_variation};
+use super::report::{GradientSums, GuidanceReport, choose_per_agent, choose_samples};
 use super::rollout::{Rollout, StateGradient};
 use crate::config::ModelConfig;
 use ccdiff_sim::geom::Point2;
@@ -30,8 +30,6 @@ pub struct Guidance<'a> {
     worlds: Vec<Option<GuidanceContext<'a>>>,
     sizes: Vec<usize>,
     num_samples: usize,
-    /// Σ ‖δ‖²/σ² so far, [N · R].
-    shift_sq: Vec<f64>,
     /// How far finished plans were moved by [`MEASURED_S`], metres, [N · R].
     moved_m: Vec<f32>,
     /// Gradient statistics so far, sample by sample, if asked for.
@@ -45,23 +43,11 @@ pub struct Guidance<'a> {
 /// Guidance, where there is any.
 pub type Guide<'g, 'a> = Option<&'g mut Guidance<'a>>;
 
-/// A denoising step as guidance sees it.
-#[derive(Debug, Clone, Copy)]
-pub struct GuidanceStep<'s> {
-    /// Standard deviation σ of the step, normalised units; of the random step that a deterministic one stands for.
-    pub sigma: f64,
-    /// How much of a move reaches the step's mean: 1 if the mean itself is moved, the coefficient of x₀ if that is.
-    pub gain: f64,
-    /// Score of the denoising process [N · R, knots, 2], for the gradient statistics.
-    pub score: Option<&'s [f32]>,
-}
-
 /// One sample of one world.
 struct Job<'j, 'a> {
     world: usize,
     context: &'j GuidanceContext<'a>,
     knots: &'j mut [f32],
-    shift_sq: &'j mut [f64],
     /// Sums of the gradient statistics and the score, if asked for.
     watch: Option<(&'j mut GradientSums, &'j [f32])>,
 }
@@ -126,14 +112,14 @@ impl<'s, 'a> Scratch<'s, 'a> {
         Point2::new(self.plan.x_m[at], self.plan.y_m[at])
     }
 
-    /// Brings the move of a guided agent within the bound; returns the share of it that is left, and its metres.
-    fn bound(&mut self, agent: usize, before: &[f32], knots: &mut [f32]) -> (f32, f32) {
+    /// Brings the move of a guided agent within the bound; returns its metres.
+    fn bound(&mut self, agent: usize, before: &[f32], knots: &mut [f32]) -> f32 {
         let start = self.place(agent, before);
         let whole = knots.to_vec();
         let mut moved_m = (self.place(agent, knots) - start).norm();
         let (mut low, mut high) = (0.0, 1.0);
         let Some(bound_m) = self.config.bound_m.filter(|bound_m| moved_m > *bound_m) else {
-            return (high, moved_m);
+            return moved_m;
         };
         for _ in 0..HALVINGS {
             let share = 0.5 * (low + high);
@@ -144,7 +130,7 @@ impl<'s, 'a> Scratch<'s, 'a> {
         }
         let of = knots.iter_mut().zip(&whole).zip(before);
         of.for_each(|((x, whole), start)| *x = start + low * (whole - start));
-        (low, (self.place(agent, knots) - start).norm())
+        (self.place(agent, knots) - start).norm()
     }
 
     /// Weighted gradients of the objectives, [J][M, knots, 2].
@@ -165,33 +151,27 @@ impl<'s, 'a> Scratch<'s, 'a> {
     }
 }
 
-/// A sample of a world, its plans and what it cost to move them.
-type Part<'p, 's, 'a> = (Scratch<'s, 'a>, &'p mut [f32], &'p mut [f64]);
+/// A sample of a world and its plans.
+type Part<'p, 's, 'a> = (Scratch<'s, 'a>, &'p mut [f32]);
 
 /// Moves the guided rows of samples of one world, side by side: a loss of the user's own is asked once for all of them.
-fn adjust(parts: &mut [Part<'_, '_, '_>], mask: &[f32], step: GuidanceStep<'_>) {
-    let Some((Scratch { config, context, map, .. }, ..)) = parts.first() else { return };
+fn adjust(parts: &mut [Part<'_, '_, '_>], mask: &[f32]) {
+    let Some((Scratch { config, context, map, .. }, _)) = parts.first() else { return };
     let (config, context, width) = (*config, *context, map.width());
     let m = context.num_agents();
     let rows: Vec<usize> = (0..m).filter(|a| context.guided[*a]).collect();
     if rows.is_empty() || config.gradient_steps == 0 {
         return;
     }
-    let limit = match config.clip {
-        Clip::Sigma => f64::from(config.clip_limit) * step.sigma / step.gain,
-        Clip::Norm => f64::from(config.clip_limit),
-    };
     let part = |a: usize| a * width..(a + 1) * width;
-    let before: Vec<Vec<f32>> = parts.iter().map(|(_, knots, _)| knots.to_vec()).collect();
-    let start = |knots: &Vec<f32>| -> Vec<Descent<'_>> {
-        rows.iter().map(|a| Descent::new(config, &knots[part(*a)], limit as f32)).collect()
-    };
-    let mut descents: Vec<_> = before.iter().map(start).collect();
-    for (scratch, knots, _) in &mut *parts {
+    let rate = config.learning_rate * context.guidance_scale;
+    let start = |_: &_| -> Vec<Descent> { rows.iter().map(|_| Descent::new(rate, width)).collect() };
+    let mut descents: Vec<_> = parts.iter().map(start).collect();
+    for (scratch, knots) in &mut *parts {
         scratch.roll_all(knots);
     }
     for turn in 0..config.gradient_steps {
-        for (scratch, knots, _) in &mut *parts {
+        for (scratch, knots) in &mut *parts {
             if turn > 0 {
                 rows.iter().for_each(|a| scratch.roll(*a, knots));
             }
@@ -201,29 +181,18 @@ fn adjust(parts: &mut [Part<'_, '_, '_>], mask: &[f32], step: GuidanceStep<'_>) 
             let scale = objective.weight() / m as f32;
             let (plans, mut out): (Vec<_>, Vec<_>) = parts
                 .iter_mut()
-                .map(|(Scratch { plan, losses, of_states: gradient, .. }, ..)| {
+                .map(|(Scratch { plan, losses, of_states: gradient, .. }, _)| {
                     (&*plan, Evaluation { losses, gradient, wanted: &context.guided, scale })
                 })
                 .unzip();
             objective.evaluate(context, &plans, &mut out);
         }
-        for ((scratch, knots, _), descents) in parts.iter_mut().zip(&mut descents) {
+        for ((scratch, knots), descents) in parts.iter_mut().zip(&mut descents) {
             for (a, descent) in rows.iter().zip(descents) {
                 scratch.vjp(*a);
                 scratch.of_knots.iter_mut().zip(mask).for_each(|(g, keep)| *g *= keep);
                 descent.step(&scratch.of_knots, &mut knots[part(*a)]);
             }
-        }
-    }
-    for ((_, knots, shift_sq), before) in parts.iter_mut().zip(&before) {
-        for a in &rows {
-            if context.guidance_scale != 1.0 {
-                let moved = knots[part(*a)].iter_mut().zip(&before[part(*a)]);
-                moved.for_each(|(x, start)| *x = start + context.guidance_scale * (*x - start));
-            }
-            let moved = knots[part(*a)].iter().zip(&before[part(*a)]);
-            let squared: f64 = moved.map(|(x, s)| f64::from(x - s).powi(2)).sum();
-            shift_sq[*a] += squared * (step.gain / step.sigma).powi(2);
         }
     }
 }
@@ -252,7 +221,6 @@ impl<'a> Guidance<'a> {
             worlds,
             sizes: sizes.to_vec(),
             num_samples,
-            shift_sq: vec![0.0; num_samples * rows],
             moved_m: vec![0.0; num_samples * rows],
             sums,
             predicted: None,
@@ -284,33 +252,30 @@ impl<'a> Guidance<'a> {
     }
 
     /// Moves normalised knots [N · R, knots, 2] (sample by sample), each world and sample for itself. Rows that are not
-    /// guided and knots that are not executed keep their bits.
-    pub fn adjust(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) {
-        self.visit(knots, step, true);
+    /// guided and knots that are not executed keep their bits. The score of the denoising process [N · R, knots, 2] is for the
+    /// gradient statistics.
+    pub fn adjust(&mut self, knots: &mut [f32], score: Option<&[f32]>) {
+        self.visit(knots, score, true);
     }
 
     /// Looks at a denoising step without moving it: for the gradient statistics.
-    pub fn watch(&mut self, knots: &mut [f32], step: GuidanceStep<'_>) {
-        self.visit(knots, step, false);
+    pub fn watch(&mut self, knots: &mut [f32], score: &[f32]) {
+        self.visit(knots, Some(score), false);
     }
 
-    fn visit(&mut self, knots: &mut [f32], step: GuidanceStep<'_>, moves: bool) {
+    fn visit(&mut self, knots: &mut [f32], score: Option<&[f32]>, moves: bool) {
         let width = self.knots.width();
-        if !(step.sigma > 0.0 && step.gain > 0.0) {
-            return;
-        }
         let mut jobs = Vec::with_capacity(self.num_samples * self.sizes.len());
-        let (mut knots, mut shifts, mut at) = (knots, self.shift_sq.as_mut_slice(), 0);
+        let (mut knots, mut at) = (knots, 0);
         let mut sums = self.sums.as_mut().map(|s| s.iter_mut());
         for _ in 0..self.num_samples {
             for (world, (context, size)) in self.worlds.iter().zip(&self.sizes).enumerate() {
                 let (part, rest) = knots.split_at_mut(size * width);
-                let (shift_sq, other) = shifts.split_at_mut(*size);
-                let score = step.score.map(|s| &s[at * width..(at + size) * width]);
+                let score = score.map(|s| &s[at * width..(at + size) * width]);
                 let sums = sums.as_mut().and_then(Iterator::next);
-                (knots, shifts, at) = (rest, other, at + size);
+                (knots, at) = (rest, at + size);
                 if let Some(context) = context {
-                    jobs.push(Job { world, context, knots: part, shift_sq, watch: sums.zip(score) });
+                    jobs.push(Job { world, context, knots: part, watch: sums.zip(score) });
                 }
             }
         }
@@ -322,10 +287,10 @@ impl<'a> Guidance<'a> {
                 if let Some((sums, score)) = job.watch {
                     sums.add(&scratch.gradients(job.knots), score, width);
                 }
-                parts.push((scratch, job.knots, job.shift_sq));
+                parts.push((scratch, job.knots));
             }
             if moves {
-                adjust(&mut parts, mask, step);
+                adjust(&mut parts, mask);
             }
         };
         // of samples that are asked about together, the worlds' jobs follow on each other
@@ -350,7 +315,7 @@ impl<'a> Guidance<'a> {
     pub fn adjust_finished(&mut self, knots: &mut [f32]) {
         if self.is_active() {
             let before = knots.to_vec();
-            self.adjust(knots, GuidanceStep { sigma: 1.0, gain: 1.0, score: None });
+            self.adjust(knots, None);
             self.bound(&before, knots);
         }
     }
@@ -366,9 +331,7 @@ impl<'a> Guidance<'a> {
                 for agent in (0..*size).filter(|a| context.guided[*a]) {
                     let row = sample * rows + offset + agent;
                     let part = row * width..(row + 1) * width;
-                    let (share, moved_m) = scratch.bound(agent, &before[part.clone()], &mut knots[part]);
-                    self.shift_sq[row] *= f64::from(share).powi(2);
-                    self.moved_m[row] = moved_m;
+                    self.moved_m[row] = scratch.bound(agent, &before[part.clone()], &mut knots[part]);
                 }
             }
         }
@@ -474,18 +437,16 @@ impl<'a> Guidance<'a> {
             } else {
                 choose_samples(self.config, &losses, n, m)
             };
-            let shift = |a: usize| self.shift_sq[selected_sample[a] * rows + offsets[world] + a].sqrt();
-            let moved = |a: usize| match self.config.target {
-                Target::Mu | Target::X0 if context.guided[a] => f32::NAN,
-                _ => self.moved_m[selected_sample[a] * rows + offsets[world] + a],
+            let measured = self.config.target == Target::Finished && self.config.gradient_steps > 0;
+            let moved = |a: usize| match context.guided[a] && !measured {
+                true => f32::NAN,
+                false => self.moved_m[selected_sample[a] * rows + offsets[world] + a],
             };
             let sums = self
                 .sums
                 .as_ref()
                 .map(|sums| (0..n).map(|s| sums[s * self.sizes.len() + world].clone()).collect::<Vec<_>>());
             Some(GuidanceReport {
-                realism_cost: (0..m).map(|a| total_variation(shift(a)) as f32).collect(),
-                shift_sigmas: (0..m).map(|a| shift(a) as f32).collect(),
                 moved_m: (0..m).map(moved).collect(),
                 conflict: sums.and_then(|s| GradientSums::statistics(&s)),
                 losses,

@@ -1,7 +1,7 @@
-//! Guidance: moving plans, while they are denoised, towards what a user wants of them (reference.md#guidance).
+//! Guidance: moving finished plans, or plans while they are denoised, towards what a user wants of them (reference.md#guidance).
 //!
 //! ```text
-//! GuidanceConfig, WorldGuidance ─► GuidanceContext ─► Guidance::adjust in each denoising step ─► Guidance::report
+//! GuidanceConfig, WorldGuidance ─► GuidanceContext ─► Guidance::adjust or adjust_finished ─► Guidance::report
 //!                                             knots ─► Rollout ─► Objective::evaluate
 //!                                             knots ◄─ vjp ◄─ StateGradient
 //! ```
@@ -22,9 +22,9 @@ mod objective;
 mod report;
 mod rollout;
 
-pub use config::{Clip, FilterWeights, GuidanceConfig, TABLES, Target};
+pub use config::{FilterWeights, GuidanceConfig, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
-pub use guide::{Guidance, GuidanceStep, Guide};
+pub use guide::{Guidance, Guide};
 pub use knots::KnotMap;
 pub use objective::{
     AgentCollision, Approach, Called, Caller, Evaluation, MapCollision, Objective, OverSpeed, PythonCost,

@@ -1,4 +1,4 @@
-//! What guidance did: losses, the selected sample, what it cost in realism, how gradients pull against each other.
+//! What guidance did: losses, the selected sample, how far plans moved, how gradients pull against each other.
 
 use super::config::{FilterWeights, GuidanceConfig};
 use super::objective::Objective;
@@ -10,15 +10,8 @@ pub struct GuidanceReport {
     pub losses: Vec<f32>,
     /// Sample selected for each agent, [M]; one for all where an objective is joint.
     pub selected_sample: Vec<usize>,
-    /// C(τ) of each agent's selected sample in [0, 1], [M]: total-variation distance between the guided and the unguided
-    /// denoising process. Each denoising step draws from a Gaussian whose mean guidance moves by δ at equal variance σ²;
-    /// over the independent steps, C = erf(√(Σ ‖δ‖²/σ²) / (2√2)). NaN for a network that does not denoise.
-    pub realism_cost: Vec<f32>,
-    /// √(Σ ‖δ‖²/σ²) of each agent's selected sample, [M]: the same in standard deviations, which does not saturate.
-    /// NaN likewise.
-    pub shift_sigmas: Vec<f32>,
     /// How far guidance moved each agent's selected plan by 2 s, metres, [M]; NaN for guided agents whose plans it moved
-    /// before they were finished, since those have no plan without it.
+    /// before they were finished, or chose, since those have no plan without it.
     pub moved_m: Vec<f32>,
     /// Gradient statistics, if asked for.
     pub conflict: Option<GradientStatistics>,
@@ -163,9 +156,4 @@ fn weighted(
 /// The first of the samples with the least score.
 fn least(num_samples: usize, score: impl Fn(usize) -> f64) -> usize {
     (0..num_samples).min_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(0)
-}
-
-/// C(τ) of a shift of the mean in standard deviations.
-pub(super) fn total_variation(shift_sigmas: f64) -> f64 {
-    libm::erf(shift_sigmas / (2.0 * std::f64::consts::SQRT_2))
 }

@@ -3,7 +3,7 @@
 use crate::compute::weights::Entry;
 use crate::config::{HistoryTokens, ModelConfig, NeighbourOrder};
 use crate::error::{Result, require};
-use crate::guidance::{Clip, Target};
+use crate::guidance::Target;
 use crate::inputs::features::{self, SceneFeatures, Window};
 use crate::inputs::segments::MapLines;
 use crate::networks::planner::{PlanOptions, PlanSampler};
@@ -97,8 +97,7 @@ impl NetworkKind {
 
     /// How plans are drawn as this network takes it: what means nothing to it is refused, or not reported.
     ///
-    /// Networks that do not denoise, or in one step alone, are guided on their finished plan, as others are where they are told to,
-    /// with as many gradient steps as the guided denoising steps of the default sampler take together.
+    /// Networks that do not denoise, or in one step alone, are guided on their finished plan.
     ///
     /// # Errors
     /// [`crate::ModelError::Config`] names the option.
@@ -120,14 +119,8 @@ impl NetworkKind {
             (self.denoises || sampling.solver_steps == default, format!("{:?}", sampling.solver_steps));
         require(fits, "solver_steps", got, "the default: this model does not denoise")?;
         options.gradient_statistics &= self.denoises;
-        let at_once =
-            |target| !self.denoises || sampling.solver_steps == Some(1) || target == Target::Finished;
-        let guidance = options.guidance.as_mut().filter(|guidance| at_once(guidance.target));
-        if let (Some(guidance), Some(steps)) = (guidance, default) {
-            guidance.target = Target::Finished;
-            guidance.gradient_steps *= steps - 1;
-            guidance.clip = Clip::Sigma;
-            guidance.clip_limit = guidance.learning_rate * guidance.gradient_steps.max(1) as f32;
+        if !self.denoises || sampling.solver_steps == Some(1) {
+            options.guidance.iter_mut().for_each(|guidance| guidance.target = Target::Finished);
         }
         Ok(options)
     }

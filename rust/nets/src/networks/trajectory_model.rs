@@ -37,7 +37,7 @@ pub struct Plan {
     pub states: Vec<f32>,
     /// Samples N.
     pub num_samples: usize,
-    /// Losses, selected samples, realism cost, gradient statistics; `None` for a world without guidance.
+    /// Losses, selected samples, moves, gradient statistics; `None` for a world without guidance.
     pub guidance: Option<GuidanceReport>,
     /// Attention of agent i to the agents in its slots, [M, K] as in the features, if asked for: mean over heads, the
     /// plan's executed tokens and samples, first edge-aware layer, last denoising step.
@@ -175,19 +175,13 @@ impl TrajectoryModel {
             let seeds: Vec<u64> = worlds.iter().map(|w| w.seed).collect();
             self.planner.draw(&built, &seeds, &options, guide.as_mut())?
         };
-        let mut reports = match &guide {
+        let reports = match &guide {
             Some(guide) => guide.report(&drawn.knots),
             None => vec![None; worlds.len()],
         };
         if let Some(failure) = guide.as_ref().and_then(Guidance::failure) {
             let (got, expected) = (failure.to_string(), "losses and a gradient");
             return Err(ModelError::Config { field: "guidance.objectives.call", got, expected });
-        }
-        if !self.network.denoises {
-            for report in reports.iter_mut().flatten() {
-                report.realism_cost.fill(f32::NAN);
-                report.shift_sigmas.fill(f32::NAN);
-            }
         }
         let rows: usize = sizes.iter().sum();
         let steps = config.horizon_steps;

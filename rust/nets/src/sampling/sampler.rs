@@ -1,7 +1,7 @@
 //! Sampling plans: DDPM with all steps, DDIM with few, classifier-free guidance against G = identity, guidance by losses.
 
 use crate::error::Result;
-use crate::guidance::{Guidance, GuidanceStep, Guide, Target};
+use crate::guidance::{Guidance, Guide, Target};
 use crate::inputs::features::row_offsets;
 use crate::sampling::noise::Noise;
 use crate::sampling::schedule::{Posterior, Schedule};
@@ -100,7 +100,7 @@ fn joined(x: &[f32], a: f64, y: &[f32], b: f64) -> Vec<f32> {
 }
 
 /// Draws clean normalised knots [N · R, knots, 2], sample by sample; `guide` moves the finished ones, or plans in every step but
-/// the last, whose standard deviation is zero (as released, reference.md#sampling). `predict` makes clean plans of noisy ones at a
+/// the last, k = 0 (as released, reference.md#sampling). `predict` makes clean plans of noisy ones at a
 /// diffusion step, with G = identity if it is told so.
 ///
 /// Differs from the released code: the first, pure-noise plan is rolled out like the others (reference.md#schedule).
@@ -121,7 +121,7 @@ pub fn sample(
     // the step's mean is from_x0 · x0 + from_xk · x
     let mut mean = |x: &[f32], k: usize, step: &Posterior| -> Vec<f32> {
         let x0 = clean(x, k);
-        match guide.as_deref_mut().filter(|g| g.is_active() && step.sigma > 0.0) {
+        match guide.as_deref_mut().filter(|g| g.is_active() && k > 0) {
             Some(guide) => guided_mean(guide, schedule.alpha_bar[k], x, x0, step),
             None => joined(&x0, step.from_x0, x, step.from_xk),
         }
@@ -141,12 +141,7 @@ pub fn sample(
         Some(steps) => {
             let ks = schedule.timesteps(steps);
             for (i, &k) in ks.iter().enumerate() {
-                let mut step = schedule.ddim(k, ks.get(i + 1).copied());
-                if steps == 1 {
-                    // the gradient of a single step is compared against the spread of the noise that its plan is made of
-                    step.sigma = 1.0;
-                }
-                x = mean(&x, k, &step);
+                x = mean(&x, k, &schedule.ddim(k, ks.get(i + 1).copied()));
             }
         }
     }
@@ -156,7 +151,7 @@ pub fn sample(
     x
 }
 
-/// The mean of a step with guidance on it, or on the clean plan that it is formed from.
+/// The mean of a step, which guidance moves, or looks at.
 fn guided_mean(
     guide: &mut Guidance<'_>,
     alpha_bar: f64,
@@ -168,22 +163,18 @@ fn guided_mean(
         let (signal, noise) = (alpha_bar.sqrt() as f32, (1.0 - alpha_bar) as f32);
         x0.iter().zip(x).map(|(x0, x)| (x0 * signal - x) / noise).collect::<Vec<f32>>()
     });
-    let moved = |gain| GuidanceStep { sigma: step.sigma, gain, score: score.as_deref() };
+    let mean = |x0: &[f32]| joined(x0, step.from_x0, x, step.from_xk);
     match guide.config().target {
-        Target::Mu => {
-            let mut mean = joined(&x0, step.from_x0, x, step.from_xk);
-            guide.adjust(&mut mean, moved(1.0));
+        Target::Mean => {
+            let mut mean = mean(&x0);
+            guide.adjust(&mut mean, score.as_deref());
             mean
         }
-        Target::X0 => {
-            guide.adjust(&mut x0, moved(step.from_x0));
-            joined(&x0, step.from_x0, x, step.from_xk)
-        }
         Target::Finished => {
-            if score.is_some() {
-                guide.watch(&mut x0, moved(step.from_x0));
+            if let Some(score) = &score {
+                guide.watch(&mut x0, score);
             }
-            joined(&x0, step.from_x0, x, step.from_xk)
+            mean(&x0)
         }
     }
 }

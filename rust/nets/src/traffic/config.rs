@@ -2,7 +2,7 @@
 
 use crate::config::ModelConfig;
 use crate::error::{Result, require};
-use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective, Target};
+use crate::guidance::{AgentCollision, GuidanceConfig, MapCollision, Objective};
 use crate::networks::NETWORKS;
 use crate::networks::kind::NetworkKind;
 use crate::networks::planner::PlanOptions;
@@ -16,10 +16,8 @@ use ccdiff_sim::{choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// At these shares of the guidance IDM collides as often with one denoising step, and with routes, as with five steps without
-/// them (docs/results.md#equal-criticality); with both at their product.
-const ONE_STEP_SHARE: Real = 0.24;
-const ROUTES_SHARE: Real = 1.65;
+/// With routes IDM collides as often as without them at this multiple of the learning rate.
+const ROUTES_SHARE: Real = 1.8;
 
 choices! {
     /// The driver of the vehicles outside the guided set.
@@ -173,11 +171,11 @@ options! {
         rerank: bool = true;
         /// The driver of the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
-        /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (one denoising step: 0.24 of it,
-        /// routes: 1.65, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square
-        /// of draws. Worlds can change it at any time.
+        /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured; the learning rate grows with its power of 1.5
+        /// (routes: 1.8 times that, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square of
+        /// draws. Worlds can change it at any time.
         criticality: Real = 0.0, range CRITICALITY;
-        /// Guidance: a preset (`"rl"`, `"released"`, `"paper"`) or settings.
+        /// Guidance: a preset (`"rl"`, `"paper"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
         /// Whether unguided plans are moved away from contacts and onto the road, at the cost of the gradients. Tokens:
         /// whether they are the first of 8 draws without contact or road departure in 1.5 s.
@@ -242,18 +240,13 @@ impl CcdiffConfig {
         time_s >= self.guided_from_s && self.guided_until_s.is_none_or(|until_s| time_s <= until_s)
     }
 
-    /// Share of each move, or of the draws of tokens, that a criticality makes.
-    ///
-    /// Differs from the paper: finished plans are moved with nothing denoised after it, and make [`ONE_STEP_SHARE`] of their moves.
+    /// Share of the learning rate, or of the draws of tokens, at a criticality. With the power of 1.5 IDM collides at criticality 2
+    /// three times as often as at 1 (docs/results.md#equal-criticality).
     pub(crate) fn guidance_scale(&self, tokens: bool, criticality: Real) -> Real {
-        if tokens {
-            return criticality * criticality / (GUIDED_DRAWS - 1) as Real;
+        match tokens {
+            true => criticality * criticality / (GUIDED_DRAWS - 1) as Real,
+            false => criticality * criticality.sqrt() * if self.follow_route { ROUTES_SHARE } else { 1.0 },
         }
-        let guidance = self.guidance_config();
-        let at_once = self.denoising_steps == Some(1) || guidance.is_ok_and(|g| g.target == Target::Finished);
-        let one_step = if at_once { ONE_STEP_SHARE } else { 1.0 };
-        let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
-        criticality * one_step * routes
     }
 
     fn guidance_config(&self) -> Result<GuidanceConfig> {
@@ -289,8 +282,7 @@ impl CcdiffConfig {
             Objective::AgentCollision(AgentCollision { weight: collision, ..AgentCollision::default() }),
             Objective::MapCollision(MapCollision { weight: 1.0 }),
         ];
-        let preset = if self.careful { GuidanceConfig::rl() } else { GuidanceConfig::released() };
-        let mut filter = GuidanceConfig { objectives, ..preset };
+        let mut filter = GuidanceConfig { objectives, ..GuidanceConfig::default() };
         let mut num_samples = self.num_samples;
         if !self.careful || network.samples_tokens {
             filter.gradient_steps = 0;

@@ -6,7 +6,7 @@ use super::reach;
 use super::way_out::{self, PlannedPoses};
 use super::{Memory, PlannedTraffic, side_by_side};
 use crate::error::Result;
-use crate::guidance::{GradientStatistics, GuidanceReport, WorldGuidance};
+use crate::guidance::{GradientStatistics, WorldGuidance};
 use crate::inputs::segments::MapLines;
 use crate::networks::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryModel};
 use crate::sampling::noise::Noise;
@@ -269,12 +269,6 @@ impl PlannedTraffic {
         }
         let guided = |row: &usize| due.is_guided() && due.guided[*row];
         let report = plan.guidance.as_ref();
-        // networks that do not denoise have no such cost
-        let cost = |of: fn(&GuidanceReport) -> &Vec<Real>| match report.map(of) {
-            Some(values) if values.len() == m => values.clone(),
-            Some(_) => vec![Real::NAN; m],
-            None => vec![0.0; m],
-        };
         let objectives = options.guidance.as_ref().filter(|_| report.is_some());
         let gradients = report.and_then(|r| r.conflict.as_ref());
         let kept = |of: fn(&GradientStatistics) -> &Vec<Real>| gradients.map(of).cloned().unwrap_or_default();
@@ -294,8 +288,6 @@ impl PlannedTraffic {
                 .map(|g| g.objectives.iter().map(|o| o.name().into()).collect())
                 .unwrap_or_default(),
             losses: report.map(|r| r.losses.clone()).unwrap_or_default(),
-            realism_cost: cost(|r| &r.realism_cost),
-            shift_sigmas: cost(|r| &r.shift_sigmas),
             moved_m: report.map(|r| r.moved_m.clone()).unwrap_or_default(),
             gradient_cosine: kept(|g| &g.objective_cosine),
             realism_cosine: kept(|g| &g.cosine),

@@ -198,14 +198,8 @@ plan_record! { $
     objectives: Vec<String>;
     /// Loss of each objective without its weight.
     losses: Vec<Real>, [Objectives, Samples, Agents];
-    /// Total variation of guided and unguided actions in [0, 1], the paper's C(tau); NaN for networks that do not
-    /// denoise.
-    realism_cost: Vec<Real>, [Agents];
-    /// Move of the guidance over all denoising steps in standard deviations of the process: the same as the realism
-    /// cost, which is erf(shift / sqrt(8)), but it does not saturate. NaN where it was not recorded.
-    shift_sigmas: Vec<Real>, [Agents];
     /// How far guidance moved the plan by 2 s, metres; 0 for agents that are not guided, NaN where the plan was moved before it
-    /// was finished. Not kept without guidance.
+    /// was finished, or chosen. Not kept without guidance.
     moved_m: Vec<Real>, [Agents], optional;
     /// Mean cosine of the gradients of two objectives over guided agents. Not kept unless `explain` is set.
     gradient_cosine: Vec<Real>, [Objectives, Objectives], optional;

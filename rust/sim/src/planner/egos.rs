@@ -155,8 +155,6 @@ impl Egos {
             selected_sample: vec![0; m],
             graph: vec![false; m * m],
             ttc_s: vec![Real::INFINITY; m * m],
-            realism_cost: vec![0.0; m],
-            shift_sigmas: vec![0.0; m],
             num_samples: 1,
             num_steps: self.decision_steps,
             agents,

@@ -39,7 +39,8 @@ impl AgentCollision {
             }
             let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
             let mut penalty = 0.0;
-            for t in (0..plan.num_steps).filter(|t| context.counts(&plan.speed_mps, (i, j), *t)) {
+            for t in (0..plan.num_steps).filter(|t| context.counts(self.weight, &plan.speed_mps, (i, j), *t))
+            {
                 let (at_i, at_j) = (i * plan.num_steps + t, j * plan.num_steps + t);
                 let (dx, dy) = (plan.x_m[at_j] - plan.x_m[at_i], plan.y_m[at_j] - plan.y_m[at_i]);
                 if dx * dx + dy * dy > reach_m * reach_m {

@@ -71,12 +71,9 @@ pub(super) fn descended(
                 first[at] = first[at] * BETA.0 + g * (1.0 - BETA.0);
                 second[at] = second[at] * BETA.1 + g * g * (1.0 - BETA.1);
                 let spread = (second[at] / (1.0 - unbias.1)).sqrt() + 1e-8;
-                z[at] -= first[at] / (1.0 - unbias.0) / spread * config.learning_rate;
+                z[at] -= first[at] / (1.0 - unbias.0) / spread * config.learning_rate * scales[row][0];
             }
         }
-    }
-    for (at, z) in z.iter_mut().enumerate().filter(|(at, _)| scales[at / latent][0] > 0.0) {
-        *z = start[at] + scales[at / latent][0] * (*z - start[at]);
     }
     z
 }

@@ -245,8 +245,6 @@ fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
         selected_sample: vec![0; m],
         graph: vec![false; m * m],
         ttc_s: vec![Real::INFINITY; m * m],
-        realism_cost: vec![Real::NAN; m],
-        shift_sigmas: vec![Real::NAN; m],
         ranking: d.ranking,
         num_samples: 1,
         num_steps: TOKEN_STEPS,
