@@ -116,7 +116,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     )
     parser.add_argument(
         "--strengths",
-        default="0.25,0.5,1,1.5,2,3",
+        default="0.5,0.75,1,1.5,2,3",
         help="with --match: criticalities of guided methods (default: %(default)s)",
     )
     add_weights(parser)
