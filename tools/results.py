@@ -200,7 +200,7 @@ TABLES: dict[str, Made] = {
         {**_GUIDED, "CS": Column("cs"), "RS": Column("rs")},
     ),
     "matched": Made(
-        "bench traffic --k 5 --match 0.3,0.5,0.7 --methods "
+        "bench traffic --k 5 --match 0.3,0.5,0.7 --strengths 0.5,1,1.5,3 --methods "
         "ccdiff_equal,simnet,trafficsim,strive,ctg,ctgpp",
         ("at_scr", "method"),
         {
