@@ -194,8 +194,7 @@ TABLES: dict[str, Made] = {
     ),
     "rivals": Made("bench traffic --k 5 --methods all", ("method",), _GUIDED),
     "grid": Made(
-        "bench traffic --k 2,5,Full --methods "
-        "simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
+        "bench traffic --k 2,5,Full --methods simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
         ("method", "K", "replan_s"),
         {**_GUIDED, "CS": Column("cs"), "RS": Column("rs")},
     ),
