@@ -113,6 +113,22 @@ _REALISM = Made(
 _ONE = "_one_sample"
 _STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the docs show them.
 
+_MATCHED = Made(
+    "bench traffic --k 5 --match 0.3,0.5,0.7 --strengths 0.5,1,1.5,3 --methods "
+    "ccdiff_equal,simnet,trafficsim,strive,ctg,ctgpp",
+    ("at_scr", "method"),
+    {
+        "FDE m": Column("fde", digits=1),
+        "CFD": Column("cfd", digits=1),
+        "end-bin CFD": Column("cfd_end_bins", digits=1),
+        "hard accel. %": Column("hard_acceleration", digits=1, interval=False),
+        "hard jerk %": Column("hard_jerk", digits=1, interval=False),
+        "off road %": Column("orr_box", interval=False),
+    },
+    where={"less": ""},
+    file="matched.csv",
+)
+
 TABLES: dict[str, Made] = {
     **{
         f"planners_{level}": replace(
@@ -198,20 +214,15 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         {**_GUIDED, "CS": Column("cs"), "RS": Column("rs")},
     ),
-    "matched": Made(
-        "bench traffic --k 5 --match 0.3,0.5,0.7 --strengths 0.5,1,1.5,3 --methods "
-        "ccdiff_equal,simnet,trafficsim,strive,ctg,ctgpp",
-        ("at_scr", "method"),
-        {
-            "FDE m": Column("fde", digits=1),
-            "CFD": Column("cfd", digits=1),
-            "CFD, end bins": Column("cfd_end_bins", digits=1),
-            "hard accel. %": Column("hard_acceleration", digits=1, interval=False),
-            "hard jerk %": Column("hard_jerk", digits=1, interval=False),
-            "off road %": Column("orr_box", interval=False),
+    "matched": _MATCHED,
+    "matched_less": replace(
+        _MATCHED,
+        keys=("method",),
+        columns={
+            head: replace(column, interval=True, sign="+")
+            for head, column in _MATCHED.columns.items()
         },
-        where={"less": ""},
-        file="matched.csv",
+        where={"less": "ccdiff_equal", "at_scr": "0.5"},
     ),
     "samples": Made(
         "bench traffic --k 2,5,Full --methods simnet_unguided,trafficsim_samples,"
