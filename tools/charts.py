@@ -175,7 +175,7 @@ def learning() -> str:
         for point, (low, high) in zip(ego["curve"], ego["spread"], strict=True)
     ]
     series = [Series(ego["title"], ("blue", "o"), places, figures)]
-    for row, look in zip(rules, (("orange", "_"), ("purple", "_")), strict=True):
+    for row, look in zip(rules, (("green", "_"), ("orange", "_"), ("purple", "_")), strict=True):
         level = (row["success"], math.nan, math.nan)
         series.append(Series(row["title"], look, [0.0, places[-1]], [level, level]))
     title = "success in the test episodes of the example, %"

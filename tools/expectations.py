@@ -18,7 +18,10 @@ import numpy as np
 
 from ccdiff_env.bench.intervals import mean_interval
 from ccdiff_env.bench.planners import TRAFFIC, play
-from ccdiff_env.envs.outcomes import OUTCOMES
+from ccdiff_env.envs import make_vec
+from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes
+from ccdiff_env.planners import load_ego
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
     add_scene_arguments,
@@ -30,7 +33,14 @@ from ccdiff_env.system.table import Cell, Column, Table
 from tools import pages
 from tools.pages import ROOT, keep
 
-PLANNERS = {"ego": "PPO", "idm": "IDM on the log's path", "pdm": "PDM-Closed"}
+PLANNERS = {
+    "ego": "PPO of stable-baselines3",
+    "set": "PPO of train-ego",
+    "idm": "IDM on the log's path",
+    "pdm": "PDM-Closed",
+}
+#: Arguments of ``train-ego`` for the same recipe, with which it has a set encoder.
+SAME = "--dynamics unicycle --any-ego --traffic idm --worlds 512 --noise 0.18 0.12 --threads 1"
 
 
 def trained(args: argparse.Namespace, seed: int) -> Path:
@@ -44,14 +54,34 @@ def trained(args: argparse.Namespace, seed: int) -> Path:
     return folder
 
 
+def trained_set(args: argparse.Namespace, seed: int, folder: Path) -> str:
+    """Train by ``train-ego``, which does not repeat what is done; return the policy's file."""
+    out = folder.with_name(f"{folder.name}-set")
+    words = ["--scenes", str(place_from(args)), "--decisions", str(args.decisions)]
+    words += ["--seed", str(seed), *SAME.split(), "--out", str(out)]
+    subprocess.run([sys.executable, "-m", "ccdiff_env.cli", "train-ego", *words], check=True)
+    return str(out / "ego.safetensors")
+
+
+def ends(scenes: SceneSet, file: str) -> Any:
+    """Return the shares of OUTCOMES in the test episodes of a policy, as the example has them."""
+    policy = load_ego(file)
+    begins: dict[str, Any] = {"scene_order": "sequential", "start_spread_steps": 30, "info": "end"}
+    begins |= {"autoreset_mode": "same_step", "traffic": "idm", **policy.env_options}
+    return play_episodes(make_vec(8 * len(scenes), scenes=scenes, **begins), policy.act)
+
+
 def learned(args: argparse.Namespace) -> None:
     """Train egos with all seeds, drive the test scenes, and write."""
     folders = [trained(args, seed) for seed in range(args.seeds)]
     runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
     scenes, rows = load(other_place(args)), list[dict[str, Any]]()
+    sets = [trained_set(args, seed, folder) for seed, folder in enumerate(folders)]
+    for run, file in zip(runs, sets, strict=True):
+        run["outcomes"]["set"] = ends(scenes, file)
     for planner, title in PLANNERS.items():
         own = planner == "ego"
-        driven = [str(f / "ego.zip") for f in folders] if own else [planner]
+        driven = {"ego": [str(f / "ego.zip") for f in folders], "set": sets}.get(planner, [planner])
         played = [row for p in driven for row in play(scenes, p, TRAFFIC["idm"])]
         row: dict[str, Any] = {"title": title}
         if own:
@@ -61,6 +91,9 @@ def learned(args: argparse.Namespace) -> None:
                       for i in range(len(shown))]  # fmt: skip
             row |= {"decisions": int(shown[-1][0]), "cpu_s": shown[-1][1], "curve": shown}
             row |= {"spread": spread, "seeds": [round(c[-1][2], 4) for c in curves]}
+        if planner == "set":
+            row |= {"decisions": args.decisions}
+            row |= {"seeds": [round(float(run["outcomes"]["set"][0]), 4) for run in runs]}
         shares = np.mean([run["outcomes"][planner] for run in runs], axis=0)
         row |= {name: round(100.0 * share, 1) for name, share in zip(OUTCOMES, shares, strict=True)}
         for figure in ("score", "comfort"):
