@@ -165,7 +165,7 @@ TABLES: dict[str, Made] = {
         file="pairs.csv",
     ),
     "dial": Made(
-        "bench planners --planners idm --seeds 0,1,2 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
+        "bench planners --planners idm --seeds 0 --traffic ccdiff,ccdiff-1,ccdiff-1-one-step,"
         "ccdiff-1-routes,ccdiff-1-routes-one-step,tokens,tokens-1,ccdiff-2,ccdiff-2-one-step,"
         "ccdiff-2-routes,ccdiff-2-routes-one-step,tokens-2",
         ("traffic",),

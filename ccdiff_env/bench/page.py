@@ -22,7 +22,6 @@ TERMS = {
     "ADE": "average displacement error from the log, metres",
     "CFD": "comfort distance from the log, x 100",
     "SOR": "share of scenes in which a controlled vehicle exceeds the speed limit",
-    "C(tau)": "realism cost: total variation between guided and unguided actions, 0 to 1",
     "K": "number of controlled vehicles",
     "ttc": "share of scenes without a time to contact below 0.95 s",
     "IDM": "intelligent driver model",
