@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 UV     := $(BIN)/uv
+LEARNS := $(VENV)/.learns
 STAMP  := $(VENV)/.deps
 EXTRAS := --extra models --extra dev --extra rl --extra viz --extra nuplan
-SO     := ccdiff_env/_native.abi3.so ccdiff_env/_models.abi3.so
+NATIVE := ccdiff_env/_native.abi3.so
+SO     := $(NATIVE) ccdiff_env/_models.abi3.so
 RUST   := $(shell find rust -name '*.rs' -o -name 'Cargo.toml' 2>/dev/null) Cargo.toml Cargo.lock
 
 export OMP_WAIT_POLICY ?= PASSIVE
@@ -17,25 +19,37 @@ help:  ## list the verbs
 
 setup: $(SO)  ## virtual environment, dependencies, release build of the extension
 
-$(STAMP): pyproject.toml requirements.lock
+$(LEARNS): pyproject.toml requirements.lock
+	@echo "packages that an ego is trained with; UV_TORCH_BACKEND=cpu skips the libraries of CUDA, 2.5 GB"
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	test -x $(UV) || $(BIN)/python -m pip install -q uv
-	$(UV) pip install -q --python $(BIN)/python -r requirements.lock
-	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
-	touch $(STAMP)
+	$(UV) pip install --python $(BIN)/python -c requirements.lock maturin -r pyproject.toml --extra rl --extra viz
+	touch $@
 
-$(SO) &: $(STAMP) $(RUST) tools/build_backend.py
-	@echo "building: about six minutes the first time on two cores"
-	$(BIN)/python tools/build_backend.py
+$(STAMP): $(LEARNS)
+	@echo "packages that networks are trained, nuPlan is compared and tests are run with"
+	$(UV) pip install --python $(BIN)/python -r requirements.lock
+	ln -sfn "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("platlib"))')/torch" .libtorch
+	touch $@
+
+# worlds, traffic and egos; what trains networks is built with libtorch, beside it
+$(NATIVE): $(LEARNS) $(RUST)
+	@echo "building worlds and traffic"
 	VIRTUAL_ENV=$(CURDIR)/$(VENV) PATH=$(CURDIR)/$(BIN):$$PATH maturin develop --release --locked --uv
-	touch $(SO)
+	touch $@
+
+ccdiff_env/_models.abi3.so: $(STAMP) $(NATIVE) tools/build_backend.py
+	@echo "building networks to train, with libtorch"
+	$(BIN)/python tools/build_backend.py
+	touch $@
 
 lock:  ## newest releases into requirements.lock, which setup installs
 	$(UV) pip compile -q --upgrade pyproject.toml --universal --python-version 3.10 $(EXTRAS) -o requirements.lock
 
-demo: $(SO)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
+demo: $(NATIVE)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
 	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(SCENES),--scenes $(SCENES)) $(DEMO)
-	$(BIN)/ccdiff-env view tee-crossing-04 --traffic ccdiff --criticality 1 --driver runs/demo/ego.zip --compare log --out runs/demo/episode.html --open
+	$(BIN)/python -m tools.charts runs/demo
+	$(BIN)/ccdiff-env view left-turn-05 --traffic ccdiff --criticality 0 1 --driver runs/demo/ego.zip --out runs/demo/episode.html --open
 
 test: test-rust test-py  ## every test
 
@@ -78,10 +92,10 @@ wheel: $(STAMP)  ## wheels and source distribution in dist/, tried in empty envi
 
 docs: $(SO)  ## the pages of the documentation, without running their notebooks: docs/site
 	$(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra docs
-	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/site
+	$(BIN)/python -m sphinx -q -W --keep-going $(TAGS) -b html docs docs/site
 
 site: $(SO)  ## all that is deployed: pages with notebooks that ran, gallery, playground
-	NOTEBOOKS=auto $(MAKE) docs
+	NOTEBOOKS=auto $(MAKE) docs TAGS="-t site"
 	$(BIN)/python -m tools.gallery docs/site/gallery
 	$(MAKE) playground
 

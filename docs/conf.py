@@ -33,8 +33,9 @@ html_theme = "furo"
 html_title = f"ccdiff-env {version}"
 html_copy_source = False
 html_static_path = ["_static"]
-# the picture of the front page and of previews
-html_extra_path = ["hero.gif"]
+html_favicon = html_logo = "_static/logo.svg"
+# the pictures of the front page and of previews
+html_extra_path = ["hero.gif", "saved.png"]
 html_css_files = ["site.css"]
 html_js_files = [("copy.js", {"defer": "defer"})]
 # blocks without a language are commands

@@ -18,6 +18,7 @@ import ccdiff_env
 import ccdiff_env_cli
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.embedded import unpack
+from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.sources import find_scene, play_scene
 from ccdiff_env_cli import parse
 from tools import gallery
@@ -331,14 +332,22 @@ def test_scenes_that_trained_or_chose_never_report(path):
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
 
 
-def test_the_gallery_links_its_pages_and_shows_two_runs_in_each(tmp_path):
-    scenes = [find_scene(name) for name in ("cut-in-04", "double-left-00")]
+def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_path):
+    scenes = [find_scene(name) for name in ("cut-in-04", "free-curve-03", "double-left-02")]
+    fates = {}
+    for scene in scenes:
+        fates[scene.name] = [
+            outcome(play_scene(scene, traffic="ccdiff", driver="idm", ccdiff={"criticality": c}))
+            for c in (1.0, 0.0)
+        ]
+    shown = {n: f for n, (f, calm) in fates.items() if (f.tone, calm.tone) == ("bad", "good")}
     index = gallery.write_gallery(tmp_path / "gallery", scenes).read_text(encoding="utf-8")
-    # the story first: reached in realistic traffic, hit in critical traffic
-    assert index.index("double-left-00.html") < index.index("cut-in-04.html")
-    assert "realistic: ego reached its goal" in index
     pages = sorted((tmp_path / "gallery").glob("*-*.html"))
-    assert len(pages) == 2
+    assert {page.stem for page in pages} == {*shown}
+    order = sorted(shown, key=lambda name: index.index(f'href="{name}.html'))
+    assert [shown[name].mishap == "is hit" for name in order] == sorted(
+        (fate.mishap == "is hit" for fate in shown.values()), reverse=True
+    )
+    assert index.count("traffic: CCDiff") == 1  # of all, said once
     for page in pages:
-        assert f'href="{page.name}' in index
         assert page.read_text(encoding="utf-8").count('class="run"') == 2

@@ -162,6 +162,11 @@ def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
     wide = "| a | b |\n|---|---|\n| a long name | **0.50 [0.45, 0.55]** |\n"
     assert align(wide, 30).splitlines()[2] == "a long name  0.50 *"
     # tables without rows and empty cells stay
+    heads = ["score", "as recorded", "IDM", "CCDiff", "CCDiff, criticality 1"]
+    wide = (
+        f"| {' | '.join(heads)} |\n|{'---|' * 5}\n| {'PDM-Closed' + ' | 0.50 [0.40, 0.60]' * 4} |\n"
+    )
+    assert align(wide, 80).splitlines()[0].split("  ")[-2:] == ["CC 0", "CC 1"]
     assert align("| a | b |\n|---|---|\n") == "a  b\n─  ─\n"
     assert align("| a | b |\n|---|---|\n| x | |\n").splitlines()[2] == "x"
 

@@ -178,7 +178,10 @@ TABLES: dict[str, Made] = {
         "bench planners --planners lane_idm,pdm,ego --seeds 0 --traffic "
         "ccdiff,ccdiff-0.5,ccdiff-1,ccdiff-1.5,ccdiff-2",
         ("planner", "traffic"),
-        {"collides %": Column("collision", digits=1, factor=100.0)},
+        {
+            "collides %": Column("collision", digits=1, factor=100.0),
+            "without fault in a collision": Column("no_at_fault_collision"),
+        },
     ),
     "swift": Made(
         "bench planners --planners idm,pdm,ego --seeds 0,1,2 --traffic swift,swift-1,swift-2",

@@ -122,6 +122,9 @@ class DrawnWorld(Attributes):
             fps = self.metadata["render_fps"]
             self._window = self._window or HumanRendering(_Images(self._image, fps))
             self._window.reset()
+            import pygame
+
+            pygame.display.set_caption(f"ccdiff-env: {self.scene.name}")
 
     def close(self) -> None:
         """Close the window."""

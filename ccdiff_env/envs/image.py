@@ -120,6 +120,10 @@ def image(
     caption = f"{scene.name}  {scene.dt * status.elapsed_steps:.1f} s"
     if agent in there:
         caption += f"  {states['speed'][agent]:.1f} m/s"
+    elif agent is not None and way is not None:
+        caption += "  reached its goal"
+    if met := [b if a == agent else a for a, b in sorted(touching) if agent in (a, b)]:
+        caption += f"  collided with {met[0]}"
     drawn = _native.render_arrays(
         position[there],
         states["heading"][there],

@@ -16,6 +16,8 @@ ENDLESS = 1_000_000  #: Width where nothing says how wide the terminal is: a pip
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _BEST = re.compile(r"\*\*(.+)\*\*")
 _INTERVAL = re.compile(r" \[[^\]]*\]")
+#: Heads of tables that are too wide.
+_SHORT = ((re.compile(r"^CCDiff, criticality "), "CC "), (re.compile(r"^CCDiff$"), "CC 0"))
 _NUMBER = re.compile(r"([-+−]?[\d.,]+%?( .*)?)?")
 
 
@@ -32,7 +34,7 @@ def counted(number: int, what: str) -> str:
 def align(markdown: str, width: int = ENDLESS) -> str:
     """Return Markdown with aligned tables; emphasised cells (``**0.90**``) get a star.
 
-    Tables that are wider than ``width`` lose their intervals.
+    Tables that are wider than ``width`` lose their intervals, and have short heads.
     """
     out: list[str] = []
     plain = _LINK.sub(r"\1", shielded(markdown)).splitlines()
@@ -50,6 +52,8 @@ def _aligned(lines: Sequence[str], width: int) -> list[str]:
     ]
     if sum(max(map(len, column)) + 2 for column in columns) - 2 > width:
         columns = [[_INTERVAL.sub("", cell) for cell in column] for column in columns]
+        for short, word in _SHORT:
+            columns = [[short.sub(word, column[0]), *column[1:]] for column in columns]
     for column in columns:
         wide, cells = max(map(len, column)), column[1:]
         right = bool(cells) and all(map(_NUMBER.fullmatch, cells))

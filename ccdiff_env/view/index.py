@@ -18,8 +18,8 @@ from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import data_address
 from ccdiff_env.view.video import Video
 
-THUMBNAIL = (480, 300)
-
+THUMBNAIL, THUMBNAIL_M = (480, 300), 60.0  #: Pixels, and metres of ground from side to side.
+FILTERED = 8  #: So many replays, at least, can be chosen among.
 
 #: A replay: what its page is called, titles of its runs, and these: one, or one beside another.
 Shown = tuple[str, Sequence[str], Sequence[Rollout]]
@@ -61,7 +61,8 @@ def write_index(
     ``home`` is address and title of the page above.
     """
     out.mkdir(parents=True, exist_ok=True)
-    pages, cards, fates = list[Path](), list[str](), list[Outcome]()
+    pages, fates = list[Path](), list[Outcome]()
+    cards = list[tuple[str, list[str], list[list[str]]]]()
     for path, titles, (rollout, *others) in shown:
         name = path.replace("/", "-")
         page = out / file_name(name, ".html")
@@ -71,28 +72,63 @@ def write_index(
         write_page(rollout, page, compare=others, titles=titles, home=home_of_page)
         fates.append(outcome(rollout))
         besides = [
-            f"{title}: {outcome(other).line}"
+            [f"{title}: {outcome(other).line}"]
             for title, other in zip(titles[1:], others, strict=True)
             if not is_log(other)
         ]
-        cards.append(_card(rollout, name, page.name, fates[-1], [*besides, subtitle(rollout)]))
+        lines = [*besides, subtitle(rollout).split(" · ")]
+        cards.append((_card(rollout, name, page.name, fates[-1]), _tags(fates[-1], rollout), lines))
         pages.append(page)
     mishaps = Counter(fate.mishap for fate in fates)
     told = [f"{what} in {n}" for what, n in mishaps.most_common() if what]
     collide = sum(fate.others > 0 for fate in fates)
     line = f"{counted(len(fates), 'replay')}: the ego {', '.join(told)}" if told else ""
     line = f"{line or counted(len(fates), 'replay')}; others collide in {collide}"
+    # what holds for all is said once
+    each = [[part for parts in lines for part in parts] for _, _, lines in cards]
+    common = [part for part in each[0] if all(part in parts for parts in each[1:])]
+    common = common if len(cards) > 1 else []
     up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
-    body = f'{up}<div class="cards">\n{chr(10).join(cards)}\n</div>'
+    written = [_finished(*card, common) for card in cards]
+    chips = _chips([tags for _, tags, _ in cards])
+    body = f'{up}{chips}<div class="cards">\n{chr(10).join(written)}\n</div>'
     index = out / "index.html"
+    line = " · ".join([line, *common])
     write_aside(index, plain_html(title, line, style=part("index.css"), body=body))
     return index
 
 
-def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequence[str]) -> str:
-    """A replay in the index: a link with an image of the moment that matters."""
+def _tags(fate: Outcome, rollout: Rollout) -> list[str]:
+    """What a replay can be chosen by."""
+    embedded = "embedded" in rollout.scene.source
+    return [*filter(None, [fate.mishap, fate.fault, "" if embedded else rollout.scene.source])]
+
+
+def _chips(tags: Sequence[Sequence[str]]) -> str:
+    """Buttons that choose: the three things that split the replays most evenly."""
+    count = Counter(tag for of in tags for tag in of)
+    split = sorted(count, key=lambda tag: (abs(2 * count[tag] - len(tags)), tag))
+    split = [tag for tag in split if count[tag] < len(tags)][:3]
+    if len(tags) < FILTERED or not split:
+        return ""
+    buttons = (
+        f'<button aria-pressed="false" data-filter="{tag}">{tag} ({count[tag]})</button>'
+        for tag in split
+    )
+    return f'<p class="filters">{"".join(buttons)}</p>'
+
+
+def _finished(card: str, tags: Sequence[str], lines: list[list[str]], common: list[str]) -> str:
+    """A card with its lines but what all cards say, as an element that can be chosen."""
+    own = (" · ".join(part for part in parts if part not in common) for parts in lines)
+    written = "".join(f"<p>{html.escape(line)}</p>" for line in own if line)
+    return f'<div data-tags="{"|".join(tags)}">{card}{written}</a></div>'
+
+
+def _card(rollout: Rollout, title: str, page: str, fate: Outcome) -> str:
+    """The beginning of a link to a replay, with an image of the moment that matters."""
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-    video = Video(rollout, size=THUMBNAIL, span_m=90.0, captions=False)
+    video = Video(rollout, size=THUMBNAIL, span_m=THUMBNAIL_M, captions=False)
     image = data_address(video.frame(video.moment))
     name = html.escape(title, quote=True)
     href = html.escape(address(page, time_s=moment, play=True), quote=True)
@@ -101,5 +137,4 @@ def _card(rollout: Rollout, title: str, page: str, fate: Outcome, lines: Sequenc
         f'<img src="{image}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
         f'<h2 title="{name}">{name}</h2>'
         f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
-        f"{''.join(f'<p>{html.escape(line)}</p>' for line in lines)}</a>"
     )

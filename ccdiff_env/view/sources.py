@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError, meant
 from ccdiff_env.record.rollout import DRIVER_NAMES, Rollout
 from ccdiff_env.scenes import Scene
+from ccdiff_env.scenes.embedded import embedded_splits
 from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import NETWORKS, SWIFT
 from ccdiff_env.view.link import is_drive, play_drive
@@ -121,7 +122,6 @@ def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
     try:
         return load(place, names=[name])[0]
     except UnknownNameError as error:
-        raise UnknownNameError(
-            f"no file {name!r}, and in {place}: {error}; ccdiff-env scenes lists them, --scenes "
-            "names another source"
-        ) from None
+        own = [known for names in embedded_splits().values() for known in names]
+        hint = meant(name, own) or "ccdiff-env scenes lists them, --scenes names another source"
+        raise UnknownNameError(f"no file {name!r}, and in {place}: {error}; {hint}") from None

@@ -14,3 +14,12 @@ for (const block of document.querySelectorAll("div.highlight")) {
 // What the theme leaves out: levels of the captions beside, and wide blocks for the keyboard.
 for (const caption of document.querySelectorAll(".caption[role=heading]")) caption.ariaLevel = "2";
 for (const wide of document.querySelectorAll("pre, .table-wrapper")) wide.tabIndex = 0;
+// An interval stands below its value.
+for (const cell of document.querySelectorAll(".table-wrapper td > p")) {
+  const [whole, interval] = cell.textContent.match(/\s(\[[^\]]*\])$/) || [];
+  if (!whole || cell.children.length) continue;
+  const small = document.createElement("small");
+  small.textContent = interval;
+  cell.textContent = cell.textContent.slice(0, -whole.length);
+  cell.append(small);
+}

@@ -35,6 +35,14 @@ function wireKeys(player, rows, also = {}) {
     if (event.repeat && !event.key.startsWith("Arrow")) return;
     if (forMap(event) && act(event.key, event)) event.preventDefault();
   });
+  // paper is light
+  let { theme } = player;
+  addEventListener("beforeprint", () => {
+    ({ theme } = player);
+    setTheme(player, "light");
+    player.draw();
+  });
+  addEventListener("afterprint", () => setTheme(player, theme));
   // a button that is clicked gives the keys back to the map
   addEventListener("click", (event) => {
     if (event.detail > 0 && event.target.closest("#app button")) document.activeElement.blur();
