@@ -12,11 +12,10 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.view import play
 from ccdiff_env.view.captions import driver_of, guided_agents, still
-from ccdiff_env.view.link import play_drive, read_drive, top_speed_mps, world_config
+from ccdiff_env.view.link import play_drive, play_keys, read_drive, top_speed_mps, world_config
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.play import SCENES, playground_html
-from ccdiff_env.view.sources import play_scene
-from tools.playground import compiled, target_is_installed
+from tools.playground import compiled, deciding, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
 NAMES = ("cut-in-04", "pedestrians-00", "left-turn-03", "pedestrians-02")
@@ -39,23 +38,27 @@ def playground(visit):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_what_can_be_played_is_calm_at_0_and_hits_at_2(name):
-    calm, critical = (
-        play_scene(
-            embedded_scenes()[name],
-            traffic="ccdiff",
-            driver="idm",
-            config=world_config("ccdiff", criticality),
-        )
-        for criticality in (0.0, 2.0)
-    )
-    assert (outcome(calm).tone, outcome(calm).others) == ("good", 0)
-    assert critical.collisions("ego")
+def test_criticality_decides_for_who_only_steers(name):
+    (found,) = deciding([embedded_scenes()[name]])
+    assert found[1].text
 
 
-def test_the_first_drive_meets_an_attacker():
-    held = play_drive(f"#scene={SCENES[0]}&traffic=ccdiff&criticality=1&drive=b150")
-    assert held.collisions("ego")[0].partner_id in guided_agents(held)
+def test_the_first_drive_meets_an_attacker_who_is_to_blame():
+    config = world_config("ccdiff", 1.0)
+    rolled = play_keys(embedded_scenes()[SCENES[0]], (), config, goes_on=True)
+    assert rolled.collisions("ego")[0].partner_id in guided_agents(rolled)
+    assert outcome(rolled).fault == "not at fault"
+
+
+def test_a_car_without_pedals_has_the_speed_of_its_log_at_each_place():
+    scene = embedded_scenes()["double-left-01"]
+    rolled = play_keys(scene, (), world_config("replay"), goes_on=True)
+    ego, log = scene.agent_ids.index("ego"), scene.tracks()
+    place, way = rolled.position[ego, 20:-1], log["position"][ego]
+    nearest = np.linalg.norm(place[:, None] - way[None], axis=-1)
+    assert nearest.min(axis=1).max() < 1.5
+    logged = np.linalg.norm(log["velocity"][ego, nearest.argmin(axis=1)], axis=-1).clip(2.0)
+    assert np.abs(np.linalg.norm(rolled.velocity[ego, 20:-1], axis=-1) - logged).max() < 1.5
 
 
 def test_guided_vehicles_are_orange_and_in_the_legend_as_in_a_replay(playground):
@@ -92,7 +95,7 @@ def test_keys_drive_and_time_waits_for_the_first_one(playground):
     page.keyboard.down("w")
     page.until("drive.steps >= 3")
     page.keyboard.down("ArrowLeft")
-    page.until("drive.steer === 1 || drive.outcome")
+    page.until("drive.keys.at(-1) === 5 || drive.outcome")
     page.keyboard.up("w")
     page.keyboard.up("ArrowLeft")
     page.keyboard.press("r")
@@ -103,6 +106,48 @@ def test_keys_drive_and_time_waits_for_the_first_one(playground):
     assert page.url.endswith("#scene=pedestrians-00&traffic=idm")
     page.keyboard.press("?")
     assert page.is_visible("#help")
+
+
+def test_a_car_that_nobody_drives_rolls_off(playground):
+    page = playground(hash="#scene=cut-in-04&traffic=idm", reduced_motion="no-preference")
+    page.until("drive.steps >= 3", 30)
+    assert page.evaluate("drive.keys.every((held) => held === 0)")
+
+
+def test_the_end_shows_why_and_what_the_same_keys_do_at_criticality_0(playground):
+    page = playground(hash="#scene=left-turn-03&traffic=ccdiff&criticality=1&drive=b17")
+    page.until("drive.calm && drive.outcome", 90)
+    drive, rollout = read_drive(link := page.evaluate("drive.link")), play_drive(page.url)
+    calm = outcome(
+        play_keys(rollout.scene, drive.keys, world_config(drive.traffic, 0.0), goes_on=True)
+    )
+    said = page.inner_text("#calm")
+    assert said.endswith(calm.text.removeprefix("ego ").replace("its", "your"))
+    assert said.startswith("At criticality 0, the same keys")
+    # the plan of whom it met, as the world has it
+    partner = rollout.agent_ids.index(rollout.collisions("ego")[0].partner_id)
+    plans = [p for p in play_drive(link).plans if partner in p.agents]
+    shown = page.evaluate("drive.runs[0].plans.map((p) => [p.agents, [...p.x], p.guided, p.edges])")
+    assert plans
+    for plan, (agents, x, guided, edges) in zip(plans, shown, strict=True):
+        row = list(plan.agents).index(partner)
+        assert (agents, guided) == ([partner], [plan.guided[row]])
+        assert np.array_equal(np.float32(x[1:]), plan.samples[plan.selected_sample[row], row, :, 0])
+        into = plan.graph[list(plan.agents).index(0), row] if 0 in plan.agents else False
+        assert edges == [[partner, 0]] * bool(into)
+
+
+def test_goals_stay(playground):
+    page = playground(hash="#scene=pedestrians-00&traffic=replay&drive=b150")
+    page.until("drive.outcome", 60)
+    assert page.evaluate("drive.outcome.tone") == "good"
+    seconds = page.evaluate("(drive.steps * 0.1).toFixed(1)")
+    page.keyboard.press("r")
+    page.until("drive.steps === 0 && !drive.outcome")
+    page.frames()
+    assert f"1 goal · your best here {seconds} s" in page.inner_text("#figures")
+    kept = page.evaluate("JSON.parse(localStorage.getItem('ccdiff-env goals'))")
+    assert [*kept] == ["scene=pedestrians-00&traffic=replay"]
 
 
 def test_an_ego_at_its_goal_stays_to_be_seen(playground):
@@ -123,7 +168,7 @@ def test_touch_drives(playground):
     assert min(box["width"], box["height"]) >= 44
     page.dispatch_event("[data-key=gas]", "pointerdown")
     page.until("drive.steps >= 2")
-    assert page.evaluate("drive.action()[0]") == 1
+    assert page.evaluate("drive.mask") == 1
     page.dispatch_event("[data-key=gas]", "pointerup")
     assert page.evaluate("drive.held.size") == 0
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

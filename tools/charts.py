@@ -1,39 +1,29 @@
 """Charts of the docs as SVG, from `docs/results`: dots and whiskers, on light and on dark ground.
 
-``python -m tools.charts`` writes ``docs/charts``; ``python -m tools.results`` does so, too.
+``python -m tools.charts`` writes ``docs/charts``, as ``python -m tools.results`` does; with the
+folder of a run of examples/train_ego_sb3.py, its curve.
 """
 
 from __future__ import annotations
 
-import html
-import io
+import json
 import math
-import re
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ccdiff_env.bench.plots import name_ends, new_plot
+from ccdiff_env.bench.plots import FAINT, LOOKS, colours, name_ends, new_plot, themed_svg
+from ccdiff_env.view.captions import LOG_TITLES, PLANNER_TITLES
 from tools.pages import ROOT, kept
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure as Plot
 
 CHARTS = ROOT / "docs" / "charts"
 WIDTH = 6.67  #: Inches, of 72 pixels.
-#: Colours of Okabe and Ito, that of light and that of dark ground.
-COLOURS = {
-    "blue": ("#0072b2", "#56b4e9"),
-    "orange": ("#c26a00", "#e69f00"),
-    "green": ("#00795a", "#2fcf9f"),
-    "purple": ("#a6487f", "#cc79a7"),
-    "grey": ("#5c6672", "#a5b0bc"),
-    "faint": ("#d5dae1", "#39434f"),
-    "ink": ("#000000", "#e8edf3"),
-}
-
 #: A value and the ends of its interval; nan where there is none.
 Figure = tuple[float, float, float]
 Look = tuple[str, str]  #: Colour and marker.
@@ -52,22 +42,8 @@ def _begun(title: str, axes: Axes) -> None:
     axes.set_title(title, loc="left", fontsize=13, fontweight="bold")
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0, labelsize=11.5)
-    axes.grid(color=COLOURS["faint"][0])
+    axes.grid(color=FAINT[0])
     axes.set_axisbelow(True)
-
-
-def _svg(plot: Plot, alt: str) -> str:
-    """Return a plot as SVG that has its colours by the reader's ground."""
-    file = io.StringIO()
-    plot.savefig(file, format="svg", transparent=True, metadata={"Date": None})
-    text, rules = file.getvalue(), ["", ""]
-    for name, pair in COLOURS.items():
-        text = text.replace(pair[0], f"var(--{name})")
-        rules = [rule + f"--{name}:{tint};" for rule, tint in zip(rules, pair, strict=True)]
-    style = f"svg{{{rules[0]}}}text{{fill:var(--ink)}}"
-    style += f"@media(prefers-color-scheme:dark){{svg{{{rules[1]}}}}}"
-    named = f'role="img" aria-label="{html.escape(alt)}"'
-    return re.sub(r"<svg ([^>]*)>", rf"<svg {named} \1><style>{style}</style>", text, count=1)
 
 
 def _drawn(axes: Axes, look: Look, **options: Any) -> None:
@@ -76,7 +52,8 @@ def _drawn(axes: Axes, look: Look, **options: Any) -> None:
         if side in options:
             options[side] = np.nan_to_num(np.abs(options[side]))
     colour, marker = look
-    axes.errorbar(color=COLOURS[colour][0], marker=marker, markersize=7, **options)
+    options |= {"linestyle": "-" if marker else "--"}
+    axes.errorbar(color=colours()[colour][0], marker=marker, markersize=7, **options)
 
 
 def rows_chart(
@@ -100,19 +77,29 @@ def rows_chart(
     axes.grid(visible=False, axis="y")
     axes.set_xticks(ticks)
     axes.set_xlim(ticks[0], ticks[-1])
-    axes.axvline(log, linestyle="--", color=COLOURS["grey"][0])
+    axes.axvline(log, linestyle="--", color=colours()["replay"][0])
     above = axes.get_xaxis_transform()
     axes.text(log, 1.0, "log", transform=above, fontsize=11.5, ha="center")
     said = "; ".join(f"{name} {figure[0]:.3f}" for name, figure, _ in rows)
-    return _svg(plot, f"{title}: {said}")
+    return themed_svg(plot, f"{title}: {said}")
 
 
-def lines_chart(title: str, across: str, series: Sequence[Series], ticks: Sequence[float]) -> str:
+def lines_chart(
+    title: str,
+    across: str,
+    series: Sequence[Series],
+    ticks: Sequence[float],
+    stills: Mapping[float, Any] | None = None,
+) -> str:
     """Return a chart of lines with whiskers, named at their ends.
 
-    ``across`` is what places are; the first and the last of ``ticks`` are the ends of figures.
+    ``across`` is what places are; the first and the last of ``ticks`` are the ends of figures;
+    ``stills`` are images below places. Series without a marker are dashed, those without a name a
+    part of the one before.
     """
-    plot, axes = new_plot(WIDTH, 3.8)
+    rows = {"nrows": 2, "height_ratios": (3.8, 1.4)} if stills else {}
+    plot, found = new_plot(WIDTH, 5.2 if stills else 3.8, **rows)
+    axes, *below = np.ravel(found)
     _begun(title, axes)
     wide = max(place for one in series for place in one.places)
     ends = []
@@ -122,13 +109,22 @@ def lines_chart(title: str, across: str, series: Sequence[Series], ticks: Sequen
         aside = 0.01 * wide * (k - (len(series) - 1) / 2) if np.isfinite(low).any() else 0.0
         at = np.array(places) + aside
         _drawn(axes, look, x=at, y=value, yerr=[low - value, high - value])
-        ends.append((value[-1], places[-1], name, COLOURS[look[0]][0]))
+        if name:
+            ends.append((value[-1], places[-1], name, colours()[look[0]][0]))
     name_ends(axes, ends, gap=0.08 * ticks[-1], aside=0.03 * wide, fontsize=13)
     axes.set_yticks(ticks)
     axes.set_ylim(ticks[0], ticks[-1])
     axes.set_xlabel(across, fontsize=11.5)
+    for strip in below:
+        axes.set_xticks(sorted({place for one in series for place in one.places}))
+        for place, image in (stills or {}).items():
+            box = (place - 0.23 * wide, place + 0.23 * wide, 0.0, 1.0)
+            strip.imshow(image, extent=box, aspect="auto")
+        for one in (axes, strip):
+            one.set_xlim(-wide / 4, 1.25 * wide)
+        strip.axis("off")
     written = {one.name: ", ".join(f"{f[0]:.0f}" for f in one.figures) for one in series}
-    return _svg(plot, f"{title}: {'; '.join(map(' '.join, written.items()))}")
+    return themed_svg(plot, f"{title}: {'; '.join(map(' '.join, written.items()))}")
 
 
 def _figure(row: Mapping[str, Any], column: str, factor: float = 1.0) -> Figure:
@@ -138,20 +134,21 @@ def _figure(row: Mapping[str, Any], column: str, factor: float = 1.0) -> Figure:
 
 #: Methods of the chart of realism: what they are called, and their look.
 REALISM = {
-    "swift": ("swift", ("green", "s")),
-    "tokens_routes_careful": ("tokens, routes, care", ("green", "s")),
-    "ccdiff_routes_careful": ("CCDiff, routes, care", ("blue", "o")),
-    "ccdiff_careful": ("CCDiff, care", ("blue", "o")),
-    "idm": ("IDM", ("orange", "^")),
-    "ccdiff_one_sample": ("CCDiff", ("blue", "o")),
-    "constant_velocity": ("constant velocity", ("grey", "^")),
+    "swift": ("swift", ("ccdiff", "s")),
+    "tokens_routes_careful": ("tokens, routes, care", ("network", "s")),
+    "ccdiff_routes_careful": ("CCDiff, routes, care", ("ccdiff", "o")),
+    "ccdiff_careful": ("CCDiff, care", ("ccdiff", "o")),
+    "idm": ("IDM", LOOKS["idm"]),
+    "ccdiff_one_sample": ("CCDiff", ("ccdiff", "o")),
+    "constant_velocity": ("constant velocity", LOOKS["constant_velocity"]),
 }
 #: Planners of the dial likewise.
 DIAL = {
-    "lane_idm": ("IDM on lanes", ("orange", "^")),
-    "pdm": ("PDM-Closed", ("purple", "D")),
-    "ego": ("trained ego", ("blue", "o")),
+    "lane_idm": ("IDM on lanes", LOOKS["lane_idm"]),
+    "pdm": ("PDM-Closed", LOOKS["pdm"]),
+    "ego": ("trained ego", LOOKS["ego"]),
 }
+FAULTLESS = "no_at_fault_collision"  #: 1 where the planner is to blame for no collision.
 LEVELS = {"ccdiff": 0.0, "ccdiff-0.5": 0.5, "ccdiff-1": 1.0, "ccdiff-1.5": 1.5, "ccdiff-2": 2.0}
 
 
@@ -174,26 +171,43 @@ def learning() -> str:
         (100 * point[2], 100 * low, 100 * high)
         for point, (low, high) in zip(ego["curve"], ego["spread"], strict=True)
     ]
-    series = [Series(ego["title"], ("blue", "o"), places, figures)]
-    for row, look in zip(rules, (("green", "_"), ("orange", "_"), ("purple", "_")), strict=True):
-        level = (row["success"], math.nan, math.nan)
-        series.append(Series(row["title"], look, [0.0, places[-1]], [level, level]))
+    levels = {row["title"]: row["success"] for row in rules}
     title = "success in the test episodes of the example, %"
+    return learning_chart(title, Series(ego["title"], LOOKS["ego"], places, figures), levels)
+
+
+def learning_chart(title: str, ego: Series, rules: Mapping[str, float]) -> str:
+    """Return the chart of an ego that learns, in percent over seconds, beside dashed levels: those
+    of IDM and PDM come last, after that of another ego.
+    """
+    series, looks = [ego], (("external", ""), LOOKS["idm"], LOOKS["pdm"])[-len(rules) :]
+    for (name, level), (colour, _) in zip(rules.items(), looks, strict=True):
+        row = (level, math.nan, math.nan)
+        series.append(Series(name, (colour, ""), [0.0, ego.places[-1]], [row, row]))
     return lines_chart(title, "seconds of one core", series, (0, 25, 50, 75, 100))
 
 
 def dial() -> str:
-    """Return the chart of the dial."""
+    """Return the chart of the dial: collisions, dashed those at fault, above one crossing."""
+    from matplotlib import pyplot as plt
+
     run = kept("dial_planners")
     rows = {(row["planner"], row["traffic"]): row for row in run["rows"]}
-    figures = {
-        name: [_figure(rows[name, traffic], "collision", 100) for traffic in LEVELS]
-        for name in DIAL
-    }
-    series = [Series(*DIAL[name], [*LEVELS.values()], of) for name, of in figures.items()]
-    title = f"collisions of the planner, % of {run['scenes'].split()[0]} scenes, 95 % intervals"
-    across = "criticality of the CCDiff traffic"
-    return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50))
+    series = []
+    for name, (title, look) in DIAL.items():
+        shown = [rows[name, traffic] for traffic in LEVELS]
+        hits = [_figure(row, "collision", 100) for row in shown]
+        series.append(Series(title, look, [*LEVELS.values()], hits))
+        if all(FAULTLESS in row for row in shown):
+            at_fault = [(100.0 - 100.0 * row[FAULTLESS][0], math.nan, math.nan) for row in shown]
+            series.append(Series("", (look[0], ""), [*LEVELS.values()], at_fault))
+    strip = plt.imread(CHARTS / "crossing.png")
+    stills = dict(zip((0.0, 1.0, 2.0), np.split(strip, 3, axis=1), strict=True))
+    scenes = run["scenes"].split()[0]
+    split = "; dashed: at fault" if len(series) > len(DIAL) else ""
+    title = f"collisions of the planner, % of {scenes} scenes{split}"
+    across = "criticality of the CCDiff traffic; below, one moment of one crossing"
+    return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50), stills)
 
 
 #: Charts by name of their file.
@@ -207,5 +221,24 @@ def write() -> None:
         (CHARTS / f"{name}.svg").write_text(chart(), encoding="utf-8")
 
 
+def write_curve(folder: Path) -> Path:
+    """Write the curve of a training into its folder, and return the file."""
+    kept = json.loads((folder / "curve.json").read_text(encoding="utf-8"))
+    _, seconds, shares = zip(*kept["curve"], strict=True)
+    figures = [(100.0 * share, math.nan, math.nan) for share in shares]
+    levels = {
+        title: 100.0 * kept["outcomes"][name][0]
+        for name, title in {"idm": LOG_TITLES["idm"], "pdm": PLANNER_TITLES["pdm"]}.items()
+    }
+    ego = Series(f"your ego {figures[-1][0]:.0f} %", LOOKS["ego"], seconds, figures)
+    path = folder / "curve.svg"
+    chart = learning_chart("success in episodes of scenes that it never drove, %", ego, levels)
+    path.write_text(chart, encoding="utf-8")
+    return path
+
+
 if __name__ == "__main__":
-    write()
+    if len(sys.argv) > 1:
+        print(write_curve(Path(sys.argv[1])))
+    else:
+        write()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import io
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,15 +14,47 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ccdiff_env.bench.intervals import mean_interval
-from ccdiff_env.system.files import read_text, write_aside
+from ccdiff_env.system.files import write_aside
+from ccdiff_env.view.render import THEMES, all_colours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Colours of Okabe and Ito (2008), without yellow, which white would swallow.
-OKABE_ITO = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-MARKERS = "osD^vPX*"  #: No hue tells methods apart alone.
+#: Colour, a name of images, and marker of planners; no hue tells them apart alone.
+LOOKS = {
+    "ego": ("ego", "o"),
+    "idm": ("idm", "^"),
+    "lane_idm": ("idm", "v"),
+    "pdm": ("other", "D"),
+    "replay": ("replay", "X"),
+    "constant_velocity": ("constant_velocity", "P"),
+}
+#: Likewise of others; orange is kept for attacks.
+REST = [
+    (name, marker)
+    for marker in "*p<>"
+    for name in ("external", "constant_velocity", "network", "other", "ccdiff", "replay", "idm")
+]
+#: Lines behind the plots, on light and on dark ground.
+FAINT = ("#d5dae1", "#39434f")
+
+
+def looks(names: Iterable[str]) -> list[tuple[str, str]]:
+    """Return colour (``#rrggbb`` on light ground) and marker of each of some names."""
+    rest, light = itertools.cycle(REST), colours()
+    found = [LOOKS.get(name) or next(rest) for name in names]
+    return [(light[colour][0], marker) for colour, marker in found]
+
+
+def colours() -> dict[str, tuple[str, str]]:
+    """Return colours by name, as images and pages have them, on light and on dark ground."""
+    light, dark = (all_colours(theme) for theme in THEMES)
+    found = {
+        name: (f"#{bytes(light[name]).hex()}", f"#{bytes(dark[name]).hex()}") for name in light
+    }
+    # text is black where Matplotlib writes it
+    return found | {"faint": FAINT, "ink": ("#000000", found["ink"][1])}
 
 
 def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]:
@@ -36,14 +71,26 @@ def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]
     return figure, axes
 
 
-#: Colour of the text of an SVG that stands by itself.
-_INK = (
-    "<style>text{fill:currentColor}@media(prefers-color-scheme:dark){:root{color:#e8edf3}}</style>"
-)
+def themed_svg(figure: Figure, alt: str = "") -> str:
+    """Return a plot as SVG that has its colours by the reader's ground."""
+    file, rules = io.StringIO(), ["", ""]
+    figure.savefig(file, format="svg", transparent=True, metadata={"Date": None})
+    text = file.getvalue()
+    for name, pair in colours().items():
+        if pair[0] in text or name == "ink":
+            text = text.replace(pair[0], f"var(--{name.replace(' ', '-')})")
+            rules = [
+                rule + f"--{name.replace(' ', '-')}:{tint};"
+                for rule, tint in zip(rules, pair, strict=True)
+            ]
+    style = f"svg{{{rules[0]}}}text{{fill:var(--ink)}}"
+    style += f"@media(prefers-color-scheme:dark){{svg{{{rules[1]}}}}}"
+    named = f'role="img" aria-label="{html.escape(alt)}" ' if alt else ""
+    return re.sub(r"<svg ([^>]*)>", rf"<svg {named}\1><style>{style}</style>", text, count=1)
 
 
 def save_plot(figure: Figure, path: Path) -> Path:
-    """Write a plot as vectors: PDF for papers, SVG for pages, whose text has the page's colour.
+    """Write a plot as vectors: PDF for papers, SVG for pages, which has the reader's ground.
 
     Returns:
         Path: That of the SVG; the name of ``path``, whatever its suffix.
@@ -52,11 +99,8 @@ def save_plot(figure: Figure, path: Path) -> Path:
 
     figure.savefig(path.with_suffix(".pdf"), metadata={"CreationDate": None})
     drawn = path.with_suffix(".svg")
-    figure.savefig(drawn, transparent=True, metadata={"Date": None})
+    write_aside(drawn, themed_svg(figure))
     plt.close(figure)
-    head, element, rest = read_text(drawn).replace("#000000", "currentColor").partition("<svg ")
-    attributes, end, rest = rest.partition(">")
-    write_aside(drawn, head + element + attributes + end + _INK + rest)
     return drawn
 
 
@@ -78,9 +122,8 @@ def plot_robustness(
         return None
     figure, axes = new_plot(5.6, 3.8)
     aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
-    looks = zip(itertools.cycle(OKABE_ITO), itertools.cycle(MARKERS), aside, strict=False)
     ends = []
-    for planner, (color, marker, by) in zip(planners, looks, strict=False):
+    for planner, (color, marker), by in zip(planners, looks(planners), aside, strict=True):
         means = np.array([mean_interval(found[planner, n], "score") for n in names])
         whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
         x = np.array([level[n] for n in names]) + by
@@ -94,7 +137,7 @@ def plot_robustness(
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
     axes.set_ylim(0, 1.02)
-    axes.grid(alpha=0.3)
+    axes.grid(color=FAINT[0])
     return save_plot(figure, path)
 
 
@@ -119,14 +162,20 @@ def plot_dots(
         means = np.array([mean_interval(found[label], name) for label in order])
         whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
         axes.errorbar(
-            means[:, 0], np.arange(len(order)), xerr=whiskers, fmt="o", color=OKABE_ITO[0],
+            means[:, 0], np.arange(len(order)), xerr=whiskers, fmt="o",
+            color=colours()["ccdiff"][0],
             markersize=5, elinewidth=1, capsize=2.5,
         )  # fmt: skip
         if floor in found:
-            axes.axvline(mean_interval(found[str(floor)], name)[0], color="#777777", lw=1, ls="--")
+            axes.axvline(
+                mean_interval(found[str(floor)], name)[0],
+                color=colours()["replay"][0],
+                lw=1,
+                ls="--",
+            )
         axes.set_yticks(range(len(order)), order)
         axes.set_xlabel(f"{title} (dashed: the log)" if floor in found else title)
-        axes.grid(alpha=0.3, axis="x")
+        axes.grid(color=FAINT[0], axis="x")
     return save_plot(figure, path)
 
 
@@ -144,8 +193,8 @@ def plot_ranks(found: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -
     )  # fmt: skip
     for number, (row, (label, by_moment)) in enumerate(zip(panels, found.items(), strict=True)):
         for axes, (moment, shares) in zip(row, by_moment.items(), strict=True):
-            axes.bar(range(len(shares)), shares, width=0.9, color=OKABE_ITO[0])
-            axes.axhline(1.0 / len(shares), color="#777777", lw=1, ls="--")
+            axes.bar(range(len(shares)), shares, width=0.9, color=colours()["ccdiff"][0])
+            axes.axhline(1.0 / len(shares), color=colours()["replay"][0], lw=1, ls="--")
             axes.set_xticks([])
             if number == 0:
                 axes.set_title(moment, fontsize=9)
@@ -165,15 +214,14 @@ def plot_front(
         return None
     figure, axes = new_plot(6.2, 4.2)
     ends = []
-    looks = zip(itertools.cycle(OKABE_ITO), itertools.cycle(MARKERS), strict=False)
-    for (label, of), (color, marker) in zip(points.items(), looks, strict=False):
+    for (label, of), (color, marker) in zip(points.items(), looks(points), strict=True):
         x, y, sizes, _ = zip(*of, strict=True)
         axes.plot(x, y, color=color, lw=0.8, alpha=0.6)
         axes.scatter(x, y, s=[14.0 + 9.0 * size for size in sizes], color=color, marker=marker)
         ends.append((y[-1], x[-1], label, color))
     axes.set_xlabel(titles[0])
     axes.set_ylabel(titles[1])
-    axes.grid(alpha=0.3)
+    axes.grid(color=FAINT[0])
     span = np.diff(axes.get_ylim())[0]
     name_ends(axes, ends, gap=0.05 * span, aside=0.02 * np.diff(axes.get_xlim())[0], fontsize=8)
     return save_plot(figure, path)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
+import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
@@ -24,6 +27,8 @@ TRAFFIC = {
 }
 #: Most that the steering moves in a step: full lock in a quarter of a second.
 STEER_PER_STEP = 4 * 0.1
+ROLLS_MPS = 2.0  #: The ego of a page rolls this fast where its log stands.
+LOOK_M = 4.0  #: Who follows the way looks a second ahead, at least so far.
 MAX_CRITICALITY = 2.0
 
 
@@ -52,6 +57,59 @@ class Drive:
     traffic: str
     criticality: float
     keys: tuple[int, ...]
+
+
+def way(scene: Scene) -> list[list[float]]:
+    """Return the way of the ego's log as the page has it: x, y in metres and the speed at which the
+    ego rolls there, m/s, rounded to hundredths.
+    """
+    tracks, ego = scene.tracks(), scene.agent_ids.index("ego")
+    there = tracks["valid"][ego]
+    position, velocity = (tracks[name][ego, there] for name in ("position", "velocity"))
+    speed = np.hypot(*velocity.T).clip(ROLLS_MPS)
+    rows: list[list[float]] = np.c_[position, speed].astype(np.float64).round(2).tolist()
+    return rows
+
+
+class Wheel:
+    """Steering wheel and pedals of the page: what keys ask for. ``assets/wheel.js`` is the same.
+
+    Without a pedal the ego rolls at the speed that its log has at the nearest place of its way.
+    Positions and velocities are x, y in metres and metres a second, as states of worlds are.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.way, self.top_mps, self.steer = way(scene), top_speed_mps(scene), 0.0
+
+    def _nearest(self, x: float, y: float) -> int:
+        far = [(px - x) * (px - x) + (py - y) * (py - y) for px, py, _ in self.way]
+        return far.index(min(far))
+
+    def _turned(self, held: int) -> float:
+        wanted = float(bool(held & 4)) - float(bool(held & 8))
+        return self.steer + min(max(wanted - self.steer, -STEER_PER_STEP), STEER_PER_STEP)
+
+    def action(
+        self, held: int, position: Sequence[float], velocity: Sequence[float]
+    ) -> npt.NDArray[np.float32]:
+        """Return acceleration and yaw rate [2], normalised, for the keys of a step."""
+        self.steer = self._turned(held)
+        (x, y), (vx, vy) = map(float, position), map(float, velocity)
+        squared = vx * vx + vy * vy
+        rolls = min(max(self.way[self._nearest(x, y)][2] - math.sqrt(squared), -1.0), 1.0)
+        gas = float(squared < self.top_mps**2) if held & 1 else rolls
+        return np.array([-1.0 if held & 2 else gas, self.steer], np.float32)
+
+    def along(self, position: Sequence[float], heading_rad: float, speed_mps: float) -> int:
+        """Return the keys that steer along the way, whoever is there: no pedal."""
+        (x, y), v = map(float, position), float(speed_mps)
+        ahead, at, last = max(v, LOOK_M), self._nearest(x, y), len(self.way) - 1
+        while at < last and math.hypot(self.way[at][0] - x, self.way[at][1] - y) < ahead:
+            at += 1
+        dx, dy = self.way[at][0] - x, self.way[at][1] - y
+        across = math.cos(heading_rad) * dy - math.sin(heading_rad) * dx
+        rate = 2.0 * v * across / max(dx * dx + dy * dy, 1.0)  # of the circle to that place
+        return min((0, 4, 8), key=lambda held: abs(self._turned(held) - rate))
 
 
 def top_speed_mps(scene: Scene) -> int:
@@ -100,25 +158,33 @@ def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     """Play a link again, in a scene of a place, the embedded ones by default: the states have the
     bits that they had on the page. Raises as :func:`read_drive`, and :class:`UnknownNameError`.
     """
-    from ccdiff_env.envs import EgoEnv
-    from ccdiff_env.record.recorder import Recorder
     from ccdiff_env.scenes.sources import DEFAULT, load
 
     drive = read_drive(link)
     scene = load(place or DEFAULT, names=[drive.scene])[0]
-    env = EgoEnv(scenes=scene, config=world_config(drive.traffic, drive.criticality))
+    return play_keys(scene, drive.keys, world_config(drive.traffic, drive.criticality))
+
+
+def play_keys(
+    scene: Scene, keys: Sequence[int], config: WorldConfig, *, goes_on: bool = False
+) -> Rollout:
+    """Play the keys of a drive; one that ``goes_on`` steers along its way after the last of them,
+    without avoiding anybody, until the episode ends.
+    """
+    from ccdiff_env.envs import EgoEnv
+    from ccdiff_env.record.recorder import Recorder
+
+    env = EgoEnv(scenes=scene, config=config)
     env.reset(seed=0)
     recorder = Recorder(env, planner="you")
     recorder.start()
-    ego, top_mps, steer = scene.agent_ids.index("ego"), top_speed_mps(scene), 0.0
-    for held in drive.keys:
-        # as the page computes it
-        wanted = float(bool(held & 4)) - float(bool(held & 8))
-        steer += min(max(wanted - steer, -STEER_PER_STEP), STEER_PER_STEP)
-        x, y = map(float, env.worlds.native.states(0)["velocity"][ego])
-        gas = float(held & 1 and x * x + y * y < top_mps**2)
-        action = np.array([-1.0 if held & 2 else gas, steer], np.float32)
-        _, _, terminated, truncated, _ = env.step(action)
+    ego, wheel = scene.agent_ids.index("ego"), Wheel(scene)
+    for step in range(HORIZON_STEPS if goes_on else len(keys)):
+        states = env.worlds.native.states(0)
+        position, velocity = states["position"][ego], states["velocity"][ego]
+        speed, heading = float(np.hypot(*velocity)), float(states["heading"][ego])
+        held = keys[step] if step < len(keys) else wheel.along(position, heading, speed)
+        _, _, terminated, truncated, _ = env.step(wheel.action(held, position, velocity))
         recorder.step()
         if terminated or truncated:
             break

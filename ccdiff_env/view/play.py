@@ -27,17 +27,17 @@ from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import KINDS, NETWORKS
 from ccdiff_env.view import page
 from ccdiff_env.view.contact import AHEAD_M, BLOCKED_S, WAITS_MPS
-from ccdiff_env.view.link import HORIZON_STEPS, TRAFFIC, top_speed_mps, world_config
+from ccdiff_env.view.link import HORIZON_STEPS, TRAFFIC, top_speed_mps, way, world_config
 from ccdiff_env.view.outcome import PASSES_MPS, WAITED_M, WORDS
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import look, part
 from ccdiff_env.view.sources import log_rollout, play_scene
 
-#: Embedded scenes of the page: IDM reaches its goal in realistic traffic of each, and is hit at
-#: criticality 2. In the first a guided vehicle stops an ego that only accelerates at criticality 1.
+#: Embedded scenes of the page: the first nine that ``python -m tools.playground`` lists, in which
+#: criticality decides for a driver who only steers. In the first one the ego is hit.
 SCENES = (
-    "merge-in-01", "left-turn-03", "cut-in-00", "cut-in-02", "hard-brake-01", "double-left-01",
-    "pedestrians-01", "hard-brake-04", "merge-in-03",
+    "double-left-02", "double-left-00", "hard-brake-04", "tee-crossing-02", "double-left-01",
+    "cut-in-00", "cut-in-02", "free-curve-00", "queue-00",
 )  # fmt: skip
 LIT = "tee-crossing-005"  #: The last one, with traffic lights: IDM waits and reaches its goal.
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
@@ -123,7 +123,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
             for each in [shipped_weights(name, one_step=KINDS[name].denoises)]
         ),
         "ego": _packed(tensor_bytes(ego.tensors, {})),
-        "engine": part("engine.js"),
+        "engine": part("wheel.js") + part("engine.js"),
         "scenes": "\n".join(map(_scene, scenes)),
         "script": "\n".join(map(part, SCRIPTS)),
     }
@@ -150,7 +150,8 @@ def _scene(scene: Scene) -> str:
     played = play_scene(scene, traffic="replay", driver="replay", config=config)
     return "\n".join(
         f'<script class="{kind}" data-scene="{html.escape(scene.name, quote=True)}" '
-        f'data-top="{top_speed_mps(scene)}" type="text/plain">{text}</script>'
+        f'data-top="{top_speed_mps(scene)}" data-way="{page.as_json(way(scene))}" '
+        f'type="text/plain">{text}</script>'
         for kind, text in (
             ("run", pack(log_rollout(scene, like=played), scene.name)),
             ("bytes", _packed(scene.to_bytes())),

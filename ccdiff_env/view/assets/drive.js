@@ -2,7 +2,9 @@
 
 const STEP_SECONDS = 0.1, STATE = 8;
 const REPLAY_SECONDS = 2, REPLAY_RATE = 0.35; // of the end, again and slower
-const STEER_PER_SECOND = 4; // from straight on to full lock in a quarter of a second
+const STILL_SECONDS = 0.7, ON_SECONDS = 2; // what is seen of the end itself, and of the world at criticality 0 after it
+const WAIT_SECONDS = 4; // a car that nobody drives rolls off by itself
+const CALM = "At criticality 0, the same keys";
 const DRIVE_KEYS = {
   ArrowUp: "gas", w: "gas", ArrowDown: "brake", s: "brake",
   ArrowLeft: "left", a: "left", ArrowRight: "right", d: "right",
@@ -51,8 +53,74 @@ function read(text) {
   return keys;
 }
 
-/** The ground, and on it the way of the ego's log with a ring at its end. */
+/** Goals of drives that stay: the least seconds by what was played. */
+class Score {
+  constructor() {
+    try { this.best = JSON.parse(localStorage.getItem("ccdiff-env goals")) || {}; } catch { this.best = {}; }
+  }
+
+  /** Keep a goal; returns whether it is the soonest there. */
+  keep(key, seconds) {
+    if (this.best[key] <= seconds) return false;
+    this.best[key] = seconds;
+    try { localStorage.setItem("ccdiff-env goals", JSON.stringify(this.best)); } catch { /* kept nowhere */ }
+    return true;
+  }
+
+  /** What is said of it where something is played. */
+  said(key) {
+    const goals = Object.keys(this.best).length, best = this.best[key];
+    return (goals ? ` · ${counted(goals, "goal")}` : "") + (best ? ` · your best here ${best.toFixed(1)} s` : "");
+  }
+}
+
+/** A run of the same scene without states: those of a world are written into it. */
+function emptied(run) {
+  const a = Object.fromEntries(Object.entries(run.a).map(([name, values]) => [name, values.slice().fill(0)]));
+  const agents = run.agents.map((agent) => ({ ...agent }));
+  return Object.assign(Object.create(Run.prototype), run, { a, agents, events: [], plans: [], goal: null });
+}
+
+function write(run, step, states) {
+  run.agents.forEach((_, i) => {
+    const [x, y, heading, vx, vy, valid] = states.subarray(i * STATE, (i + 1) * STATE), at = i * run.numSteps + step;
+    Object.entries({ x, y, heading, vx, vy, valid }).forEach(([name, value]) => { run.a[name][at] = value; });
+  });
+}
+
+/** The plan of a step, see rust/wasm, as runs have it; null without one. */
+function planOf(numbers, run) {
+  if (!numbers.length) return null;
+  const [made_at, count, steps] = numbers, row = 3 + 2 * steps, end = 3 + count * row;
+  const rows = Array.from({ length: count }, (_, i) => numbers.subarray(3 + i * row, 3 + (i + 1) * row));
+  const agents = rows.map(([agent]) => agent), graph = [...numbers.subarray(end)];
+  const coordinate = (axis) => Float32Array.from(rows.flatMap((of) =>
+    [run.a["xy"[axis]][of[0] * run.numSteps + made_at], ...of.subarray(3).filter((_, i) => i % 2 === axis)]));
+  return {
+    made_at, agents, x: coordinate(0), y: coordinate(1), num_samples: 1, num_points: steps + 1,
+    guided: rows.map(([, guided]) => guided), follows_plan: rows.map(([, , follows]) => follows),
+    // row i is influenced by column j
+    edges: graph.flatMap((on, at) => (on ? [[agents[at % count], agents[Math.floor(at / count)]]] : [])),
+  };
+}
+
+/** Of plans, what leads one agent to the ego. */
+function plansOf(plans, agent) {
+  return plans.map((plan) => {
+    const row = plan.agents.indexOf(agent), from = row * plan.num_points, points = [from, from + plan.num_points];
+    if (row < 0) return { ...plan, agents: [], edges: [] };
+    return {
+      ...plan, agents: [agent], guided: [plan.guided[row]], follows_plan: [plan.follows_plan[row]],
+      x: plan.x.slice(...points), y: plan.y.slice(...points),
+      edges: plan.edges.filter(([p, q]) => p === agent && q === 0),
+    };
+  });
+}
+
+/** The ground, on it the way of the ego's log with a ring at its end, and outlines of those in other worlds. */
 class Way extends Ground {
+  ghosts = []; // colour, and a function of the step that gives a pose and a size
+
   constructor(run, log) {
     super(run);
     this.log = log;
@@ -61,39 +129,43 @@ class Way extends Ground {
   draw(context, colours, pixel) {
     super.draw(context, colours, pixel);
     const { x, y } = this.log.a, last = this.log.numSteps - 1;
-    context.strokeStyle = this.colour;
+    context.strokeStyle = colours.replay;
     context.lineCap = context.lineJoin = "round";
-    context.globalAlpha = 0.28;
-    context.lineWidth = Math.max(0.7, 3 * pixel);
+    context.globalAlpha = 0.6;
+    context.lineWidth = Math.max(0.3, 2 * pixel);
+    context.setLineDash([0.1, 1.6]);
     context.beginPath();
     for (let i = 0; i <= last; i++) context.lineTo(x[i], y[i]);
     context.stroke();
+    context.setLineDash([]);
     context.globalAlpha = 1;
+    context.strokeStyle = colours.goal;
     context.lineWidth = Math.max(0.3, 2.5 * pixel);
     context.beginPath();
     context.arc(x[last], y[last], 2.2, 0, 2 * Math.PI);
     context.stroke();
-    if (this.rival) this.drawRival(context, pixel);
-  }
-
-  drawRival(context, pixel) {
-    const { track, step } = this.rival, { length, width } = this.log.agents[0];
-    const at = Math.min(Math.round(step), track.length / STATE - 1) * STATE, [x, y, heading] = track.slice(at, at + 3);
-    context.save();
-    context.translate(x, y);
-    context.rotate(heading);
-    context.setLineDash([0.8, 0.5]);
-    context.lineWidth = Math.max(0.2, 2 * pixel);
-    context.strokeRect(-length / 2, -width / 2, length, width);
-    context.restore();
+    for (const [name, pose, { length, width }] of this.ghosts) {
+      const found = pose();
+      if (!found) continue;
+      context.save();
+      context.translate(found.x, found.y);
+      context.rotate(found.heading);
+      context.setLineDash([0.8, 0.5]);
+      context.lineWidth = Math.max(0.2, 2 * pixel);
+      context.strokeStyle = context.fillStyle = colours[name];
+      context.strokeRect(-length / 2, -width / 2, length, width);
+      context.globalAlpha = 0.2;
+      context.fillRect(-length / 2, -width / 2, length, width);
+      context.restore();
+    }
   }
 }
 
 /** State of the page. It has what a pane and the legend ask a player for. */
 class Drive extends View {
   constructor(engine, rivals) {
-    super({ plans: false });
-    Object.assign(this, { engine, rivals, settings: SETTINGS });
+    super();
+    Object.assign(this, { engine, rivals, settings: SETTINGS, score: new Score() });
     this.headingUp = !matchMedia("(prefers-reduced-motion)").matches;
     this.focus = "ego";
     this.held = new Set();
@@ -104,8 +176,8 @@ class Drive extends View {
   async open(name) {
     const of = (kind) => document.querySelector(`script.${kind}[data-scene="${CSS.escape(name)}"]`);
     const [run, log, bytes] = await Promise.all([readRun(of("run")), readRun(of("run")), inflate(of("bytes"))]);
-    const scene = new Uint8Array(bytes);
-    this.top = +of("run").dataset.top;
+    const road = { way: JSON.parse(of("run").dataset.way), top: +of("run").dataset.top };
+    const scene = { bytes: new Uint8Array(bytes), ...road };
     await Promise.all([this.engine.ask("load", scene), this.rivals.ask("load", scene)]);
     this.runs = [run];
     this.log = log;
@@ -114,13 +186,14 @@ class Drive extends View {
     run.outcome = { tone: "plain", text: "driven by keys", others: 0 };
     this.panes = [new Pane($("stage"), run, 0)];
     this.panes[0].ground = new Way(run, log);
-    this.panes[0].root.append(element("p", "pane-note hint", "Hold ↑ or ▲ to drive, ← → to steer: orange vehicles want to hit you"));
+    this.panes[0].root.append(element("p", "pane-note hint", "Steer ← →, brake ↓: the car rolls by itself. Orange vehicles want to hit you."));
     const { canvas } = this.panes[0];
     listenToGestures(canvas, {
       zoom: (factor, x, y) => {
         this.camera.zoom(factor, x, y, canvas.clientWidth, canvas.clientHeight, true);
         this.touch();
       },
+      tap: () => this.roll(),
     });
     this.camera.scale = Math.max(Math.min(this.panes[0].width, this.panes[0].height) / 75, 5);
     await this.begin();
@@ -129,11 +202,11 @@ class Drive extends View {
   /** Name of the network that drives the others, if one does. */
   get network() { return Object.keys(this.settings.configs[$("traffic").value].named_drivers)[0]; }
 
-  /** A configuration of the settings with the criticality of the slider. */
-  config(name) {
+  /** A configuration of the settings with a criticality, that of the slider by default. */
+  config(name, criticality = +$("criticality").value) {
     const config = this.settings.configs[name], { network } = this;
     if (!network) return JSON.stringify(config);
-    const criticality = +$("criticality").value, usual = config.named_drivers[network][network];
+    const usual = config.named_drivers[network][network];
     const options = { ...usual, criticality, num_samples: criticality > 0 ? usual.num_samples : 1 };
     return JSON.stringify({ ...config, named_drivers: { [network]: { [network]: options } } });
   }
@@ -147,6 +220,8 @@ class Drive extends View {
     this.script = script;
     this.keys = [];
     this.asked = false;
+    this.calm = null;
+    this.left = WAIT_SECONDS;
     $("card").hidden = true;
     if (this.raced !== this.key) {
       this.raced = this.key;
@@ -156,11 +231,10 @@ class Drive extends View {
     const run = this.runs[0];
     run.a.valid.fill(0);
     run.pairs.fill([]);
-    run.events = [];
-    run.goal = null;
+    Object.assign(run, { events: [], plans: [], goal: null });
+    Object.assign(this.layers, { plans: false, graph: false });
     run.agents.forEach((agent, i) => Object.assign(agent, { attacks: false, from: null, still: this.log.agents[i].still }));
     this.steps = 0;
-    this.steer = 0;
     this.owed = 0;
     this.going = false;
     this.outcome = null;
@@ -186,25 +260,54 @@ class Drive extends View {
     const found = await this.rivals.ask("rival", { config, held: SETTINGS.held });
     if (this.key !== key) return;
     this.result = found;
-    this.panes[0].ground.rival = { track: found.track, step: 0 };
     if (this.outcome) this.showCard();
     this.touch();
   }
 
+  /** The same keys at criticality 0, in the other worker. */
+  async relent() {
+    const { turn, network } = this, run = this.runs[0];
+    if (!network || +$("criticality").value === 0) return;
+    const config = this.config($("traffic").value, 0);
+    const { states, info } = await this.rivals.ask("again", { config, keys: this.keys });
+    if (turn !== this.turn) return;
+    const calm = emptied(run), last = states.length - 1;
+    states.forEach((of, step) => write(calm, step, of));
+    const { text, tone } = this.fate(calm, last, this.named(info));
+    const then = last > this.keys.length ? ", then along the way" : "";
+    this.calm = { run: calm, tone, text: `${CALM}${then}: ${text.replace("ego ", "you ").replace("its", "your")}` };
+    this.showCard();
+  }
+
+  /** Outlines of others: the trained ego; of a drive that has ended, who met and where they are at criticality 0. */
+  ghosts() {
+    const run = this.runs[0], step = run.stepAt(this.time), { calm, result } = this, [ego] = run.agents;
+    if (this.outcome && calm) {
+      const partner = run.events[0]?.partner, on = calm.run.stepAt(this.slow ?? this.time);
+      const of = (agent) => () => calm.run.pose(agent, on);
+      const other = partner > 0 ? [[run.agents[partner].kind === "vehicle" ? this.network : "replay", of(partner), run.agents[partner]]] : [];
+      return [["ego", of(0), ego], ...other];
+    }
+    if (!result) return [];
+    const at = Math.min(Math.round(step), result.track.length / STATE - 1) * STATE;
+    const [x, y, heading] = result.track.slice(at, at + 3);
+    return [["ego", () => ({ x, y, heading }), ego]];
+  }
+
   /** Write the present states into the run. */
-  put({ states, info, done }) {
+  put({ states, info, plan, done }) {
     const run = this.runs[0], { network } = this, { policies, drivers } = this.settings;
+    write(run, this.steps, states);
     run.agents.forEach((agent, i) => {
-      const [x, y, heading, vx, vy, there, driver, guided] = states.subarray(i * STATE, (i + 1) * STATE);
-      const at = i * run.numSteps + this.steps;
-      Object.entries({ x, y, heading, vx, vy }).forEach(([name, value]) => { run.a[name][at] = value; });
-      run.a.valid[at] = there;
+      const [x, y, , , , there, driver, guided] = states.subarray(i * STATE, (i + 1) * STATE);
       // parked until it moves, whatever it does in the log
       if (there && Math.hypot(x - (agent.from ??= [x, y])[0], y - agent.from[1]) > LOOK.PARKED_M) agent.still = false;
       agent.attacks ||= guided > 0;
       agent.driver = driver < 0 ? "ego" : agent.attacks ? "adversary" : policies[driver] || network;
       agent.drivenBy = driver < 0 ? "you" : drivers[agent.driver];
     });
+    const made = planOf(plan, run);
+    if (made && made.made_at !== run.plans.at(-1)?.made_at) run.plans.push(made);
     this.time = run.start + this.steps * run.dt;
     this.done = done;
     this.info = this.named(info);
@@ -214,9 +317,9 @@ class Drive extends View {
     return Object.fromEntries(this.settings.columns.map((name, i) => [name, info[i]]));
   }
 
-  /** One step of the world with a normalised action: acceleration and yaw rate. */
-  async advance(action) {
-    const turn = this.turn, seen = await this.engine.ask("step", action);
+  /** One step of the world with the keys that are held. */
+  async advance(held) {
+    const turn = this.turn, seen = await this.engine.ask("step", held);
     if (turn !== this.turn) return;
     this.steps += 1;
     this.put(seen);
@@ -224,30 +327,37 @@ class Drive extends View {
     this.touch();
   }
 
-  finish() {
-    const run = this.runs[0], { info, settings } = this, seconds = (this.steps * run.dt).toFixed(1);
-    const say = (what, speed = "") => `ego ${what} at ${seconds} s${speed}`;
-    let tone = "bad", text, fault = "";
+  /** What became of a run that ended at a step, in words; its events are written into it. */
+  fate(run, last, info) {
+    const { settings } = this, at = ` at ${(last * run.dt).toFixed(1)} s`;
     if (info.collision) {
       const partner = info.collision_partner - 1; // 0 is nobody
-      const [did, speed] = collisionOf(run, this.steps, partner, settings);
-      text = say(did, `, ${speed.toFixed(1)} m/s`);
-      fault = settings.words.fault[+(info.at_fault > 0)];
-      run.events.push({ kind: "collision", step: this.steps, agent: 0, partner, lane: "ego", text });
-    } else if (info.off_road) {
-      text = say(settings.words.off_road);
-    } else if (info.goal_reached) {
-      [tone, text] = ["good", say(settings.words.goal)];
-      run.goal = { agent: 0, step: this.steps }; // it stays to be seen
-    } else {
-      const [end, what] = endOf(run, this.log, this.steps, info, settings);
-      [tone, text] = [end, `ego ${what}`];
+      const [did, speed] = collisionOf(run, last, partner, settings), text = `ego ${did}${at}, ${speed.toFixed(1)} m/s`;
+      run.events = [{ kind: "collision", step: last, agent: 0, partner, lane: "ego", text }];
+      return { tone: "bad", text, fault: settings.words.fault[+(info.at_fault > 0)] };
     }
-    this.outcome = { tone, text, fault };
+    if (info.off_road) return { tone: "bad", text: `ego ${settings.words.off_road}${at}`, fault: "" };
+    if (info.goal_reached) {
+      run.goal = { agent: 0, step: last }; // it stays to be seen
+      return { tone: "good", text: `ego ${settings.words.goal}${at}`, fault: "" };
+    }
+    const [tone, what] = endOf(run, this.log, last, info, settings);
+    return { tone, text: `ego ${what}`, fault: "" };
+  }
+
+  finish() {
+    const run = this.runs[0];
+    this.outcome = this.fate(run, this.steps, this.info);
+    this.best = run.goal && this.score.keep(this.key, this.steps * run.dt);
     this.going = false;
     this.ended = this.time;
     this.slow = matchMedia("(prefers-reduced-motion)").matches ? null : Math.max(this.time - REPLAY_SECONDS, run.start);
+    if (run.events.length) { // why: the plan of the other one, and the arrow to the ego
+      run.plans = plansOf(run.plans, run.events[0].partner);
+      Object.assign(this.layers, { plans: true, graph: true });
+    }
     this.showCard();
+    this.relent();
     $("outcome").replaceChildren(...verdict(this.outcome));
   }
 
@@ -261,19 +371,25 @@ class Drive extends View {
       line = end ? `${end} at ${seconds.toFixed(1)} s` : wayOf(info, seconds, this.settings);
     }
     $("verdict").replaceChildren(...verdict(this.outcome));
-    $("rival").textContent = `trained ego: ${line}`;
+    $("calm").textContent = this.calm ? this.calm.text : "";
+    $("calm").className = `verdict ${this.calm?.tone}`;
+    $("rival").textContent = `Trained ego: ${line}${this.score.said(this.key)}`;
     $("card").hidden = false;
   }
 
   hold(key, down) {
     if (down) this.held.add(key);
     else this.held.delete(key);
-    if (down && !this.going && !this.outcome && this.runs.length && !this.script) {
-      this.going = true;
-      document.body.classList.remove("waits");
-    }
+    if (down) this.roll();
     document.querySelectorAll("#pad button").forEach((button) =>
       button.classList.toggle("held", this.held.has(button.dataset.key)));
+  }
+
+  /** Begin to roll. */
+  roll() {
+    if (this.going || this.outcome || !this.runs.length || this.script) return;
+    this.going = true;
+    document.body.classList.remove("waits");
   }
 
   pause() {
@@ -288,26 +404,21 @@ class Drive extends View {
     return KEYS.reduce((sum, key, bit) => sum + (this.held.has(key) << bit), 0);
   }
 
-  /** What keys ask for; ccdiff_env/view/link.py computes the same. */
-  action(mask = this.mask) {
-    const most = STEER_PER_SECOND * STEP_SECONDS, wanted = ((mask & 4) > 0) - ((mask & 8) > 0);
-    this.steer += Math.min(Math.max(wanted - this.steer, -most), most);
-    const run = this.runs[0], vx = run.a.vx[this.steps], vy = run.a.vy[this.steps];
-    const gas = (mask & 1) && vx * vx + vy * vy < this.top * this.top ? 1 : 0;
-    return [mask & 2 ? -1 : gas, this.steer];
-  }
-
   async go() {
     this.asked = true;
     const { mask, turn } = this;
     this.keys.push(mask);
-    await this.advance(this.action(mask));
+    await this.advance(mask);
     if (turn !== this.turn) return;
     this.asked = false;
     if (this.script && this.steps >= this.script.length && !this.outcome) this.going = false;
   }
 
   move(elapsed) {
+    if (document.body.classList.contains("waits") && !this.steps && this.headingUp && !$("help").open) {
+      this.left -= elapsed;
+      if (this.left < 0) this.roll();
+    }
     if (this.going) {
       this.owed = Math.min(this.owed + elapsed, 3 * STEP_SECONDS);
       if (this.owed >= STEP_SECONDS && !this.asked) {
@@ -321,7 +432,7 @@ class Drive extends View {
     }
     if (this.outcome && this.slow !== null) { // the end again, slowly, as often as one likes
       this.slow += elapsed * REPLAY_RATE;
-      if (this.slow > this.ended + 0.7) this.slow = Math.max(this.ended - REPLAY_SECONDS, this.runs[0].start);
+      if (this.slow > this.ended + (this.calm ? ON_SECONDS : STILL_SECONDS)) this.slow = Math.max(this.ended - REPLAY_SECONDS, this.runs[0].start);
       this.time = Math.min(this.slow, this.ended);
       this.touch();
     }
@@ -338,13 +449,12 @@ class Drive extends View {
       this.camera.x = pose.x + ahead * Math.cos(pose.heading);
       this.camera.y = pose.y + ahead * Math.sin(pose.heading);
     }
-    pane.ground.colour = COLOURS[this.theme].ego;
-    if (pane.ground.rival) pane.ground.rival.step = (this.time - run.start) / run.dt;
+    pane.ground.ghosts = this.ghosts();
     pane.draw(this);
     showLegend(this);
     const speed = Math.hypot(run.a.vx[this.steps], run.a.vy[this.steps]);
     $("figures").textContent = `${(this.steps * run.dt).toFixed(1)} s · ${speed.toFixed(1)} m/s · `
-      + `${Math.floor(100 * this.info.route_completion)} % of the way`;
+      + `${Math.floor(100 * this.info.route_completion)} % of the way${this.score.said(this.key)}`;
     $("heading").setAttribute("aria-pressed", this.headingUp);
   }
 }
@@ -385,7 +495,7 @@ function wire(drive) {
     setTimeout(() => { $("copy").textContent = "Share this drive"; }, 2000);
   });
   wireKeys(drive, [
-    ["↑ W", "accelerate"], ["↓ S", "brake"], ["← → A D", "steer"],
+    ["← → A D", "steer"], ["↓ S", "brake"], ["↑ W", "go faster"],
     ["R", "begin again", { r: () => drive.begin() }],
     ["N", "next scene", { n: () => {
       $("scene").selectedIndex = ($("scene").selectedIndex + 1) % names.length;

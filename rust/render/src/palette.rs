@@ -1,7 +1,7 @@
 //! Every colour of the images, in one place; they are the replay page's, on light and on dark ground.
 //!
-//! Agents are coloured by their drivers. The hues follow the colour-blind safe set of Okabe and Ito (2008),
-//! darkened or lightened to stand out on a light map; red is kept for collisions and red lights, which are the widest, and kinds of agents differ by
+//! Agents are coloured by their drivers: CCDiff and networks by greens, attackers alone by orange.
+//! Red is kept for collisions and for red lights, which are the widest; kinds of agents differ by
 //! shape (box with a windscreen, slim box, disc, plain box), so that no meaning hangs on hue alone.
 
 /// Red, green, blue, 0 to 255.
@@ -63,21 +63,26 @@ impl DrawStyle {
 
     /// Fill colour of the agents it drives.
     pub fn colour(self, theme: Theme) -> Rgb {
-        theme.of(STYLES[self as usize].2)
+        let (_, _, light, dark) = STYLES[self as usize];
+        match theme {
+            Theme::Light => light,
+            Theme::Dark => dark,
+        }
     }
 }
 
-/// Name, title and colour on light ground of each, by number.
-const STYLES: [(&str, &str, Rgb); 9] = [
-    ("ego", "ego", Rgb(0x00, 0x57, 0xB8)),
-    ("external", "policy", Rgb(0x4F, 0xB3, 0xE8)),
-    ("ccdiff", "CCDiff", Rgb(0x00, 0x9E, 0x73)),
-    ("adversary", "guided", Rgb(0xE6, 0x8A, 0x00)),
-    ("idm", "IDM", Rgb(0xEB, 0xD5, 0x3A)),
-    ("replay", "log", Rgb(0x8C, 0x96, 0xA3)),
-    ("constant_velocity", "constant velocity", Rgb(0xC2, 0x6F, 0xA4)),
-    ("other", "another model", Rgb(0x7D, 0x6F, 0xD0)),
-    ("network", "network", Rgb(0x0B, 0x5E, 0x4B)),
+/// Name, title and colours on light and on dark ground of each, by number. Who sees no red or no
+/// green tells any two apart: `tests/test_palette.py` measures it.
+const STYLES: [(&str, &str, Rgb, Rgb); 9] = [
+    ("ego", "ego", Rgb(0x06, 0x54, 0xB2), Rgb(0x3D, 0x89, 0xE3)),
+    ("external", "policy", Rgb(0x4F, 0xB3, 0xE8), Rgb(0x94, 0xD7, 0xFF)),
+    ("ccdiff", "CCDiff", Rgb(0x22, 0xA5, 0x76), Rgb(0x19, 0xBD, 0x8B)),
+    ("adversary", "guided", Rgb(0xE6, 0x8A, 0x00), Rgb(0xF0, 0x9A, 0x18)),
+    ("idm", "IDM", Rgb(0x94, 0x75, 0x00), Rgb(0xF5, 0xDF, 0x47)),
+    ("replay", "log", Rgb(0x91, 0x96, 0xA0), Rgb(0xA1, 0xAB, 0xB3)),
+    ("constant_velocity", "constant velocity", Rgb(0xAB, 0x46, 0x8B), Rgb(0xC1, 0x63, 0xA8)),
+    ("other", "another model", Rgb(0x8F, 0x6A, 0xE6), Rgb(0xB8, 0xA7, 0xFF)),
+    ("network", "network", Rgb(0x01, 0x53, 0x3D), Rgb(0x14, 0x7F, 0x72)),
 ];
 
 /// Ground that images are drawn on.
@@ -109,18 +114,6 @@ impl Theme {
             Self::Dark => &DARK,
         }
     }
-
-    /// A colour for this ground: on dark ground, dark ones move towards white.
-    fn of(self, light: Rgb) -> Rgb {
-        if self == Self::Light {
-            return light;
-        }
-        let channels = [light.0, light.1, light.2].map(f64::from);
-        let luminance = (0.299 * channels[0] + 0.587 * channels[1] + 0.114 * channels[2]) / 255.0;
-        let mix = (0.62 - luminance).max(0.0) * 0.85;
-        let [r, g, b] = channels.map(|c| (c + (255.0 - c) * mix).round() as u8);
-        Rgb(r, g, b)
-    }
 }
 
 macro_rules! palette {
@@ -148,7 +141,7 @@ macro_rules! palette {
 
 palette! {
     /// Obstacles that never move.
-    obstacle "static obstacle": Rgb(0x8A, 0x76, 0x63), Rgb(0x98, 0x87, 0x76);
+    obstacle "static obstacle": Rgb(0x76, 0x68, 0x69), Rgb(0x7F, 0x6D, 0x50);
     /// Collisions: outline of agents and marks.
     collision "collision": Rgb(0xD6, 0x1F, 0x2C), Rgb(0xFF, 0x5A, 0x5F);
     /// An ego that has reached its goal.

@@ -94,6 +94,20 @@ pub extern "C" fn action() -> *const f32 {
     PLAYGROUND.with_borrow(|playground| playground.action.as_ptr())
 }
 
+/// The plan in force: the step at which it was made, agents M and steps T, then of each agent its place in the scene,
+/// 1 where it is guided, 1 where it follows the plan, and x, y in metres after each step of the sample that it follows;
+/// last the causal graph [M, M]. Empty without a plan.
+#[unsafe(no_mangle)]
+pub extern "C" fn plan() -> *const f32 {
+    PLAYGROUND.with_borrow(|playground| playground.plan.as_ptr())
+}
+
+/// Numbers of the plan in force.
+#[unsafe(no_mangle)]
+pub extern "C" fn plan_length() -> usize {
+    PLAYGROUND.with_borrow(|playground| playground.plan.len())
+}
+
 /// 1 where the episode has ended.
 #[unsafe(no_mangle)]
 pub extern "C" fn done() -> u32 {

@@ -66,6 +66,8 @@ pub(crate) struct Playground {
     trained: Option<NetworkOfEgo>,
     /// Its last action.
     pub(crate) action: Vec<f32>,
+    /// The plan in force, see [`crate::plan`].
+    pub(crate) plan: Vec<f32>,
 }
 
 /// Drivers by name.
@@ -164,36 +166,33 @@ impl Playground {
         let world = self.world.as_ref().ok_or("no world")?;
         let status = world.status(0).map_err(|e| e.to_string())?;
         let s = status.states;
-        let plans = self.weights.iter().filter_map(|(kind, _)| world.explain(0, Some(kind)).ok().flatten());
-        let guided: Vec<usize> = plans
-            .flat_map(|plan| {
-                plan.agents
-                    .iter()
-                    .zip(&plan.guided)
-                    .filter(|(_, on)| **on)
-                    .map(|(a, _)| *a)
-                    .collect::<Vec<_>>()
-            })
-            .collect();
+        let mut plans =
+            self.weights.iter().filter_map(|(kind, _)| world.explain(0, Some(kind)).ok().flatten());
+        let plan = plans.next();
+        let flag = |on: bool| if on { 1.0 } else { 0.0 };
+        let guided =
+            |agent| plan.is_some_and(|p| p.agents.iter().zip(&p.guided).any(|(a, on)| *on && *a == agent));
+        self.plan.clear();
+        if let Some(p) = plan {
+            let rows = p.agents.len();
+            self.plan.extend([p.made_at as f32, rows as f32, p.num_steps as f32]);
+            for (row, agent) in p.agents.iter().enumerate() {
+                self.plan.extend([*agent as f32, flag(p.guided[row]), flag(p.follows_plan[row])]);
+                let begin = 3 * (p.selected_sample[row] * rows + row) * p.num_steps;
+                let way = p.samples[begin..begin + 3 * p.num_steps].chunks_exact(3);
+                self.plan.extend(way.flat_map(|pose| [pose[0], pose[1]]));
+            }
+            self.plan.extend(p.graph.iter().map(|edge| flag(*edge)));
+        }
         self.states.clear();
         for a in 0..s.len() {
             let driver = match status.drivers[a] {
                 Driver::External | Driver::Towed => -1.0,
                 Driver::Model(place) => f32::from(place),
             };
-            let there = if s.active[a] { 1.0 } else { 0.0 };
-            let velocity = [s.velocity_x_mps[a], s.velocity_y_mps[a]];
-            let guided = if guided.contains(&a) { 1.0 } else { 0.0 };
-            self.states.extend([
-                s.x[a],
-                s.y[a],
-                s.heading_rad[a],
-                velocity[0],
-                velocity[1],
-                there,
-                driver,
-                guided,
-            ]);
+            let there = flag(s.active[a]);
+            let [vx, vy] = [s.velocity_x_mps[a], s.velocity_y_mps[a]];
+            self.states.extend([s.x[a], s.y[a], s.heading_rad[a], vx, vy, there, driver, flag(guided(a))]);
         }
         Ok(())
     }
