@@ -98,6 +98,7 @@ def lines_chart(
     part of the one before.
     """
     rows = {"nrows": 2, "height_ratios": (3.8, 1.4)} if stills else {}
+    found: Any
     plot, found = new_plot(WIDTH, 5.2 if stills else 3.8, **rows)
     axes, *below = np.ravel(found)
     _begun(title, axes)

@@ -27,8 +27,11 @@ TRIED = 30  #: Scenes of nuScenes.
 def scenes_here() -> list[Scene]:
     """Return the embedded scenes, and those of nuScenes where there are data."""
     data = os.environ.get("CCDIFF_DATA")
-    own = [*embedded_scenes("val"), *embedded_scenes("train")]
-    return own + (load(Place("nuscenes", f"{data}/nuscenes", "val"), limit=TRIED) if data else [])
+    found = [*embedded_scenes("val"), *embedded_scenes("train")]
+    if data:
+        place = Place("nuscenes", f"{data}/nuscenes", "v1.0-trainval", "val", limit=TRIED)
+        found += load(place)
+    return found
 
 
 def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
