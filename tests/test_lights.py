@@ -192,6 +192,19 @@ LIGHT_COLUMNS = ["light_green", "light_yellow", "light_red", "light_distance", "
                  "light_braking"]  # fmt: skip
 
 
+def test_who_waits_at_a_light_is_not_late():
+    ego = agent("ego", np.minimum(8.0 * TIMES_S, 70.0))
+    paid = {}
+    for state in (GREEN, RED):
+        scene = array_scene(ego, layers=layers((0, always(state))))
+        env = EgoEnv(scenes=[scene], reward={"lagging": -0.5})
+        env.reset(seed=0)
+        paid[state] = [env.step([-1.0, 0.0])[-1]["reward_lagging"] for _ in range(30)]
+    assert min(paid[GREEN][20:]) < -0.5
+    # at 24 m, as fast as the log, it could be held by the line at 40 m from its first step on
+    assert paid[RED] == [0.0] * 30
+
+
 def test_the_next_light_is_observed_on_request():
     """Its columns against geometry, by the log; none of them is in the default layout."""
     x, states = 8.0 * TIMES_S, np.where(np.arange(STEPS) < 35, GREEN, RED)

@@ -15,6 +15,8 @@ use crate::world::tow;
 /// An agent is late only farther from its goal than this, and with nobody nearer ahead than the second, metres.
 const LATE_BEFORE_M: Real = 3.0;
 const LATE_BEHIND_M: Real = 8.0;
+/// Braking with which an agent waits in yellow, m/s².
+const CALM_MPS2: Real = 2.0;
 /// The time that is left counts as at least this, seconds.
 const LEAST_TIME_S: Real = 1.0;
 
@@ -48,14 +50,18 @@ impl Outcome {
     }
 }
 
-/// How much slower the agent of a slot is than reaches the goal in time where nobody is ahead, m/s.
+/// How much slower the agent of a slot is than reaches the goal in time where nobody is ahead and no light holds it, m/s.
 fn lag_mps(e: &Episode, scene: &PreparedScene, slot_idx: usize, a: usize, time_left_s: Real) -> Real {
     let (s_m, route) = (e.route_s_m[a], &scene.routes[a].path);
     let left_m = e.slots[slot_idx].progress.ahead_m(s_m);
     let lag_mps = left_m / time_left_s - e.states.speed_mps[a];
     let is_free = || {
-        leader(&e.states, &scene.footprints, route, s_m, a, ANTICIPATION_S)
-            .is_none_or(|l| l.gap_m > LATE_BEHIND_M)
+        let front_m = s_m + scene.footprints[a].half_length_m;
+        let speed_mps = e.states.speed_mps[a].max(0.0);
+        let (lights, red) = (&scene.routes[a].lights, Real::MAX);
+        scene.scene.map.waits_at(lights, front_m, speed_mps, e.step_idx, [red, CALM_MPS2]).is_none()
+            && leader(&e.states, &scene.footprints, route, s_m, a, ANTICIPATION_S)
+                .is_none_or(|l| l.gap_m > LATE_BEHIND_M)
     };
     if left_m > LATE_BEFORE_M && lag_mps > 0.0 && is_free() { lag_mps } else { 0.0 }
 }
