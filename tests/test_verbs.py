@@ -258,7 +258,10 @@ def test_training_resumes_and_begins_with_weights_that_are_told_routes(tmp_path,
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--scenes embedded/val", "12 scenes of val and city and val-lights and city-lights kept out"),
+        (
+            "--scenes embedded/val",
+            "12 scenes of val and city and val-lights and city-lights kept out",
+        ),
         ("--scenes nuscenes:/nowhere", "/nowhere"),
     ],
 )
