@@ -175,7 +175,7 @@ def test_it_is_an_option_of_one_ego_per_world():
         ccdiff_env.worlds.Worlds(
             embedded_scenes("val"), WorldConfig(controlled="any", num_slots=2), num_worlds=1
         )
-    with pytest.raises(ConfigError, match="ego is not an option"):
+    with pytest.raises(ConfigError, match="ego is not supported"):
         ccdiff_env.parallel_env(agents=2, ego="any")
 
 

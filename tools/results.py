@@ -33,7 +33,7 @@ from tools import charts, pages
 from tools.pages import keep, kept
 
 #: Splits of nuScenes that trained or chose what the package has: they must not report it.
-USED_FOR = dict.fromkeys(("ego", "ego_replay", "ccdiff", "tokens"), "train+train_val")
+USED_FOR = dict.fromkeys(("ego", "ego_replay", "ppo", "ccdiff", "tokens"), "train+train_val")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ _PLANNERS = Made(
     pivot="traffic",
 )
 _EGOS = (
-    "bench planners --planners idm,lane_idm,pdm,ego --seeds 0,1,2 "
+    "bench planners --planners idm,lane_idm,pdm,ego,ppo --seeds 0 "
     "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2"
 )
 _NUPLAN = Made(

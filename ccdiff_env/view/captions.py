@@ -23,6 +23,7 @@ PLANNER_TITLES = {
     "lane_idm": "IDM on lanes",
     "noop": "no action",
     "pdm": "PDM-Closed",
+    "ppo": "PPO from nothing",
 }
 
 

@@ -22,8 +22,9 @@ FORMAT = "ccdiff-env ego 1"
 #: Options that a file of a policy may hold: what it observes, what its actions mean, how long.
 FITTING = ("action", "bev", "decision_steps", "discrete", "dt_s", "dynamics", "grid", "observation")
 _DATA = Path(__file__).resolve().parents[1] / "data"
-#: Policies by name: trained in recorded critical traffic, too; in log replay and IDM alone.
-SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay")}
+#: Policies by name: two that change what a rule does, trained in recorded critical traffic, too, or
+#: in log replay and IDM alone; and one without a rule, trained from nothing.
+SHIPPED = {name: _DATA / f"{name}.safetensors" for name in ("ego", "ego_replay", "ppo")}
 
 LEARNED = "learned"  #: Name of the shipped choice of adversaries.
 
