@@ -184,7 +184,7 @@ fn a_parked_vehicle_is_hollow_and_an_svg_has_the_same_marks() {
     assert!((f32::from(inside) - mixed).abs() < 2.0, "{inside}, not {mixed}");
     let svg = render_svg(&drawing, &camera).unwrap();
     let count = |what: &str| svg.matches(what).count();
-    assert_eq!(count("fill=\"#ebd53a\" fill-opacity=\"0.200\""), 1);
+    assert_eq!(count("fill=\"#947500\" fill-opacity=\"0.200\""), 1);
     assert_eq!(count("fill=\"#0654b2\" fill-opacity=\"1.000\""), 1);
     assert_eq!(count("stroke=\"#d61f2c\""), 1);
     assert!(svg.starts_with("<svg ") && svg.ends_with("</svg>\n") && svg.contains("fill=\"#eef0ec\""));
