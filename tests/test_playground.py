@@ -115,9 +115,10 @@ def test_a_car_that_nobody_drives_rolls_off(playground):
 
 
 def test_the_end_shows_why_and_what_the_same_keys_do_at_criticality_0(playground):
-    page = playground(hash="#scene=left-turn-03&traffic=ccdiff&criticality=1&drive=b17")
+    page = playground(hash="#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=a150")
     page.until("drive.calm && drive.outcome", 90)
-    drive, rollout = read_drive(link := page.evaluate("drive.link")), play_drive(page.url)
+    link = page.evaluate("drive.link")
+    drive, rollout = read_drive(link), play_drive(link)
     calm = outcome(
         play_keys(rollout.scene, drive.keys, world_config(drive.traffic, 0.0), goes_on=True)
     )
@@ -126,7 +127,7 @@ def test_the_end_shows_why_and_what_the_same_keys_do_at_criticality_0(playground
     assert said.startswith("At criticality 0, the same keys")
     # the plan of whom it met, as the world has it
     partner = rollout.agent_ids.index(rollout.collisions("ego")[0].partner_id)
-    plans = [p for p in play_drive(link).plans if partner in p.agents]
+    plans = [p for p in rollout.plans if partner in p.agents]
     shown = page.evaluate("drive.runs[0].plans.map((p) => [p.agents, [...p.x], p.guided, p.edges])")
     assert plans
     for plan, (agents, x, guided, edges) in zip(plans, shown, strict=True):
@@ -138,7 +139,7 @@ def test_the_end_shows_why_and_what_the_same_keys_do_at_criticality_0(playground
 
 
 def test_goals_stay(playground):
-    page = playground(hash="#scene=pedestrians-00&traffic=replay&drive=b150")
+    page = playground(hash="#scene=pedestrians-00&traffic=replay&drive=a150")
     page.until("drive.outcome", 60)
     assert page.evaluate("drive.outcome.tone") == "good"
     seconds = page.evaluate("(drive.steps * 0.1).toFixed(1)")
@@ -252,7 +253,7 @@ def test_an_end_card_names_the_trained_ego(playground):
             for traffic in ("ccdiff&criticality=2", "replay")
             for drive in ("b150", "c150", "e40a110", "b20a130")
         ),
-        "scene=left-turn-03&traffic=ccdiff&criticality=1&drive=b17",
+        "scene=left-turn-03&traffic=ccdiff&criticality=1&drive=a150",
         "scene=pedestrians-02&traffic=ccdiff&criticality=1&drive=b60",
         "scene=left-turn-03&traffic=idm&drive=b8c142",
     ],
@@ -271,8 +272,7 @@ def test_a_verdict_has_the_words_of_replays(playground, hash):
 
 
 def test_a_vehicle_that_waits_in_the_log_is_solid_once_it_moves(playground):
-    keys = "b4a7e4c2k2c5f2b4c4b6f1g3j5b2c4f4b10g2f2k6a8"
-    page = playground(hash=f"#scene=left-turn-03&traffic=ccdiff&criticality=1&drive={keys}")
+    page = playground(hash="#scene=left-turn-03&traffic=ccdiff&criticality=1&drive=a150")
     page.until("drive.outcome", 60)
     solid = page.evaluate("drive.runs[0].agents.map((agent) => !agent.still)")
     rollout = play_drive(page.evaluate("drive.link"))
