@@ -23,7 +23,7 @@ def test_the_smoke_run_of_an_example_succeeds(path, tmp_path):
     if path.stem in NEEDS:
         pytest.importorskip(NEEDS[path.stem], exc_type=ImportError)
     text = path.read_text()
-    assert len(text.splitlines()) < 150
+    assert len(text.splitlines()) < 160
     done = ran(path, tmp_path, *["--out", "out"] * ('"--out"' in text))
     assert done.returncode == 0, done.stderr[-2000:]
     assert done.stdout.strip()

@@ -252,7 +252,7 @@ def test_traffic_of_ones_own_runs_where_it_is_asked_for(tmp_path, members, monke
     folder = unpacked(tmp_path / "run", changed)
     with pytest.raises(errors.ConfigError, match="--own-code"):
         verify(Record.read(folder))
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(errors.PolicyError, match="ZeroDivisionError"):
         verify(Record.read(folder), own_code=True)
     with pytest.raises(errors.ConfigError, match="--own-code"):
         verify(Record.read(packed(tmp_path / "a.zip", changed)), own_code=True)

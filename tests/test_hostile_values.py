@@ -142,10 +142,16 @@ def jumping(step_m):
         ({"dt": 1e3}, "dt|step"),
         ({"name": "\x1b[2J"}, "control char"),
         ({"agent_ids": ["a\nb"]}, "control char"),
-        *(({key: HALF}, "half a char") for key in ("name", "token", "location", "source")),
-        *(({f"agent_{key}": [HALF]}, "half a char") for key in ("ids", "types", "categories")),
-        ({"map_layers": {HALF: []}}, "half a char"),
-        *(({"map_layers": {"lanes": [{**LANE, key: HALF}]}}, "half") for key in ("id", "kind")),
+        *(({key: HALF}, "unpaired surrogate") for key in ("name", "token", "location", "source")),
+        *(
+            ({f"agent_{key}": [HALF]}, "unpaired surrogate")
+            for key in ("ids", "types", "categories")
+        ),
+        ({"map_layers": {HALF: []}}, "unpaired surrogate"),
+        *(
+            ({"map_layers": {"lanes": [{**LANE, key: HALF}]}}, "surrogate")
+            for key in ("id", "kind")
+        ),
     ],
     ids=lambda value: ascii(value)[:30],
 )
