@@ -241,7 +241,7 @@ def test_an_end_card_names_the_trained_ego(playground):
     page = playground(hash="#scene=cut-in-04&traffic=replay&drive=c150")
     page.until("drive.outcome && drive.result", 60)
     text = page.inner_text("#card")
-    assert "trained ego: " in text
+    assert "Trained ego: " in text
     assert "still driving" not in text
 
 

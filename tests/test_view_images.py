@@ -162,7 +162,8 @@ def test_agents_that_are_absent_now_are_not_drawn(tmp_path):
     assert arrays["valid"][1, 40:].max() == 0
     assert np.ptp(arrays["x"][1, 39:]) == 0.0
     video = Video(gone, follow=run.agent_ids[1], size=(200, 200), span_m=40.0)
-    seen = [bool((video.frame(step) == (0, 158, 115)).all(-1)[100, 100]) for step in (39, 41)]
+    colour = render.legend()["ccdiff"]
+    seen = [bool((video.frame(step) == colour).all(-1)[100, 100]) for step in (39, 41)]
     assert seen == [True, False]
 
 
