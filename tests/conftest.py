@@ -3,10 +3,13 @@
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from browser_page import Page
+
+from ccdiff_env.bench import provenance
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -100,3 +103,15 @@ def axe() -> str:
         if (root / "axe-core" / "axe.min.js").is_file():
             return (root / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
     pytest.skip("no axe-core: npm install -g axe-core")
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch, request):
+    """A working folder with a module of one's own, the name and text of ``OWN_CODE``."""
+    name, text = request.module.OWN_CODE
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(provenance, "_SEEN", {})
+    (tmp_path / f"{name}.py").write_text(text)
+    return tmp_path

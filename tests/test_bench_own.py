@@ -12,7 +12,6 @@ import pytest
 import ccdiff_env
 import ccdiff_env.view
 from ccdiff_env import cli
-from ccdiff_env.bench import provenance
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.tags import scene_tags
 from ccdiff_env.errors import MissingFeatureError
@@ -20,7 +19,9 @@ from ccdiff_env.record.counterfactual import Avoidability, EgoPlan
 from ccdiff_env.scenes.map_queries import LaneAhead
 from ccdiff_env.traffic import CcdiffConfig, TrafficBatch, TrafficPlan
 
-DESK = """
+OWN_CODE = (
+    "desk_own",
+    """
 import numpy as np
 
 from ccdiff_env.traffic import CcdiffConfig
@@ -46,18 +47,8 @@ def way_m(rollout):
 
 def breaks(rollout):
     return 1 / 0
-"""
-
-
-@pytest.fixture
-def desk(tmp_path, monkeypatch):
-    """A working folder with code of one's own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "desk_own", raising=False)
-    monkeypatch.setattr(provenance, "_SEEN", {})
-    (tmp_path / "desk_own.py").write_text(DESK)
-    return tmp_path
+""",
+)
 
 
 def rows(path):

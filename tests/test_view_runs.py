@@ -13,7 +13,6 @@ from test_view import elements, unpacked
 
 import ccdiff_env
 from ccdiff_env import cli, embedded_scenes
-from ccdiff_env.bench import provenance
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners.planning import overlap
@@ -49,17 +48,7 @@ def shapes(obs):
 
     return overlap(np.zeros(3), np.zeros(5))
 """
-
-
-@pytest.fixture
-def desk(tmp_path, monkeypatch):
-    """A working folder with planners of one's own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "desk_planners", raising=False)
-    monkeypatch.setattr(provenance, "_SEEN", {})
-    (tmp_path / "desk_planners.py").write_text(PLANNERS)
-    return tmp_path
+OWN_CODE = "desk_planners", PLANNERS
 
 
 def states(path):
@@ -212,7 +201,7 @@ def test_a_collision_that_can_be_avoided_shows_how(tmp_path):
     )
     run = with_rescue(rollouts[name])
     rescue, hit = run.meta["rescue"], run.collisions("ego")[0].step
-    assert rescue["text"] == "avoidable: brake at 1.5 m/s² from 1.4 s"
+    assert rescue["text"] == f"avoidable: brake at 1.5 m/s² from {(hit - 30) / 10:.1f} s"
     assert rescue["step"] == hit - 30
     path, ego = np.array(rescue["path"]), run.agent_ids.index("ego")
     np.testing.assert_allclose(path[0, :2], run.position[ego, hit - 30], atol=2e-3)
