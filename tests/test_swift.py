@@ -118,12 +118,12 @@ def test_damaged_files_are_named(scenes, tmp_path, changes, text):
 
 
 def test_a_learned_choice_guides_it_and_who_chooses_at_a_cost_is_refused(scenes):
-    """The shift of a plan in standard deviations is of networks that denoise."""
+    """A price on the moved plan is of networks whose finished plans are moved."""
     driven(scenes, ccdiff={"criticality": 1.0, "adversary_policy": "learned"}).step(10)
     env = ccdiff_env.envs.AdversarySelectionVectorEnv(1, scenes=scenes, traffic=SWIFT)
     env.reset(seed=0)
     assert env.action_masks()[0, 0]
-    with pytest.raises(ConfigError, match="denoises"):
+    with pytest.raises(ConfigError, match="finished plans are moved"):
         env.step([0])
     env.close()
 

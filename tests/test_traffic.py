@@ -183,7 +183,8 @@ def test_a_plans_record_has_the_same_fields_everywhere(scenes):
     env.step(np.zeros(env.action_space.shape, np.float32))
     recorder.step()
     plan, record = env.worlds.native.explain(0), env.explain()
-    assert set(plan) == {field.name for field in dataclasses.fields(record)}
+    drawn = {"moment"}  # what a notebook draws the plan with
+    assert set(plan) == {field.name for field in dataclasses.fields(record)} - drawn
     recorded = recorder.rollout().plans[0]
     assert type(recorded) is type(record)
     for name, told in plan.items():

@@ -131,12 +131,8 @@ def test_an_accident_of_others_is_told_of_who_brings_more():
 @pytest.mark.parametrize(
     ("drive", "verb"),
     [
-        ("scene=left-turn-03&traffic=ccdiff&criticality=1&drive=b17", "drove into 1 (car)"),
-        (
-            "scene=left-turn-03&traffic=ccdiff&criticality=1"
-            "&drive=b4a7e4c2k2c5f2b4c4b6f1g3j5b2c4f4b10g2f2k6a8",
-            "hit in front by 3 (car)",
-        ),
+        ("scene=cut-in-04&traffic=ccdiff&criticality=1&drive=b10", "drove into 1 (car)"),
+        ("scene=free-curve-00&traffic=ccdiff&criticality=1&drive=a13", "hit in front by 1 (car)"),
         ("scene=pedestrians-02&traffic=ccdiff&criticality=1&drive=b60", "drove into 1 (adult)"),
     ],
 )
