@@ -10,6 +10,7 @@ from ccdiff_env.bench.traffic_report import (
     at_equal_scr,
     comparison,
     difference,
+    rankings,
     summarise,
 )
 from ccdiff_env.system.table import document
@@ -86,6 +87,33 @@ def test_at_equal_scr_figures_lie_between_two_criticalities():
     value, low, high = figures["0.4", "ctg", "ccdiff_equal"]
     assert value == pytest.approx(-4.0)
     assert low < value < high
+
+
+def test_rankings_are_compared_where_there_is_a_choice():
+    """Chance hits a third of the 30 scenes of 4 movers, reach these and the 10 scenes of 2."""
+
+    def played(hits, draws=1):
+        rows = episodes(hits * draws, np.zeros(40 * draws))
+        return [
+            {
+                **row,
+                "scr_by_controlled": False,
+                "scene": i % 40,
+                "num_moving": 4 if i % 40 < 30 else 2,
+            }
+            for i, row in enumerate(rows)
+        ]
+
+    third, reached = [i % 3 == 0 for i in range(30)] + [False] * 10, [True] * 40
+    found = rankings(
+        {Condition("replay", "0", 0.5): played([False] * 40)}
+        | {Condition("ccdiff_random", k, 0.5): played(third, draws=3) for k in "12"}
+        | {Condition("ccdiff_reach", k, 0.5): played(reached) for k in "12"}
+    )
+    figures = {tuple(row[1:5]): row[5][0] for row in found.rows}
+    # no scene has five movers; with two guided, those of two leave no choice
+    want = {("1", 0.5, 2, 40): 30 / 40, ("2", 0.5, 3, 30): 20 / 30}
+    assert figures == pytest.approx(want)
 
 
 def test_a_guided_method_has_a_name_at_every_criticality():

@@ -110,12 +110,18 @@ _REALISM = Made(
     },
 )
 
+_ABLATION = Made(
+    "bench traffic --k 1,2 --methods "
+    "ccdiff,ccdiff_no_enc,ccdiff_distance,ccdiff_first,ccdiff_random,ccdiff_reach",
+    ("method", "K", "replan_s"),
+    _GUIDED,
+)
 _ONE = "_one_sample"
 _STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the docs show them.
 
 _MATCHED = Made(
     "bench traffic --k 5 --match 0.3,0.5,0.7 --strengths 0.5,1,1.5,3 --methods "
-    "ccdiff_equal,simnet,trafficsim,strive,ctg,ctgpp",
+    "ccdiff_equal,ccdiff_one_step,simnet,trafficsim,strive,bits,ctg,ctgpp",
     ("at_scr", "method"),
     {
         "FDE m": Column("fde", digits=1),
@@ -233,11 +239,16 @@ TABLES: dict[str, Made] = {
         ("method", "K", "replan_s"),
         {"SCR": _SCR, "CS": Column("cs"), "RS": Column("rs")},
     ),
-    "ablation": Made(
-        "bench traffic --k 1,2 --methods "
-        "ccdiff,ccdiff_no_enc,ccdiff_distance,ccdiff_first,ccdiff_random,ccdiff_reach",
-        ("method", "K", "replan_s"),
-        _GUIDED,
+    "ablation": _ABLATION,
+    "rankings": replace(
+        _ABLATION,
+        keys=("method", "K", "moving"),
+        columns={
+            "scenes": Column("scenes", digits=0, interval=False),
+            "SCR less random": Column("scr_controlled", sign="+"),
+            "brought about, less random": Column("scr_by_controlled", sign="+"),
+        },
+        file="rankings.csv",
     ),
     "training": Made(
         "train",
@@ -392,7 +403,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
     run = kept(name)
-    if "K" in table.keys:
+    if "replan_s" in table.keys:
         return _grid(run, *table.columns.values())
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {

@@ -144,17 +144,19 @@ def _traffic(args: argparse.Namespace) -> int:
     episodes = run.episodes(jobs, "method", "replan_steps", k="num_controlled")
     played = report.conditions(episodes)
     found = report.summarise(played)
-    matched = report.at_equal_scr(played, match)
+    matched, ranked = report.at_equal_scr(played, match), report.rankings(played)
     return run.report(
         "Traffic",
         {
             "Figures": report.tables(played, found),
             "Methods against one another": report.comparison(played, found),
+            **({"Rankings less a random one": [ranked]} if ranked else {}),
             **({"Methods at equal SCR (new, controlled)": [matched]} if match else {}),
         },
         episodes,
         {
             "figures.csv": report.figures_table(played, found),
+            **({"rankings.csv": ranked} if ranked else {}),
             **({"matched.csv": matched} if match else {}),
         },
         report.plot(found, run.folder / "front"),

@@ -320,6 +320,7 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     return {
         "scene": episode.scene.name,
         "num_agents": len(episode.agents),
+        "num_moving": int((speed[:, START_STEP] > STATIONARY_MPS).sum()),
         "num_controlled": int(controlled.sum()),
         "scr": found.any(),
         "scr_new": found.any("new"),

@@ -19,7 +19,7 @@ from ccdiff_env.bench.intervals import (
     mean_interval,
     scene_means,
 )
-from ccdiff_env.bench.methods import METHODS, label_of
+from ccdiff_env.bench.methods import METHODS, REORDERED, label_of
 from ccdiff_env.bench.plots import plot_front
 from ccdiff_env.metrics import comfort_distance, generational_distance, scores
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
@@ -247,6 +247,30 @@ def _against(played: Played, base: str) -> list[Block]:
         f"Means over scenes, same scenes and vehicles. {brackets(played.values())} "
         "Methods without guidance: less the same without guidance.",
     ]
+
+
+# rankings
+
+#: Figures in which rankings are compared with a random one.
+_RANKED = tuple(Column(name, sign="+") for name in ("scr_controlled", "scr_by_controlled", "fde"))
+_MANY = 5  #: Moving vehicles of a scene with many to choose from.
+
+
+def rankings(played: Played) -> Table:
+    """Return each ranking less a random one, in scenes where more vehicles move than K are guided,
+    and in those with many of them.
+    """
+    rows: TableRows = []
+    for c, episodes in played.items():
+        random = played.get(c._replace(method="ccdiff_random"))
+        if random is None or not c.k.isdigit() or c.method not in ("ccdiff", *REORDERED):
+            continue
+        for least in sorted({int(c.k) + 1, _MANY}):
+            some = [row for row in episodes if row["num_moving"] >= least]
+            if some and c.method != "ccdiff_random":
+                less = [difference(some, random, floor(played), f.name) for f in _RANKED]
+                rows.append([*c[:3], least, len(some), *less])
+    return Table(("method", "K", "replan_s", "moving", "scenes", *_RANKED), rows)
 
 
 # methods at equal SCR
