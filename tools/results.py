@@ -42,6 +42,7 @@ class Made:
 
     ``keys`` name a row, of rows that have the values ``where``; those of the same keys are
     averaged. With ``pivot`` each value of that field is a column, whose figure is the score.
+    ``part`` is what follows the folder of the scenes, where it is not the source's own.
     """
 
     command: str
@@ -50,11 +51,12 @@ class Made:
     where: Mapping[str, str] = field(default_factory=dict)
     pivot: str | None = None
     file: str = "figures.csv"
+    part: str = ""
 
 
 _PLANNERS = Made(
     f"bench planners --protocol {PROTOCOL.name} --level smoke --planners "
-    "lane_idm,pdm,ego,idm,replay,constant_velocity,noop,ccdiff,ego_replay",
+    "lane_idm,pdm,ego,ppo,idm,replay,constant_velocity,noop,ccdiff,ego_replay",
     ("planner",),
     {
         "mean": Column("mean"),
@@ -115,6 +117,16 @@ _ABLATION = Made(
     "ccdiff,ccdiff_no_enc,ccdiff_distance,ccdiff_first,ccdiff_random,ccdiff_reach",
     ("method", "K", "replan_s"),
     _GUIDED,
+)
+_RANKINGS = replace(
+    _ABLATION,
+    keys=("method", "K", "moving"),
+    columns={
+        "scenes": Column("scenes", digits=0, interval=False),
+        "SCR less random": Column("scr_controlled", sign="+"),
+        "brought about, less random": Column("scr_by_controlled", sign="+"),
+    },
+    file="rankings.csv",
 )
 _ONE = "_one_sample"
 _STEPS = (4_000, 10_000, 20_000, 40_000, 120_000)  #: Of trainings, at which the docs show them.
@@ -240,16 +252,8 @@ TABLES: dict[str, Made] = {
         {"SCR": _SCR, "CS": Column("cs"), "RS": Column("rs")},
     ),
     "ablation": _ABLATION,
-    "rankings": replace(
-        _ABLATION,
-        keys=("method", "K", "moving"),
-        columns={
-            "scenes": Column("scenes", digits=0, interval=False),
-            "SCR less random": Column("scr_controlled", sign="+"),
-            "brought about, less random": Column("scr_by_controlled", sign="+"),
-        },
-        file="rankings.csv",
-    ),
+    "rankings": _RANKINGS,
+    "rankings_dense": replace(_RANKINGS, part="@v1.0-mini/all"),
     "training": Made(
         "train",
         ("method",),
@@ -295,10 +299,11 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
     if name == "seeds":
         about, figures = _seeds(folder, source, workers)
     else:
-        scenes = ["--scenes", source]
+        folder_of = f"nuscenes:{parse(source).path}"
+        scenes = ["--scenes", folder_of + table.part if table.part else source]
         if "--protocol" in table.command:
             own = "embedded" in PROTOCOL.fields["levels"][name.removeprefix("planners_")]
-            scenes = [] if own else ["--scenes", f"nuscenes:{parse(source).path}"]
+            scenes = [] if own else ["--scenes", folder_of]
         about, rows = _run([*shlex.split(table.command), *scenes], folder, workers, table.file)
         figures = _kept(table, rows)
     made = about["made_with"]
