@@ -350,28 +350,15 @@ def test_an_action_changed_by_a_thousandth_is_found(made, tmp_path, capsys):
     assert "2 of 3 episodes" in out
 
 
-def test_a_submission_is_one_file_that_anybody_can_check(made, tmp_path, capsys):
-    file = tmp_path / "s.zip"
-    words = ["--code", "https://example.org/me", "--training-data", "nuScenes train"]
-    assert cli.main(["bench", "submit", str(made), "--out", str(file), *words]) == 0
-    first = file.read_bytes()
-    assert cli.main(["bench", "submit", str(made), "--out", str(file), *words]) == 0
-    assert file.read_bytes() == first
-    capsys.readouterr()
-    assert cli.main(["bench", "verify", str(file)]) == 0
-    assert "24 of 24" in capsys.readouterr().out
-    with zipfile.ZipFile(file) as found:
-        assert json.loads(found.read("submission.json"))["training_data"] == "nuScenes train"
-    assert cli.main(["bench", "submit", str(made), "--code", "javascript:x"]) == 2
-
-
-def test_golden_episodes_come_out_as_they_did():
+def test_golden_episodes_come_out_as_they_did(tmp_path):
     """Scores, parts and digests of 24 episodes of another day; no network draws in them.
 
     Made anew, where that is meant, by `bench planners --planners ego,idm --traffic idm-hasty
-    --seeds 0` and `bench submit --out tests/golden/planners.zip`.
+    --seeds 0`: `run.json` and `raw/`, zipped.
     """
-    found = verify(Record.read(ROOT / "tests/golden/planners.zip"))
+    with zipfile.ZipFile(ROOT / "tests/golden/planners.zip") as file:
+        file.extractall(tmp_path)
+    found = verify(Record.read(tmp_path))
     assert found.played == 24
     assert not found.differing
 
@@ -473,8 +460,8 @@ def test_seeds_of_a_protocol_are_drawn_when_a_run_begins_and_kept_in_it(tmp_path
 def test_the_smoke_level_of_the_protocol_in_one_command(tmp_path, capsys):
     command = ["bench", "planners", "--protocol", "planner-1.3", "--planners", "idm", "--quiet"]
     assert cli.main([*command, "--out", str(tmp_path)]) == 0
-    (result,) = Record.read(tmp_path).results()
-    assert result.heading.startswith("planner-1.3 smoke")
+    ((heading, _),) = Record.read(tmp_path).tables()
+    assert heading.startswith("planner-1.3 smoke")
     assert {entry.traffic for entry in Record.read(tmp_path).entries} == set(PROTOCOL.panel)
 
 

@@ -21,7 +21,7 @@ import ccdiff_env
 from ccdiff_env import EgoEnv, Rollout, Scene, WorldConfig, errors, planners
 from ccdiff_env.bench.cli import add_run_arguments
 from ccdiff_env.bench.jobs import Job, run_jobs
-from ccdiff_env.bench.leaderboard import write_leaderboard
+from ccdiff_env.bench.record import Record
 from ccdiff_env.bench.run import Run
 from ccdiff_env.envs.replay import replay
 from ccdiff_env.models import TrajectoryModel, shipped_weights
@@ -44,10 +44,6 @@ def scene() -> Scene:
 def bank(path: Path) -> object:
     (path.parent / "bank.json").write_text("{}")
     return load_bank(path.parent)
-
-
-def board(path: Path) -> object:
-    return write_leaderboard([path.parent], path.parent / "page.html")
 
 
 def in_data_set(table: str):
@@ -81,7 +77,7 @@ DOORS = {
     "pages": (lambda path: write_pages(path.parent, path.parent / "out"), "a.npz"),
     "certificate": (Certificate.load, "a.json"),
     "configuration": (lambda path: WorldConfig.from_json(path.read_text()), "a.json"),
-    "leaderboard": (board, "run.json"),
+    "run of planners": (lambda path: Record.read(path.parent), "run.json"),
     "result": (lambda path: run_jobs([Job("a", "builtins:len", {})], path.parent), "a.json"),
     "settings of a run": (run_in, "run.json"),
     "bank": (bank, "0.scenes"),
@@ -289,7 +285,7 @@ def run_json(text):
     def read(path: Path) -> object:
         fields = {"benchmark": "planners", "source": {"embedded": "val"}, "seed": 0, "weights": "#"}
         (path.parent / "run.json").write_text(json.dumps(fields).replace('"#"', text))
-        return board(path.parent / "run.json")
+        return Record.read(path.parent)
 
     return read
 

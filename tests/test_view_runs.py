@@ -99,11 +99,10 @@ def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, monkeypatch,
     assert "desk_planners" not in sys.modules
     assert cli.main(["view", "run", *common, "--own-code", "--planner", *planners]) == 0
     assert "desk_planners" in sys.modules
-    # without its code the recorded actions are played, from a submission, too
+    # without its code the recorded actions are played
     before = states(run / "page.html")
     (run / "desk_planners.py").write_text(PLANNERS.replace("-0.5", "-0.1"))
-    assert cli.main(["bench", "submit", "run", "--out", "it.zip"]) == 0
-    assert cli.main(["view", "it.zip", *common, "--planner", *planners]) == 0
+    assert cli.main(["view", "run", *common, "--planner", *planners]) == 0
     assert states(run / "page.html") == before
     # the worst traffic and seed of the first planner by default
     assert cli.main(["view", "run", "--scene", scene, "-o", "worst.html"]) == 0

@@ -15,7 +15,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.system.table import escaped
-from ccdiff_env.system.terminal import say, say_page
+from ccdiff_env.system.terminal import say
 
 #: Traffic of ``bench planners`` without a protocol.
 _USUAL_TRAFFIC = "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1"
@@ -89,9 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_planners(kinds)
     _add_scenarios(kinds)
     _add_realism(kinds)
-    _add_leaderboard(kinds)
     _add_verify(kinds)
-    _add_submit(kinds)
 
 
 def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -422,30 +420,9 @@ def _realism(args: argparse.Namespace) -> int:
     )
 
 
-def _add_leaderboard(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("leaderboard", help="planners of several runs in one page")
-    parser.add_argument(
-        "runs", nargs="+", type=Path, help="run folders of bench planners, and submissions"
-    )
-    parser.add_argument("--out", type=Path, default=Path("leaderboard.html"), help="page to write")
-    parser.add_argument("--open", action="store_true", help="open the page in the browser")
-    parser.set_defaults(run=_leaderboard)
-
-
-def _leaderboard(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.leaderboard import write_leaderboard
-
-    for heading, text in write_leaderboard(args.runs, args.out).items():
-        say(f"{escaped(heading)}\n\n{text}")
-    say_page(args.out, open_it=args.open)
-    return 0
-
-
 def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("verify", help="replay the episodes of a run and compare every bit")
-    parser.add_argument(
-        "record", type=Path, help="run folder of bench planners or realism, or submission"
-    )
+    parser.add_argument("record", type=Path, help="run folder of bench planners or realism")
     parser.add_argument(
         "--episodes",
         type=int,
@@ -469,7 +446,6 @@ def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
 
 def _verify(args: argparse.Namespace) -> int:
     from ccdiff_env import _native
-    from ccdiff_env.bench.leaderboard import leaderboard
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
     from ccdiff_env.bench.verify_realism import is_realism, verify_realism
@@ -483,7 +459,7 @@ def _verify(args: argparse.Namespace) -> int:
         print(f"{same} of {found.played} scenes and methods come out the same, bit for bit")
         return 1 if found.differing else 0
     record = Record.read(args.record)
-    for heading, text in leaderboard([record]).items():
+    for heading, text in record.tables():
         say(f"{escaped(heading)}\n\n{text}")
     found = verify(
         record,
@@ -502,22 +478,3 @@ def _verify(args: argparse.Namespace) -> int:
             "replay all of them before you cite the result"
         )
     return 1 if found.differing else 0
-
-
-def _add_submit(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = kinds.add_parser("submit", help="write the raw results of a run into one file")
-    parser.add_argument("folder", type=Path, help="run folder of bench planners")
-    parser.add_argument("--out", type=Path, default=Path("submission.zip"), help="file to write")
-    parser.add_argument("--code", help="link to the planner's code (default: none)")
-    parser.add_argument(
-        "--training-data", help="what the planner was trained on (default: not stated)"
-    )
-    parser.set_defaults(run=_submit)
-
-
-def _submit(args: argparse.Namespace) -> int:
-    from ccdiff_env.bench.record import submit
-
-    submit(args.folder, args.out, code=args.code, training_data=args.training_data)
-    print(args.out)
-    return 0

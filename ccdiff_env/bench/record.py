@@ -1,20 +1,27 @@
-"""Raw results of ``bench planners``: read from run folders and submissions, and submitted.
+"""Raw results of ``bench planners``, read from run folders.
 
-Figures of a leaderboard and of a check come from here alone, never from a table of the run.
+Figures of a check come from here alone, never from a table of the run.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import re
-import zipfile
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.planner_report import NUPLAN, Label, short_name
+from ccdiff_env.bench.planner_report import (
+    BASES,
+    NUPLAN,
+    Label,
+    Row,
+    comparison,
+    short_name,
+    summary,
+    verdict,
+)
 from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged, metric_name
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -22,24 +29,14 @@ from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.scenes.sources import coverage
-from ccdiff_env.system.files import (
-    MOST_TEXT_BYTES,
-    num_values,
-    parsed_object,
-    read_bytes,
-    read_text,
-    reading,
-    write_aside,
-)
+from ccdiff_env.system.files import num_values, parsed_object, read_text, reading
 from ccdiff_env.system.named_objects import title_of
+from ccdiff_env.system.table import document
 from ccdiff_env.view.captions import is_taken
 
-FORMAT = "ccdiff-env submission 1"
 FUNCTION = "ccdiff_env.bench.planners:evaluate"
-#: Bytes of a submission, packed and unpacked, its members, and values of all texts of a record.
-MOST_BYTES, MOST_MEMBERS, MOST_VALUES = 256 << 20, 100_000, 1 << 23
+MOST_VALUES = 1 << 23  #: Values of all texts of a record.
 MOST_STEPS = 100_000  #: Steps that an episode may last, or begin after.
-_MEMBER = re.compile(r"(?:run|submission|raw/[\w.-]{1,250})\.json", re.ASCII)
 _FORMER = ("log_fails",)  #: Figures that rows of this protocol had once.
 _VERSION = re.compile(r"[\w.+-]{1,40}", re.ASCII)
 
@@ -57,43 +54,50 @@ class Entry:
     #: Digest of the planner's source; ``None`` for drivers and planners of the package alone.
     planner_source: str | None
     made_from: Mapping[str, Any]
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[Row, ...]
     dynamics: frozenset[str]  #: Models of motion that the actions are of.
     #: Steps before and of an episode; ``None`` for those of the protocol.
     window: Mapping[str, int] | None = None
     #: Files of weights of the traffic's own, by name; of this machine.
     weights: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def key(self) -> str:
+        """What results of one planner have in common that were made from the same things."""
+        same = {k: v for k, v in self.made_from.items() if k != "scenes"}
+        return json.dumps([self.planner, self.planner_source, self.window, same], sort_keys=True)
 
-@dataclass(frozen=True)
-class Result:
-    """All that a record has of one planner, made from the same things throughout.
+    @property
+    def privileged(self) -> bool:
+        """Whether the planner sees the log: told of the package, declared by others."""
+        if self.planner_source is None:
+            return is_privileged(self.planner)
+        return self.made_from.get("privileged") is True
 
-    ``key`` is what must be the same for figures to be compared, ``heading`` the same in words. Rows
-    are per scene and seed, by traffic.
-    """
-
-    key: str
-    heading: str
-    planner: str
-    planner_source: str | None
-    privileged: bool
-    seeds: tuple[int, ...]
-    rows: Mapping[str, list[Mapping[str, Any]]]
+    @property
+    def label(self) -> Label:
+        """Name of the planner in tables. A file keeps its suffix, and its path where its name is
+        one of the package.
+        """
+        if self.planner_source is None:
+            return Label(short_name(self.planner))
+        file = re.fullmatch(r"(?:.*/)?([^/:]+)", self.planner)
+        name = self.planner if file is None or is_taken(file[1]) else file[1]
+        title = title_of(self.planner)
+        name = title if title and title.isascii() and title.isprintable() else name
+        return Label(name + " (not of the package)" * is_taken(name))
 
 
 @dataclass(frozen=True)
 class Record:
-    """Raw results of a run folder or a submission, with what was declared."""
+    """Raw results of a run folder."""
 
     path: Path
     entries: tuple[Entry, ...]
-    code: str | None
-    training_data: str | None
 
     @classmethod
     def read(cls, path: Path) -> Record:
-        """Read a run folder or a submission.
+        """Read a run folder.
 
         Raises:
             DatasetNotFoundError: If there is no run of ``bench planners``.
@@ -101,48 +105,58 @@ class Record:
             ConfigError: If it is the run of another benchmark.
         """
         with reading("run of planners", path):
-            parsed = _parsed(_of_file(path) if path.is_file() else _of_folder(path), path)
+            if path.is_file():
+                raise DatasetError("a file, expected a run folder")
+            parsed = _parsed(path)
             if "run.json" not in parsed:
                 raise DatasetNotFoundError(f"no run of `bench planners`: no {path / 'run.json'}")
-            settings, declared = parsed.pop("run.json"), parsed.pop("submission.json", {})
-            if (kind := settings.get("benchmark")) != "planners":
+            if (kind := parsed.pop("run.json").get("benchmark")) != "planners":
                 raise ConfigError(f"a run of {kind!a:.40}, expected planners")
-            if declared and (made := declared.get("format")) != FORMAT:
-                raise DatasetError(f"format {made!a:.40}, this release reads {FORMAT!r}")
-            if path.is_file() and any("weights" in f.get("arguments", ()) for f in parsed.values()):
-                raise DatasetError("weights of its traffic are named, but not in it")
             entries = [_entry(fields, str(path / name)) for name, fields in parsed.items()]
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")
-            code, trained = _declared(declared.get("code"), declared.get("training_data"))
-            return cls(path, tuple(entries), code, trained)
+            return cls(path, tuple(entries))
 
-    def results(self) -> list[Result]:
-        """Return what there is of each planner.
+    def tables(self) -> list[tuple[str, str]]:
+        """Return the scores, recomputed from the episodes: heading and Markdown of each table.
+
+        Planners share a table where scenes (by their hashes), traffic, seeds, weights, version and
+        protocol are the same. What takes a name of the package and is not of it is marked.
 
         Raises:
-            DatasetError: If episodes of it are missing.
+            DatasetError: If episodes are missing.
         """
-        groups: dict[str, list[Entry]] = {}
+        planners: dict[str, list[Entry]] = {}
         for entry in self.entries:
-            same = {k: v for k, v in entry.made_from.items() if k != "scenes"}
-            key = json.dumps(
-                [entry.planner, entry.planner_source, entry.window, same], sort_keys=True
+            planners.setdefault(entry.key, []).append(entry)
+        groups: dict[str, tuple[dict[tuple[str, str], list[Row]], set[str]]] = {}
+        for entries in planners.values():
+            heading, rows = self._played(entries)
+            found, privileged = groups.setdefault(heading, ({}, set()))
+            label, taken = entries[0].label, {known for known, _ in found}
+            if label in taken:
+                label = Label(f"{label} #{sum(known.startswith(label) for known in taken) + 1}")
+            found |= {(label, traffic): played for traffic, played in rows.items()}
+            if entries[0].privileged:
+                privileged.add(label)
+        bases = [short_name(planner) for planner in BASES]
+        return [
+            (
+                json.loads(heading)[0],
+                document(verdict(found), *summary(found, privileged), *comparison(found, bases)),
             )
-            groups.setdefault(key, []).append(entry)
-        return [self._result(entries) for entries in groups.values()]
+            for heading, (found, privileged) in groups.items()
+        ]
 
-    def _result(self, entries: list[Entry]) -> Result:
+    def _played(self, entries: list[Entry]) -> tuple[str, dict[str, list[Row]]]:
+        """Return of one planner what its table is of, heading first, and its rows by traffic."""
         first = entries[0]
+        made, window = first.made_from, first.window
         scenes = {k: v for entry in entries for k, v in entry.made_from["scenes"].items()}
-        rows: dict[str, list[Mapping[str, Any]]] = {}
-        for entry in entries:
+        rows: dict[str, list[Row]] = {}
+        panel = (*PROTOCOL.panel, *TRAFFIC)
+        for entry in sorted(entries, key=lambda e: (*panel, e.traffic).index(e.traffic)):
             rows.setdefault(entry.traffic, []).extend(entry.rows)
-        rows = dict(
-            sorted(
-                rows.items(), key=lambda item: (*PROTOCOL.panel, *TRAFFIC, item[0]).index(item[0])
-            )
-        )
         seeds = sorted({entry.seed for entry in entries})
         wanted = {(scene, seed) for scene in scenes for seed in seeds}
         for traffic, found in rows.items():
@@ -152,102 +166,36 @@ class Record:
                     f"{self.path}: {first.planner} in {traffic} has {len(there)} of "
                     f"{len(wanted)} episodes; finish the run"
                 )
-        made, window = first.made_from, first.window
-        level = None
+        heading = None
         if window is None:
             moves = {name for entry in entries for name in entry.dynamics}
-            level = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds, moves)
-        facts = {
-            "protocol": made["protocol"],
-            "scenes": scenes,
-            "traffic": sorted(rows),
-            "window": window,
-            # a protocol has seeds drawn, and fixes the weights that drive; others may be there
-            "seeds": None if level else seeds,
-            "weights": None if level else made.get("weights"),
-            "made": made.get("version") if level else [made.get("version"), made.get("package")],
-        }
-        count = coverage(place_of(first.source), scenes)
-        weights = f"no protocol, weights {str(made.get('weights'))[:8]}"
-        heading = level or f"{source_title(first.source, count)}, {weights}"
-        heading += "" if level else f", seed {', '.join(map(str, seeds))}"
-        heading += f", version {made.get('version')}"
+            heading = PROTOCOL.level_of(made["protocol"], scenes, rows, seeds, moves)
+        if heading is None:
+            heading = source_title(first.source, coverage(place_of(first.source), scenes))
+            heading += f", no protocol, weights {str(made.get('weights'))[:8]}"
+        heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
         if window is not None:
             heading += ", {horizon_steps} steps after {history_steps}".format(**window)
-        key = json.dumps(facts, sort_keys=True)
-        packaged = first.planner_source is None
-        privileged = is_privileged(first.planner) if packaged else made.get("privileged") is True
-        source = first.planner_source
-        return Result(key, heading, first.planner, source, privileged, tuple(seeds), rows)
-
-    def label(self, result: Result) -> Label:
-        """Return the name of a planner in tables; one without code is marked.
-
-        A file keeps its suffix, and its path where its name is one of the package.
-        """
-        if result.planner_source is None:
-            return Label(short_name(result.planner))
-        file = re.fullmatch(r"(?:.*/)?([^/:]+)", result.planner)
-        name = result.planner if file is None or is_taken(file[1]) else file[1]
-        title = title_of(result.planner)
-        name = title if title and title.isascii() and title.isprintable() else name
-        marks = [" (not of the package)"] * is_taken(name) + [" (no code)"] * (self.code is None)
-        return Label(name + "".join(marks))
+        same = [made.get(name) for name in ("protocol", "weights", "package")]
+        return json.dumps([heading, sorted(rows), scenes, *same], sort_keys=True), rows
 
 
-def _of_folder(path: Path) -> Iterator[tuple[str, str]]:
-    for file in (path / "run.json", *sorted((path / "raw").glob("*.json"))):
-        if file.is_file():
-            yield file.relative_to(path).as_posix(), read_text(file)
-
-
-def _of_file(path: Path) -> Iterator[tuple[str, str]]:
-    """Return the members of a submission, one after another: they may be large, or say so."""
-    data = read_bytes(path, MOST_BYTES)
-    if data.count(b"PK\1\2") > MOST_MEMBERS:  # each takes memory before it is looked at
-        raise DatasetError(f"more than {MOST_MEMBERS} members")
-    with zipfile.ZipFile(io.BytesIO(data)) as file:
-        members = [info for info in file.infolist() if not info.is_dir()]
-        names = [info.filename for info in members]
-        if len(set(names)) < len(names):
-            raise DatasetError("two members have the same name")
-        if sum(info.file_size for info in members) > MOST_BYTES:
-            raise DatasetError(f"more than {MOST_BYTES} bytes, unpacked")
-        for info in members:
-            if not _MEMBER.fullmatch(info.filename):
-                raise DatasetError(f"a member {info.filename!a:.80}, expected raw results")
-            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise DatasetError(f"{info.filename} is neither stored nor deflated")
-            if info.file_size > MOST_TEXT_BYTES:
-                raise DatasetError(f"{info.filename} has more than {MOST_TEXT_BYTES} bytes")
-            with file.open(info) as member:  # a size that is not true is found, not unpacked
-                yield info.filename, member.read(info.file_size + 1).decode()
-
-
-def _parsed(texts: Iterator[tuple[str, str]], path: Path) -> dict[str, dict[str, Any]]:
+def _parsed(path: Path) -> dict[str, dict[str, Any]]:
     found, values = {}, 0
-    for name, text in texts:
-        values += num_values(text)
+    for file in (path / "run.json", *sorted((path / "raw").glob("*.json"))):
+        if not file.is_file():
+            continue
+        values += num_values(text := read_text(file))
         if values > MOST_VALUES:
             raise DatasetError(f"more than {MOST_VALUES} values")
-        with reading("result", path / name):
-            found[name] = parsed_object(text)
+        with reading("result", file):
+            found[file.relative_to(path).as_posix()] = parsed_object(text)
     return found
 
 
 def _is_plain(text: object, most: int = 300) -> bool:
     """Return whether a text can be shown in tables and terminals as it is."""
     return isinstance(text, str) and len(text) <= most and text.isprintable()
-
-
-def _declared(code: object, training_data: object) -> tuple[str | None, str | None]:
-    """Return what is declared with a submission, checked; raises ``ValueError``."""
-    if code is not None and not (_is_plain(code) and re.fullmatch(r"https://[^\s()]+", str(code))):
-        raise ValueError(f"code is {code!a:.80}, expected an address of the web (https://...)")
-    if training_data is not None and not _is_plain(training_data):
-        raise ValueError(f"training_data is {training_data!a:.80}, expected a line of words")
-    found = (None if text is None else str(text) for text in (code, training_data))
-    return next(found), next(found)
 
 
 def _entry(fields: Mapping[str, Any], where: str) -> Entry:
@@ -309,7 +257,7 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
     )
 
 
-def _row(row: Mapping[str, Any], names: list[str], seed: int, own: list[str]) -> Mapping[str, Any]:
+def _row(row: Row, names: list[str], seed: int, own: list[str]) -> Row:
     if row["scene"] not in names or row["seed"] != seed or not isinstance(row["digest"], str):
         raise ValueError(f"scene {row['scene']!r}")
     parts = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]
@@ -321,42 +269,5 @@ def _row(row: Mapping[str, Any], names: list[str], seed: int, own: list[str]) ->
     made = score_of(row)
     if made != row["score"]:
         raise ValueError(f"score of {row['scene']} is {row['score']}, its parts make {made}")
-    # no check measures nuPlan's metrics, or somebody's own, again, and no leaderboard shows them
+    # no check measures nuPlan's metrics, or somebody's own, again
     return {name: value for name, value in row.items() if name not in (NUPLAN, *_FORMER, *own)}
-
-
-def submit(
-    folder: Path, out: Path, *, code: str | None = None, training_data: str | None = None
-) -> None:
-    """Write a submission: the raw results of a run in one file, which anybody can check.
-
-    ``code`` is an ``https://`` address of the planner's code, ``training_data`` says what it was
-    trained on.
-
-    Raises:
-        ConfigError: If the address is none of the web, or the words are not one line of text.
-        DatasetError, DatasetNotFoundError: If the run is damaged, unfinished or not there.
-    """
-    try:
-        _declared(code, training_data)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
-    record = Record.read(folder)
-    if any(entry.weights for entry in record.entries):
-        raise ConfigError(f"{folder}: its traffic has own weights, which nobody else could check")
-    record.results()
-    declared = {"format": FORMAT, "code": code, "training_data": training_data}
-    found = {"run.json": folder / "run.json"}
-    found |= {f"raw/{Path(e.where).name}": Path(e.where) for e in record.entries}
-    parts = {name: parsed_object(read_text(path)) for name, path in found.items()}
-    for fields in parts.values():  # where the data lies is nobody's business
-        holder = fields.get("arguments", fields)
-        place = place_of(holder["source"])
-        holder["source"] = str(place if place.path is None else replace(place, path="data"))
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as file:
-        for name, fields in {"submission.json": declared, **parts}.items():
-            # without dates: the same run makes the same bytes
-            info = zipfile.ZipInfo(name)
-            file.writestr(info, json.dumps(fields, indent=1), zipfile.ZIP_DEFLATED)
-    write_aside(out, packed.getvalue())

@@ -1,4 +1,4 @@
-"""``ccdiff-env bench verify``: episodes of a run or a submission, played again bit for bit."""
+"""``ccdiff-env bench verify``: episodes of a run, played again bit for bit."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def verify(
             beforehand.
         dataroot: Folder of nuScenes, where it is another than that of the run.
         own_code: Whether traffic that a run folder names by ``module:name`` or by the file of a
-            policy is run. That of a submission never is.
+            policy is run.
 
     Raises:
         ConfigError: If the number is not positive, the data's folder is missing, or traffic would
@@ -74,7 +74,7 @@ def verify(
         chosen = chosen[: sum(end < episodes for end in ends) + 1]
     differing: list[str] = []
     for entry in shown(chosen, what="episodes"):
-        rows, _ = _played(entry, record.path, dataroot, own_code=own_code)
+        rows, _ = _played(entry, dataroot, own_code=own_code)
         differing += [
             f"{entry.planner} in {entry.traffic}, seed {entry.seed}, {then['scene']}: {what}"
             for then, now in zip(entry.rows, rows, strict=True)
@@ -94,13 +94,13 @@ def replayed(
     dataroot: str | None = None,
     own_code: bool = False,
 ) -> list[tuple[str, Rollout]]:
-    """Play episodes of a run or a submission again: titles, and what was recorded, of one scene.
+    """Play episodes of a run again: titles, and what was recorded, of one scene.
 
     The recorded actions are played. With ``own_code`` a planner of a run folder whose code is here,
     unchanged, drives again, and is asked what it meant to do. Either way every bit is compared.
 
     Args:
-        path: The run folder, or the submission.
+        path: The run folder.
         scene: Name of the scene.
         planners: Planners, by name or title; all by default.
         traffic: Names of traffic, by default the one in which the first planner scores least.
@@ -141,10 +141,9 @@ def replayed(
         entry, then = there[key]
         rows, rollouts = _played(
             entry,
-            path,
             dataroot,
             own_code=own_code,
-            own_planner=own_code and path.is_dir(),
+            own_planner=own_code,
             record=[scene],
         )
         now = next(row for row in rows if row["scene"] == scene)
@@ -163,7 +162,6 @@ def _known(calls: Mapping[str, str], what: str, name: str) -> str:
 
 def _played(
     entry: Entry,
-    path: Path,
     dataroot: str | None,
     *,
     own_code: bool,
@@ -171,14 +169,12 @@ def _played(
     record: Collection[str] = (),
 ) -> tuple[list[dict[str, Any]], dict[str, Rollout]]:
     """Play a result again, all scenes of its batch, and record some; see :func:`.drive`."""
-    if ":" in entry.traffic and (path.is_file() or not own_code):
+    if ":" in entry.traffic and not own_code:
         raise ConfigError(
-            f"{entry.where}: custom traffic {entry.traffic!r} is only replayed from a run "
-            "folder, with --own-code: trust whoever made it"
+            f"{entry.where}: custom traffic {entry.traffic!r} is only replayed "
+            "with --own-code: trust whoever made it"
         )
     place = place_of(entry.source)
-    if path.is_file() and place.path is not None and dataroot is None:
-        raise ConfigError(f"{path}: its scenes are of {place.source}, give --dataroot")
     if dataroot is not None and place.path is not None:
         place = replace(place, path=dataroot)
     source = str(place)

@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "what",
         nargs="+",
         metavar="RUN_OR_SCENE",
-        help="rollout file, folder of rollouts, run folder or submission of bench planners (with "
+        help="rollout file, folder of rollouts, run folder of bench planners (with "
         "--scene), name of a scene, or link of the playground; several are shown in a grid",
     )
     parser.add_argument(
