@@ -10,6 +10,7 @@ from ccdiff_env.bench.traffic_report import (
     at_equal_scr,
     comparison,
     difference,
+    plot_at_equal_scr,
     rankings,
     summarise,
 )
@@ -66,7 +67,7 @@ def test_the_page_holds_differences_to_ccdiff():
     assert comparison({}, {}) == ["One method alone."]
 
 
-def test_at_equal_scr_figures_lie_between_two_criticalities():
+def test_at_equal_scr_figures_lie_between_two_criticalities(tmp_path):
     """Collisions and metres grow with the criticality, those of one method by half as much."""
     order = np.random.default_rng(2).permutation(40)
     played = {Condition("replay", "0", 0.5): LOG}
@@ -87,6 +88,10 @@ def test_at_equal_scr_figures_lie_between_two_criticalities():
     value, low, high = figures["0.4", "ctg", "ccdiff_equal"]
     assert value == pytest.approx(-4.0)
     assert low < value < high
+    drawn = plot_at_equal_scr(found, tmp_path / "matched").read_text(encoding="utf-8")
+    for text in ("CTG", "CCDiff, equal training", "FDE, m", "CFD", "0.125", "0.400"):
+        assert text in drawn
+    assert plot_at_equal_scr(at_equal_scr(played, [0.9]), tmp_path / "none") is None
 
 
 def test_rankings_are_compared_where_there_is_a_choice():

@@ -143,6 +143,18 @@ def test_times_to_contact_are_those_of_the_causal_graph():
     np.testing.assert_allclose(found["ttc"][there, look], wanted[there], rtol=1e-5)
 
 
+def test_shares_of_speeds_are_those_of_the_log():
+    (row,) = evaluate(source=VAL, names=NAMES[:1], num_samples=1, seed=0, method="replay")
+    (episode,) = episodes(scenes_of(VAL, NAMES[:1]), METHODS["replay"], num_controlled=0)
+    way = np.diff(episode.log.position, axis=1)
+    speed = np.linalg.norm(way[:, 1:] + way[:, :-1], axis=-1) / (2 * episode.scene.dt)
+    both = episode.log.valid[:, 2:] & episode.log.valid[:, :-2]
+    counts, _ = np.histogram(speed[both], np.arange(26.0))
+    np.testing.assert_allclose(row["log_speed_shares"], counts / counts.sum(), atol=1e-3)
+    assert row["speed_shares"] == pytest.approx(row["log_speed_shares"], abs=0.01)
+    assert sum(row["log_gap_shares"]) == pytest.approx(1.0)
+
+
 def test_samples_of_a_scene_differ_and_unknown_methods_are_refused():
     arguments = {"source": VAL, "names": NAMES[:1], "method": "ccdiff_one_sample", "seed": 0}
     one, two = (evaluate(**arguments, num_samples=n)[0] for n in (1, 2))

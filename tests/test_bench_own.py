@@ -271,6 +271,7 @@ def test_methods_of_realism_are_compared_in_pairs(desk):
     drawn = (desk / "run/realism.svg").read_text()
     assert "Constant velocity" in drawn
     assert "dashed: the log" in drawn
+    assert "the log" in (desk / "run/densities.svg").read_text()
     assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]
 
 

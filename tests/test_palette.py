@@ -48,9 +48,10 @@ def test_any_two_drivers_are_told_apart(theme, seen):
 
 
 def test_charts_have_the_colours_of_images_and_orange_is_for_attacks_alone():
-    assert "adversary" not in [name for name, _ in (*LOOKS.values(), *REST)]
+    names = {colour for colour, _ in LOOKS.values()} | {*REST}
+    assert "adversary" not in names
     for i, theme in enumerate(render.THEMES):
         legend = render.legend(theme)
-        for name, _ in (*LOOKS.values(), *REST):
+        for name in names:
             assert colours()[name][i] == f"#{bytes(legend[name]).hex()}"
     assert len({*LOOKS.values()}) == len(LOOKS)

@@ -157,6 +157,7 @@ def _traffic(args: argparse.Namespace) -> int:
             **({"rankings.csv": ranked} if ranked else {}),
             **({"matched.csv": matched} if match else {}),
         },
+        report.plot_at_equal_scr(matched, run.folder / "matched"),
         report.plot(found, run.folder / "front"),
         folded=True,
     )

@@ -84,6 +84,7 @@ WEIGHTS: dict[str, float] = {
 #: Times after the start at which the logged speed is ranked among the samples', s.
 RANK_SECONDS = (1, 3, 5, 10)
 RANK_BINS = 5
+DENSITIES = {"speed": "speed, m/s", "gap": "gap to the nearest vehicle, m"}  #: Drawn, by feature.
 
 
 def motion_features(
@@ -249,7 +250,8 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     ``realism``, features and groups; ``own_`` before ``realism`` and ``kinematic``: the same where
     each sample stands for the log in turn and the others are the samples; displacements; ``scr``
     and ``orr``: share of the samples with a contact, of vehicle steps off the road;
-    ``ranks_1s`` and so on: see :func:`ranks`, of the speeds of vehicles that moved at the start.
+    ``ranks_1s`` and so on: see :func:`ranks`, of the speeds of vehicles that moved at the start;
+    ``speed_shares``, ``log_gap_shares`` and so on: shares of the bins of :data:`FEATURES`.
 
     Args:
         played: Episodes of the scene, samples of one method. A method without chance gives one.
@@ -275,6 +277,12 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
     roads = [off_road(e.scene, e.motion) for e in played]
     found["orr"] = float(np.mean([np.nan if r is None else r.centroid_rate for r in roads]))
     numbers = {n: v if v is not None and np.isfinite(v) else None for n, v in found.items()}
+    for name in DENSITIES:
+        for whose, of in (("", samples), ("log_", [log])):
+            values = np.concatenate([one[name].ravel() for one in of])
+            bins = FEATURES[name].bins(values[np.isfinite(values)])
+            counts = np.bincount(bins, minlength=FEATURES[name].num_bins)
+            numbers[f"{whose}{name}_shares"] = (counts / max(counts.sum(), 1)).tolist()
     moved = np.nan_to_num(log["speed"][:, 1]) > STATIONARY_MPS
     for seconds in RANK_SECONDS if len(played) > 1 else ():
         # speeds are known up to the last step but one

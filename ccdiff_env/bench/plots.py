@@ -21,8 +21,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Colour, a name of images, and marker of planners; no hue tells them apart alone.
+#: Colour, a name of images, and marker of planners and traffic; no hue tells them apart alone.
 LOOKS = {
+    "ccdiff": ("ccdiff", "o"),
+    "swift": ("ccdiff", "s"),
+    "tokens": ("network", "s"),
     "ego": ("ego", "o"),
     "idm": ("idm", "^"),
     "lane_idm": ("idm", "v"),
@@ -30,20 +33,28 @@ LOOKS = {
     "replay": ("replay", "X"),
     "constant_velocity": ("constant_velocity", "P"),
 }
-#: Likewise of others; orange is kept for attacks.
-REST = [
-    (name, marker)
-    for marker in "*p<>"
-    for name in ("external", "constant_velocity", "network", "other", "ccdiff", "replay", "idm")
-]
+#: Colours of others; orange is kept for attacks.
+REST = ("external", "network", "other", "constant_velocity", "idm", "ccdiff")
+MARKERS = "*p<>hdosv^DXP"
+#: Places of a line, and their figures with intervals.
+Points = Sequence[tuple[float, tuple[float, float, float]]]
 #: Lines behind the plots, on light and on dark ground.
 FAINT = ("#d5dae1", "#39434f")
 
 
 def looks(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Return colour (``#rrggbb`` on light ground) and marker of each of some names."""
-    rest, light = itertools.cycle(REST), colours()
-    found = [LOOKS.get(name) or next(rest) for name in names]
+    """Return colour (``#rrggbb`` on light ground) and marker of each of some names.
+
+    What is of one family, as ``ccdiff_careful`` and ``ccdiff-2``, has one colour.
+    """
+    families = {name: LOOKS.get(name) or LOOKS.get(re.split("[_-]", name)[0]) for name in names}
+    used, light = {of[0] for of in families.values() if of}, colours()
+    rest = itertools.cycle([colour for colour in REST if colour not in used] or REST)
+    found: list[tuple[str, str]] = []
+    for of in families.values():
+        look = of or (next(rest), MARKERS[0])
+        free = (m for m in MARKERS if (look[0], m) not in found)
+        found.append(look if look not in found else (look[0], next(free, look[1])))
     return [(light[colour][0], marker) for colour, marker in found]
 
 
@@ -121,67 +132,99 @@ def plot_robustness(
     if not _drawn():
         return None
     figure, axes = new_plot(5.6, 3.8)
-    aside = np.linspace(-0.015, 0.015, len(planners)) if len(planners) > 1 else [0.0]
-    ends = []
-    for planner, (color, marker), by in zip(planners, looks(planners), aside, strict=True):
-        means = np.array([mean_interval(found[planner, n], "score") for n in names])
-        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
-        x = np.array([level[n] for n in names]) + by
-        axes.errorbar(
-            x, means[:, 0], yerr=whiskers, color=color, marker=marker, markersize=5, elinewidth=1,
-            capsize=2.5,
-        )  # fmt: skip
-        ends.append((means[-1, 0], x[-1], label(planner), color))
-    name_ends(axes, ends)
+    axes.set_ylim(0, 1.02)
+    lines = {
+        p: (label(p), 5.0, [(level[n], mean_interval(found[p, n], "score")) for n in names])
+        for p in planners
+    }
+    _draw_lines(axes, lines)
     axes.set_xticks([level[n] for n in names])
     axes.set_xlabel("criticality of the CCDiff traffic")
     axes.set_ylabel("score")
-    axes.set_ylim(0, 1.02)
-    axes.grid(color=FAINT[0])
     return save_plot(figure, path)
+
+
+def plot_lines(
+    panels: Mapping[str, Mapping[str, tuple[str, float, Points]]], across: str, path: Path
+) -> Path | None:
+    """Draw figures side by side, as :func:`plot_robustness` does one: panels by title, of lines by
+    key, each with its name, the size of its markers, and its points.
+    """
+    if not any(panels.values()) or not _drawn():
+        return None
+    figure, found = new_plot(5.2 * len(panels), 3.8, ncols=len(panels))
+    for axes, (title, lines) in zip(np.ravel(np.array(found)), panels.items(), strict=True):
+        _draw_lines(axes, lines)
+        axes.set_xticks(sorted({x for _, _, points in lines.values() for x, _ in points}))
+        axes.set_xlabel(across)
+        axes.set_ylabel(title)
+    return save_plot(figure, path)
+
+
+def _draw_lines(axes: Axes, lines: Mapping[str, tuple[str, float, Points]]) -> None:
+    """Draw lines with whiskers, side by side, named at their ends; the first words of their keys
+    choose colour and marker.
+    """
+    kinds = dict.fromkeys(key.partition(" ")[0] for key in lines)
+    look = dict(zip(kinds, looks(kinds), strict=True))
+    places = [x for _, _, points in lines.values() for x, _ in points]
+    aside = 0.008 * np.ptp(places) * np.linspace(-1, 1, len(lines)) if len(lines) > 1 else [0.0]
+    ends = []
+    for (key, (name, size, points)), by in zip(lines.items(), aside, strict=True):
+        color, marker = look[key.partition(" ")[0]]
+        means = np.array([figure for _, figure in points])
+        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
+        x = np.array([x for x, _ in points]) + by
+        axes.errorbar(
+            x, means[:, 0], yerr=whiskers, color=color, marker=marker, markersize=size,
+            elinewidth=1, capsize=2.5,
+        )  # fmt: skip
+        ends.append((means[-1, 0], x[-1], name, color))
+    axes.grid(color=FAINT[0])
+    name_ends(axes, ends)
 
 
 def plot_dots(
     found: Mapping[str, Sequence[Mapping[str, Any]]],
+    labels: Mapping[str, str],
     figures: Mapping[str, str],
-    floor: str | None,
     path: Path,
 ) -> Path | None:
     """Draw figures of methods as dots with 95 % intervals, side by side, the best of the first one
-    on top, against a line where the method ``floor`` is, as the log.
+    on top, against a line where the log, ``replay``, is.
 
-    ``found`` are episodes by label, ``figures`` titles by name.
+    ``found`` are episodes by method, ``labels`` theirs, ``figures`` titles by name.
     """
     if not _drawn():
         return None
-    order = sorted(found, key=lambda label: mean_interval(found[label], next(iter(figures)))[0])
+    order = sorted(found, key=lambda method: mean_interval(found[method], next(iter(figures)))[0])
+    look = dict(zip(found, looks(found), strict=True))
     high = 0.9 + 0.34 * len(order)
     panels: Any
     figure, panels = new_plot(3.1 * len(figures) + 2.0, high, ncols=len(figures), sharey=True)
     for axes, (name, title) in zip(np.ravel(panels), figures.items(), strict=True):
-        means = np.array([mean_interval(found[label], name) for label in order])
-        whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
-        axes.errorbar(
-            means[:, 0], np.arange(len(order)), xerr=whiskers, fmt="o",
-            color=colours()["ccdiff"][0],
-            markersize=5, elinewidth=1, capsize=2.5,
-        )  # fmt: skip
-        if floor in found:
-            axes.axvline(
-                mean_interval(found[str(floor)], name)[0],
-                color=colours()["replay"][0],
-                lw=1,
-                ls="--",
-            )
-        axes.set_yticks(range(len(order)), order)
-        axes.set_xlabel(f"{title} (dashed: the log)" if floor in found else title)
+        for y, method in enumerate(order):
+            mean, low, high = mean_interval(found[method], name)
+            whiskers = np.nan_to_num([[mean - low], [high - mean]])
+            color, marker = look[method]
+            axes.errorbar(
+                mean, y, xerr=whiskers, color=color, marker=marker, markersize=5, elinewidth=1,
+                capsize=2.5,
+            )  # fmt: skip
+        if "replay" in found:
+            log = mean_interval(found["replay"], name)[0]
+            axes.axvline(log, color=colours()["replay"][0], lw=1, ls="--")
+        axes.set_yticks(range(len(order)), [labels[method] for method in order])
+        axes.set_xlabel(f"{title} (dashed: the log)" if "replay" in found else title)
         axes.grid(color=FAINT[0], axis="x")
     return save_plot(figure, path)
 
 
-def plot_ranks(found: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -> Path | None:
-    """Draw rank histograms: a row of bars for each label, a panel for each moment, and a line where
-    a calibrated model's are.
+def plot_ranks(
+    found: Mapping[str, Mapping[str, Sequence[float]]], labels: Mapping[str, str], path: Path
+) -> Path | None:
+    """Draw rank histograms: a row of bars for each method, a panel for each moment, and a line
+    where a calibrated model's are.
     """
     if not found or not _drawn():
         return None
@@ -191,39 +234,70 @@ def plot_ranks(found: Mapping[str, Mapping[str, Sequence[float]]], path: Path) -
         1.7 * len(moments) + 1.6, 0.95 * len(found) + 0.5, nrows=len(found), ncols=len(moments),
         sharex=True, sharey=True, squeeze=False,
     )  # fmt: skip
-    for number, (row, (label, by_moment)) in enumerate(zip(panels, found.items(), strict=True)):
+    rows = zip(panels, found.items(), looks(found), strict=True)
+    for number, (row, (method, by_moment), (color, _)) in enumerate(rows):
         for axes, (moment, shares) in zip(row, by_moment.items(), strict=True):
-            axes.bar(range(len(shares)), shares, width=0.9, color=colours()["ccdiff"][0])
+            axes.bar(range(len(shares)), shares, width=0.9, color=color)
             axes.axhline(1.0 / len(shares), color=colours()["replay"][0], lw=1, ls="--")
             axes.set_xticks([])
             if number == 0:
                 axes.set_title(moment, fontsize=9)
-        row[0].set_ylabel(label, rotation=0, ha="right", va="center", fontsize=8)
+        row[0].set_ylabel(labels[method], rotation=0, ha="right", va="center", fontsize=8)
+    return save_plot(figure, path)
+
+
+def plot_densities(
+    found: Mapping[str, Mapping[str, Sequence[float]]],
+    labels: Mapping[str, str],
+    scales: Mapping[str, tuple[str, Sequence[float]]],
+    log: Mapping[str, Sequence[float]],
+    path: Path,
+) -> Path | None:
+    """Draw how often values occur, lines of methods over the area of the log.
+
+    ``found`` are shares of bins by figure, of each method, ``log`` the log's, ``scales`` a title
+    and the edges of the bins by figure.
+    """
+    if not found or not _drawn():
+        return None
+    panels: Any
+    figure, panels = new_plot(4.4 * len(scales) + 1.6, 3.4, ncols=len(scales))
+    for axes, (name, (title, edges)) in zip(np.ravel(panels), scales.items(), strict=True):
+        grey, drawn = colours()["replay"][0], list[str]()
+        axes.stairs(log[name], edges, fill=True, color=grey, alpha=0.35, label="the log")
+        for (method, shares), (color, _) in zip(found.items(), looks(found), strict=True):
+            dash = ("-", "--", ":", "-.")[drawn.count(color) % 4]
+            axes.stairs(shares[name], edges, color=color, ls=dash, lw=1.6, label=labels[method])
+            drawn.append(color)
+        axes.set_xlabel(title)
+        axes.set_yticks([])
+    named = np.ravel(panels)[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside right upper", frameon=False, fontsize=8)
     return save_plot(figure, path)
 
 
 def plot_front(
-    points: Mapping[str, Sequence[tuple[float, float, float, str]]],
+    points: Mapping[str, Sequence[tuple[float, float, float]]],
+    labels: Mapping[str, str],
     titles: tuple[str, str],
     path: Path,
 ) -> Path | None:
-    """Draw methods by two figures, up and to the right better: x, y, size and its name each, joined
-    by a line for each label.
+    """Draw methods by two figures, up and to the right better: x, y and size each, joined by a
+    line for each method.
     """
     if not points or not _drawn():
         return None
     figure, axes = new_plot(6.2, 4.2)
     ends = []
-    for (label, of), (color, marker) in zip(points.items(), looks(points), strict=True):
-        x, y, sizes, _ = zip(*of, strict=True)
+    for (method, of), (color, marker) in zip(points.items(), looks(points), strict=True):
+        x, y, sizes = zip(*of, strict=True)
         axes.plot(x, y, color=color, lw=0.8, alpha=0.6)
         axes.scatter(x, y, s=[14.0 + 9.0 * size for size in sizes], color=color, marker=marker)
-        ends.append((y[-1], x[-1], label, color))
+        ends.append((y[-1], x[-1], labels[method], color))
     axes.set_xlabel(titles[0])
     axes.set_ylabel(titles[1])
     axes.grid(color=FAINT[0])
-    span = np.diff(axes.get_ylim())[0]
-    name_ends(axes, ends, gap=0.05 * span, aside=0.02 * np.diff(axes.get_xlim())[0], fontsize=8)
+    name_ends(axes, ends, fontsize=8)
     return save_plot(figure, path)
 
 
@@ -239,11 +313,13 @@ def name_ends(
     axes: Axes,
     ends: Sequence[tuple[float, float, str, str]],
     *,
-    gap: float = 0.045,
-    aside: float = 0.03,
+    gap: float | None = None,
+    aside: float | None = None,
     fontsize: float = 9,
 ) -> None:
     """Write names at the ends (y, x, name, colour) of lines, each below the one above it."""
+    gap = 0.0055 * fontsize * np.ptp(axes.get_ylim()) if gap is None else gap
+    aside = 0.02 * np.ptp(axes.get_xlim()) if aside is None else aside
     last = np.inf
     for y, x, name, colour in sorted(ends, reverse=True):
         last = min(y, last - gap)

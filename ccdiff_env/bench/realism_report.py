@@ -17,9 +17,9 @@ from ccdiff_env.bench.intervals import (
     mean_interval,
     scene_means,
 )
-from ccdiff_env.bench.likelihood import FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
+from ccdiff_env.bench.likelihood import DENSITIES, FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
-from ccdiff_env.bench.plots import plot_dots, plot_ranks
+from ccdiff_env.bench.plots import plot_densities, plot_dots, plot_ranks
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.system.table import Block, Column, Table, TableRows
 
@@ -45,9 +45,7 @@ def tables(
     found: Mapping[str, Sequence[Mapping[str, Any]]], num_samples: int
 ) -> dict[str, list[Block]]:
     """Return the parts of the report from rows per scene of every method."""
-    labels = {
-        method: label_of(method, of[0].get("own_weights", "")) for method, of in found.items()
-    }
+    labels = _labels(found)
 
     def table(columns: Sequence[Column], title: str = "") -> Table:
         rows: TableRows = [
@@ -73,13 +71,38 @@ def tables(
 def plots(
     found: Mapping[str, Sequence[Mapping[str, Any]]], folder: Path
 ) -> tuple[Path | None, ...]:
-    """Draw likelihoods against the log's, and the ranks of the logged speed among the samples."""
-    labels = {label_of(m, of[0].get("own_weights", "")): of for m, of in found.items()}
-    floor = label_of("replay") if "replay" in found else None
+    """Draw likelihoods against the log's, speeds and gaps over the log's, and the ranks of the
+    logged speed among the samples.
+    """
+    labels = _labels(found)
     titles = {name: name.replace("_half_s", ", 0.5 s") for name in _LIKELIHOODS[:2]}
-    dots = plot_dots(labels, {**titles, "interactive": "interactive"}, floor, folder / "realism")
-    ranks = {label: by for label, of in labels.items() if (by := _shares(of))}
-    return dots, plot_ranks(ranks, folder / "ranks")
+    titles["interactive"] = "interactive"
+    scales = {
+        name: (title, np.linspace(bins.low, bins.high, bins.num_bins + 1).tolist())
+        for name, title in DENSITIES.items()
+        for bins in [FEATURES[name]]
+    }
+    shares = {
+        method: {name: _mean(of, f"{name}_shares") for name in DENSITIES}
+        for method, of in found.items()
+        if method != "replay"
+    }
+    log = {name: _mean(next(iter(found.values())), f"log_{name}_shares") for name in DENSITIES}
+    ranks = {method: by for method, of in found.items() if (by := _shares(of))}
+    return (
+        plot_dots(found, labels, titles, folder / "realism"),
+        plot_densities(shares, labels, scales, log, folder / "densities"),
+        plot_ranks(ranks, labels, folder / "ranks"),
+    )
+
+
+def _labels(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, str]:
+    return {method: label_of(method, of[0].get("own_weights", "")) for method, of in found.items()}
+
+
+def _mean(of: Sequence[Mapping[str, Any]], name: str) -> list[float]:
+    """Mean over scenes of shares of bins."""
+    return np.mean([row[name] for row in of], axis=0).tolist()  # type: ignore[no-any-return]
 
 
 def _shares(of: Sequence[Mapping[str, Any]]) -> dict[str, list[float]]:
@@ -113,7 +136,7 @@ def comparison(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
         return ["One method alone."]
     if any(map(are_few, found.values())):
         return [FEW]
-    label = {m: label_of(m, of[0].get("own_weights", "")) for m, of in found.items()}
+    label = _labels(found)
     mean = {method: mean_interval(of, "realism")[0] for method, of in found.items()}
     best = {m: max((o for o in found if o != m), key=mean.__getitem__) for m in found}
     rows: TableRows = []

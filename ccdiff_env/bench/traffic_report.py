@@ -20,7 +20,7 @@ from ccdiff_env.bench.intervals import (
     scene_means,
 )
 from ccdiff_env.bench.methods import METHODS, REORDERED, label_of
-from ccdiff_env.bench.plots import plot_front
+from ccdiff_env.bench.plots import Points, plot_front, plot_lines
 from ccdiff_env.metrics import comfort_distance, generational_distance, scores
 from ccdiff_env.system.table import Block, Column, Figure, Table, TableRows
 
@@ -189,13 +189,20 @@ def tables(played: Played, found: Found) -> list[Block]:
 
 def plot(found: Found, path: Path) -> Path | None:
     """Draw control against realism: a line for each method, a point for each K, larger with it."""
-    points: dict[str, list[tuple[float, float, float, str]]] = {}
-    for c, (cs, rs) in with_scores(found).items():
-        if np.isfinite([cs, rs]).all():
-            size = 12.0 if c.k == "Full" else float(c.k)
-            points.setdefault(c.cells[0], []).append((cs, rs, size, c.k))
-    titles = "CS: control, collisions reached", "RS: realism, nearness to the log"
-    return plot_front(points, titles, path)
+    points: dict[str, list[tuple[float, float, float]]] = {}
+    labels = {c.method: c.cells[0] for c in found}
+    for c, pair in with_scores(found).items():
+        if np.isfinite(pair).all():
+            points.setdefault(c.method, []).append((*pair, _size(c.k)))
+    titles = (
+        "CS: control, collisions reached; larger: more vehicles K",
+        "RS: realism, nearness to the log",
+    )
+    return plot_front(points, labels, titles, path)
+
+
+def _size(k: str) -> float:
+    return 12.0 if k == "Full" else float(k)
 
 
 # methods against one another
@@ -315,6 +322,25 @@ def at_equal_scr(played: Played, targets: Sequence[float]) -> Table:
                     less_by = [figures[m.name] - of.get(m.name, 0.0) for m in _MATCHED]
                     rows.append([f"{target:g}", *c, less, *map(_ends, less_by)])
     return Table(("at_scr", "method", "K", "replan_s", "own_weights", "less", *_MATCHED), rows)
+
+
+def plot_at_equal_scr(matched: Table, path: Path) -> Path | None:
+    """Draw FDE and CFD of methods at the same SCR: a line for each method and K, whose markers grow
+    with K.
+    """
+    heads = [column.name for column in matched.columns]
+    rows = [dict(zip(heads, row, strict=True)) for row in matched.rows]
+    several = len({row["K"] for row in rows}) > 1
+    panels = {}
+    for name, title in (("fde", "FDE, m"), ("cfd", "CFD")):
+        lines: dict[str, tuple[str, float, Points]] = {}
+        for (method, k), of in grouped((r for r in rows if not r["less"]), "method", "K").items():
+            label = label_of(method, of[0]["own_weights"]) + f", K {k}" * several
+            size = 4.0 + 0.6 * _size(k) * several
+            points = [(float(row["at_scr"]), row[name]) for row in of]
+            lines[f"{method} {k}"] = label, size, points
+        panels[title] = lines
+    return plot_lines(panels, "SCR, new contacts of controlled vehicles", path)
 
 
 def _resampled(rows: Rows, log: Rows, name: str) -> npt.NDArray[np.float64]:
