@@ -124,7 +124,7 @@ _RANKINGS = replace(
     columns={
         "scenes": Column("scenes", digits=0, interval=False),
         "SCR less random": Column("scr_controlled", sign="+"),
-        "brought about, less random": Column("scr_by_controlled", sign="+"),
+        "brought about less random": Column("scr_by_controlled", sign="+"),
     },
     file="rankings.csv",
 )
