@@ -46,7 +46,7 @@ ccdiff_env/_models.abi3.so: $(STAMP) $(NATIVE) tools/build_backend.py
 lock:  ## newest releases into requirements.lock, which setup installs
 	$(UV) pip compile -q --upgrade pyproject.toml --universal --python-version 3.10 $(EXTRAS) -o requirements.lock
 
-demo: $(NATIVE)  ## train an ego with PPO, compare it, open a replay, in two minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
+demo: $(NATIVE)  ## train an ego with PPO, compare it, open a replay, in three minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
 	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(SCENES),--scenes $(SCENES)) $(DEMO)
 	$(BIN)/python -m tools.charts runs/demo
 	$(BIN)/ccdiff-env view left-turn-05 --traffic ccdiff --criticality 0 1 --driver runs/demo/ego.zip --out runs/demo/episode.html --open

@@ -4,7 +4,7 @@
     python examples/train_ego_sb3.py --algorithm sac
     python examples/train_ego_sb3.py --traffic swift --criticality 1 --start runs/train_ego --out on
 
-The first takes two minutes of one core, the last continues it. Each draws its success rate.
+The first takes two and a half minutes of one core, the last continues it. Each draws its curve.
 """
 
 from __future__ import annotations
@@ -23,13 +23,16 @@ import ccdiff_env
 from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.cloning import demonstrations
 from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes, red_of_arrivals
-from ccdiff_env.envs.recipe import LIGHTS, WORLDS
-from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, clone, save_policy
+from ccdiff_env.envs.recipe import LIGHTS, WORLDS, Priced
+from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, SetPolicy, clone, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
 
-#: Algorithm, its settings, worlds, and decisions that take about two minutes of one core.
-ALGORITHMS = {"ppo": (PPO, PPO_SETTINGS, 512, 700_000), "sac": (SAC, SAC_SETTINGS, 32, 50_000)}
+#: Algorithm, its settings, worlds, and decisions that take two to three minutes of one core.
+ALGORITHMS = {
+    "ppo": (PPO, SetPolicy, PPO_SETTINGS, 512, 700_000),
+    "sac": (SAC, "MlpPolicy", SAC_SETTINGS, 32, 50_000),
+}
 #: Options of training alone.
 TRAINED = ("ego", "standing_share", "reward", "terminate_at_goal", "observation", "on_red_light")
 FIGURES = ("score", "success", "collision", "on_road", "progress", "comfort")
@@ -44,7 +47,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
     parser.add_argument("--dynamics", help="model of motion (default: the recipe's unicycle)")
     parser.add_argument("--lights", action="store_true", help="scenes have traffic lights")
-    parser.add_argument("--decisions", type=int, help="training decisions (default: two minutes)")
+    parser.add_argument(
+        "--decisions", type=int, help="training decisions (default: two to three minutes)"
+    )
     parser.add_argument(
         "--shown", type=int, default=100_000, help="logged decisions that PPO begins with"
     )
@@ -60,18 +65,16 @@ def arguments() -> argparse.Namespace:
 class Curve(BaseCallback):
     """Evaluates ten times in a training: decisions, CPU seconds of training, success rate."""
 
-    def __init__(self, worlds, norm: VecNormalize, decisions: int) -> None:
+    def __init__(self, worlds, act, decisions: int) -> None:
         super().__init__()
-        self.worlds, self.norm, self.decisions = worlds, norm, decisions
+        self.worlds, self.act, self.decisions = worlds, act, decisions
         self.every = max(decisions // 10, 1)
         self.rows, self.evaluating_s, self.begin_s = [], 0.0, time.process_time()
 
     def evaluate(self) -> None:
         before = time.process_time()
         taken = before - self.begin_s - self.evaluating_s
-        see = self.norm.normalize_obs
-        act = lambda obs: self.model.predict(see(obs), deterministic=True)[0]  # noqa: E731
-        self.shares = play_episodes(self.worlds, act)
+        self.shares = play_episodes(self.worlds, self.act)
         rate = float(self.shares[0])
         self.rows.append((self.num_timesteps, taken, rate))
         print(f"{self.num_timesteps:9,d} {taken:5.0f} s {rate:5.0%}", "█" * round(40 * rate))
@@ -93,7 +96,7 @@ def table(title: str, heads, rows) -> None:
 
 def main() -> None:
     args = arguments()
-    algorithm, settings, worlds, decisions = ALGORITHMS[args.algorithm]
+    algorithm, policy, settings, worlds, decisions = ALGORITHMS[args.algorithm]
     decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
     tests = 8 * len(held_out)
     if args.smoke:
@@ -109,36 +112,40 @@ def main() -> None:
     options = WORLDS | (LIGHTS if args.lights else {}) | given
     options |= {"dynamics": args.dynamics} if args.dynamics else {}
     train = scenes_from(args)
-    env = SB3VecEnv(
-        ccdiff_env.make_vec(worlds, scenes=train, **traffic, **options), clock_ends=True
-    )
-    env = VecNormalize(env, norm_reward=False)
+    shown = {"info": "end", "num_threads": 1}
+    env = Priced(ccdiff_env.make_vec(worlds, scenes=train, **shown, **traffic, **options))
+    env = SB3VecEnv(env, clock_ends=True)
     keep_settings(args.out / "run.json", {n: of and str(of) for n, of in vars(args).items()})
     if args.start:
-        env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
+        started = ccdiff_env.planners.load(args.start / "ego.zip").model
+        if type(started) is not algorithm:
+            raise SystemExit(f"{args.start} is of {type(started).__name__}, not {args.algorithm}")
+    if args.algorithm == "sac":
+        env = VecNormalize(env, norm_reward=False)
+        if args.start:
+            env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
     begins = {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     begins |= {"autoreset_mode": "same_step", "info": "end"} | traffic
     given = {n: v for n, v in options.items() if n not in TRAINED}
     if args.lights:
         begins |= {"reward": {"red_light": -1.0}, "observation": LIGHTS["observation"]}
     test = ccdiff_env.make_vec(tests, **begins, **given)
-    model = algorithm("MlpPolicy", env, seed=args.seed, device="cpu", **settings)
-    curve = Curve(test, env, decisions)
+    model = algorithm(policy, env, seed=args.seed, **settings)
+    see = env.normalize_obs if args.algorithm == "sac" else lambda obs: obs
+    act = lambda obs: model.predict(see(obs), deterministic=True)[0]  # noqa: E731
+    curve = Curve(test, act, decisions)
     if args.start:
-        started = ccdiff_env.planners.load(args.start / "ego.zip").model
-        if type(started) is not algorithm:
-            raise SystemExit(f"{args.start} is of {type(started).__name__}, not {args.algorithm}")
         model.set_parameters(started.get_parameters())
     elif args.algorithm == "ppo" and args.shown and args.dynamics != "assisted":
         clone(model, *demonstrations(train, args.shown, seed=args.seed, **options))
     first = args.out / ("start.zip" if args.start else "clone.zip")
     save_policy(model, first)
-    act = lambda obs: model.predict(env.normalize_obs(obs), deterministic=True)[0]  # noqa: E731
     red = {"before": red_of_arrivals(test, act)} if args.lights else {}
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     model.learn(decisions, callback=curve)
     save_policy(model, args.out / "ego.zip")
-    env.save(str(args.out / "normalize.pkl"))
+    if args.algorithm == "sac":
+        env.save(str(args.out / "normalize.pkl"))
     rules = {n: ccdiff_env.make_vec(tests, driver=n, **begins) for n in ("idm", "pdm")}
     found = {"ego": curve.shares} | {n: play_episodes(of) for n, of in rules.items()}
     kept = {"curve": curve.rows, "outcomes": {name: [*of] for name, of in found.items()}}

@@ -5,8 +5,10 @@ import pytest
 from array_scenes import STEPS, TIMES_S, agent, array_scene, wide_road
 
 import ccdiff_env
+from ccdiff_env import planners
 from ccdiff_env.envs.cloning import demonstrations
 from ccdiff_env.envs.outcomes import OUTCOMES, Learning, play_episodes
+from ccdiff_env.envs.recipe import Priced
 from ccdiff_env.errors import ConfigError
 
 STEADY = agent("ego", 10.0 * TIMES_S)
@@ -106,24 +108,81 @@ def test_an_episode_that_runs_out_of_time_may_have_ended(clock_ends):
     assert infos[0]["TimeLimit.truncated"] is not clock_ends
 
 
-def test_a_clone_does_what_was_shown(monkeypatch):
+def test_a_clone_does_what_was_shown_and_its_file_drives_as_it_does(monkeypatch, tmp_path):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    from stable_baselines3.common.vec_env import VecNormalize
 
     from ccdiff_env.envs import ego_network, sb3
 
     monkeypatch.setattr(ego_network, "CLONE_STEPS", 150)
-    env = VecNormalize(sb3.SB3VecEnv(worlds(array_scene(STEADY))), norm_reward=False)
-    model = stable_baselines3.PPO("MlpPolicy", env, seed=0, device="cpu", **sb3.PPO_SETTINGS)
+    env = sb3.SB3VecEnv(worlds(array_scene(STEADY)))
+    model = stable_baselines3.PPO(sb3.SetPolicy, env, seed=0, **sb3.PPO_SETTINGS)
     rng = np.random.default_rng(0)
     obs = rng.normal(2.0, 3.0, (4_000, env.observation_space.shape[0])).astype(np.float32)
     actions = np.tanh(0.1 * obs[:, :2] - 0.2)
-    before = model.policy.log_std.detach().clone()
+    before = model.policy.agent.log_std.detach().clone()
     sb3.clone(model, obs, actions)
-    done = model.predict(env.normalize_obs(obs), deterministic=True)[0]
+    done = model.predict(obs, deterministic=True)[0]
     assert np.abs(done - actions).mean() < 0.5 * np.abs(actions - actions.mean(axis=0)).mean()
-    np.testing.assert_allclose(env.obs_rms.mean, obs.mean(axis=0), rtol=1e-5)
-    assert (model.policy.log_std.detach() == before).all()
-    bare = stable_baselines3.PPO("MlpPolicy", env.venv, device="cpu")
-    with pytest.raises(ConfigError, match="VecNormalize"):
+    assert (model.policy.agent.log_std.detach() == before).all()
+    sb3.save_policy(model, tmp_path / "clone.zip")
+    np.testing.assert_array_equal(planners.load(tmp_path / "clone.zip").act(obs), done)
+    bare = stable_baselines3.PPO("MlpPolicy", env, device="cpu")
+    with pytest.raises(ConfigError, match="expected SetPolicy"):
         sb3.clone(bare, obs, actions)
+
+
+def test_the_set_policy_refuses_what_it_cannot_see():
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+
+    from ccdiff_env.envs import sb3
+
+    env = sb3.SB3VecEnv(worlds(array_scene(STEADY)))
+    narrow = {"policy_kwargs": {"noise": (0.2,)}}
+    with pytest.raises(ConfigError, match="actions 2 wide, expected 'flat' and 1"):
+        stable_baselines3.PPO(sb3.SetPolicy, env, **sb3.PPO_SETTINGS | narrow)
+    env = sb3.SB3VecEnv(worlds(array_scene(STEADY), observation="dict"))
+    with pytest.raises(ConfigError, match="observations are 'dict'"):
+        stable_baselines3.PPO(sb3.SetPolicy, env, **sb3.PPO_SETTINGS)
+
+
+def test_noise_goes_on_from_one_decision_to_the_next():
+    torch = pytest.importorskip("torch")
+    from ccdiff_env.envs.ego_network import Agent
+    from ccdiff_env.envs.recipe import CORRELATION
+
+    torch.manual_seed(0)
+    layout = worlds(array_scene(STEADY)).worlds.layout
+    agent, noise = Agent(layout, (0.3, 0.1)), torch.randn(20_000, 2)
+    with torch.no_grad():
+        first, second = (agent.noisy(torch.zeros(20_000, 2), noise) for _ in range(2))
+    assert second.std(0).tolist() == pytest.approx([0.3, 0.1], rel=0.03)
+    share = (first * second).mean(0) / (first**2).mean(0)
+    assert share.tolist() == pytest.approx([CORRELATION] * 2, abs=0.03)
+    with torch.no_grad():
+        agent.log_std.fill_(-9.0)
+    agent.calm((0.3, 0.1), 0.5)
+    assert agent.log_std.exp().tolist() == pytest.approx([0.15, 0.05])
+
+
+def test_prices_are_charged_for_close_calls_faults_and_jerks():
+    scene = array_scene(STEADY, agent("other", 80.0))
+    bare, priced = worlds(scene), Priced(worlds(scene))
+    seen = [env.reset(seed=0)[0] for env in (bare, priced)]
+    np.testing.assert_array_equal(*seen)
+    close = 0
+    for step in range(99):
+        # steady; a jerk of at least 6 m/s³ once
+        action = np.array([[-0.5 if step == 3 else 0.0, 0.0]], np.float32)
+        _, reward, terminated, _, infos = bare.step(action)
+        charged = priced.step(action)[1] - reward
+        if terminated[0]:
+            break
+        wanted = -0.3 * np.clip((1.6 - infos["ttc"][0]) / 0.6, 0.0, 1.0)
+        close += wanted < 0.0
+        wanted -= 0.1 * (step in (3, 4))
+        assert charged[0] == pytest.approx(wanted, abs=2e-3), step
+    assert close > 5
+    assert infos["final_info"]["metrics"]["at_fault"][0] == 1.0
+    assert charged[0] == pytest.approx(-2.0, abs=1e-5)
+    with pytest.raises(ConfigError, match="flat observations with rows of agents"):
+        Priced(worlds(scene, observation="dict"))

@@ -39,8 +39,8 @@ PLANNERS = {
     "idm": "IDM on the log's path",
     "pdm": "PDM-Closed",
 }
-#: Arguments of ``train-ego`` for the same recipe, with which it has a set encoder.
-SAME = "--dynamics unicycle --any-ego --traffic idm --worlds 512 --noise 0.18 0.12 --threads 1"
+#: Arguments of ``train-ego`` for the same recipe.
+SAME = "--dynamics unicycle --any-ego --traffic idm --worlds 512 --threads 1"
 
 
 def trained(args: argparse.Namespace, seed: int) -> Path:

@@ -20,9 +20,19 @@ from torch import nn
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.ego_network import Agent, imitate
+from ccdiff_env.envs.ego_network import Agent
 from ccdiff_env.envs.outcomes import Learning, outcomes
-from ccdiff_env.envs.recipe import DYNAMICS, GAMMA, WORLDS
+from ccdiff_env.envs.recipe import (
+    DYNAMICS,
+    EPOCHS,
+    GAMMA,
+    LAMBDA,
+    LAST,
+    MINIBATCH,
+    ROLLOUT,
+    WORLDS,
+    Priced,
+)
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.training import LICENCE
 from ccdiff_env.planners import load_ego
@@ -36,18 +46,7 @@ from ccdiff_env.traffic import EGOS, SWIFT
 from ccdiff_env.worlds.policy_file import LEARNED
 
 Floats: TypeAlias = np.ndarray[Any, Any]
-ROLLOUT = 16  # decisions of each world between updates
-EPOCHS, MINIBATCH = 3, 2048
-ASSISTED_GAMMA, LAMBDA, CLIP = 0.96, 0.95, 0.2  # per decision
-#: Noise of one decision stays in the next, so that the ego tries to brake, not to tremble; and the
-#: standard deviations fall no faster than the learning rate does.
-CORRELATION = 0.7
-#: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
-HALF = torch.cpu._is_avx512_bf16_supported()
-#: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
-#: other way, a decision after which contact is a second away (grows from 0 at 1.6 s), and one
-#: with a jerk of 6 m/s³ (grows from 0 at 3).
-AT_FAULT, WRONG_WAY, CLOSE, ROUGH = -2.0, -2.0, -0.3, -0.1
+ASSISTED_GAMMA, CLIP = 0.96, 0.2  # per decision
 #: An assisted ego brakes earlier than its base, and is comfortable by its limits.
 ASSISTED: dict[str, Any] = {
     "delta_mps2": (-4.0, 0.5),
@@ -96,19 +95,21 @@ class Worlds:
             SWIFT: {"traffic": SWIFT, **critical},
             EGOS: {"traffic": EGOS, EGOS: {"policy": args.opponent}},
         }
-        self.envs = [
-            make_vec(
-                each * count,
-                scenes=SceneSet(recorded) if traffic == "bank" else scenes,
-                # the others of a bank met the ego of the data, which started where its log does
-                config=config.with_options(
-                    **{"start_spread_steps": 10} if traffic == "bank" else drawn
-                ),
-                autoreset_mode="same_step",
-                info="end",
-                copy=False,
-                num_threads=args.threads,
-                **driven.get(traffic, {"traffic": traffic}),
+        self.envs: list[Any] = [
+            Priced(
+                make_vec(
+                    each * count,
+                    scenes=SceneSet(recorded) if traffic == "bank" else scenes,
+                    # the others of a bank met the ego of the data, which started where its log does
+                    config=config.with_options(
+                        **{"start_spread_steps": 10} if traffic == "bank" else drawn
+                    ),
+                    autoreset_mode="same_step",
+                    info="end",
+                    copy=False,
+                    num_threads=args.threads,
+                    **driven.get(traffic, {"traffic": traffic}),
+                )
             )
             for traffic, count in shares.items()
         ]
@@ -116,16 +117,7 @@ class Worlds:
         self.parts = [
             slice(end - env.num_envs, end) for env, end in zip(self.envs, ends, strict=True)
         ]
-        entries = {entry.name: entry for entry in self.envs[0].worlds.layout.entries}
-        rows, mask = entries["agents"], entries["agents_mask"]
-        self.mask = slice(mask.offset, mask.offset + mask.size)
-        self.ttc = (
-            rows.offset + rows.columns.index("ttc") + rows.shape[1] * np.arange(rows.shape[0])
-        )
-        ego = entries["ego"]
-        self.acceleration = ego.offset + ego.columns.index("acceleration")
-        self.decision_s = config.decision_steps * config.dt_s
-        self.noise = torch.randn(self.parts[-1].stop, len(args.noise))
+        self.noise = torch.randn(self.parts[-1].stop, *self.envs[0].single_action_space.shape)
         self.learning = Learning(args.out)
         begun = zip(self.envs, self.parts, strict=True)
         self.obs = np.concatenate([env.reset(seed=seed + part.start)[0] for env, part in begun])
@@ -139,22 +131,13 @@ class Worlds:
         """Rewards [E], ends [E], worlds [N] that were cut off, and what those saw last [N, D]."""
         rewards, ends, cut, last = [], [], [], [np.empty((0, self.obs.shape[1]), np.float32)]
         for env, part in zip(self.envs, self.parts, strict=True):
-            before = self.obs[part, self.acceleration].copy()
             self.obs[part], reward, terminated, truncated, info = env.step(actions[part])
-            change_mps2 = 10.0 * np.abs(self.obs[part, self.acceleration] - before)
-            end, seen = terminated | truncated, self.obs[part]
-            ttc_s = 10.0 * np.where(seen[:, self.mask] > 0, seen[:, self.ttc], 1.0).min(axis=1)
-            reward = reward + CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0) * ~end
-            rough = np.clip(change_mps2 / self.decision_s / 3.0 - 1.0, 0.0, 1.0)
-            reward = reward + ROUGH * rough * ~end
+            end = terminated | truncated
             reward = reward + self.aside * actions[part, 1] ** 2
             if truncated.any():
                 cut.append(np.flatnonzero(truncated) + part.start)
                 last.append(np.stack(info["final_obs"][truncated]))
             if end.any():
-                metrics = info["final_info"]["metrics"]
-                reward[end] += AT_FAULT * metrics["at_fault"][end]
-                reward[end] += WRONG_WAY * metrics["wrong_way"][end]
                 self.learning.add(outcomes(env, info))
             rewards.append(reward)
             ends.append(end)
@@ -176,9 +159,7 @@ def rollout(
         mean, values[t] = agent(x[t])
         if anchor is not None:
             anchored[t] = torch.from_numpy(anchor(worlds.obs))
-        new = torch.randn(size, width)
-        worlds.noise = CORRELATION * worlds.noise + (1.0 - CORRELATION**2) ** 0.5 * new
-        actions[t] = mean + agent.log_std.exp() * worlds.noise
+        actions[t] = agent.noisy(mean, worlds.noise)
         log_prob[t] = agent.log_prob(mean, actions[t])
         reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
         rewards[t], ends[t] = torch.from_numpy(reward), torch.from_numpy(end)
@@ -202,13 +183,11 @@ def update(
     """Some epochs of PPO; ``kl`` is the price of the KL divergence from the anchor."""
     advantage = data["advantage"]
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    x = data["x"].bfloat16() if HALF else data["x"]
     for _ in range(EPOCHS):
         order = torch.randperm(len(advantage))
         for first in range(0, len(order), MINIBATCH):
             index = order[first : first + MINIBATCH]
-            with torch.autocast("cpu", torch.bfloat16, enabled=HALF):
-                mean, values = (out.float() for out in agent(x[index]))
+            mean, values = agent.quick(data["x"][index])
             change = agent.log_prob(mean, data["actions"][index]) - data["log_prob"][index]
             ratio, gain = change.exp(), data["advantage"][index]
             policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()
@@ -218,7 +197,7 @@ def update(
                 away = (mean - data["anchor"][index]) / agent.log_std.detach().exp()
                 loss = loss + kl * 0.5 * away.pow(2).sum(1).mean()
             optimiser.zero_grad()
-            loss.backward()
+            loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
             optimiser.step()
 
@@ -273,9 +252,7 @@ def train(args: argparse.Namespace) -> None:
         obs, actions = map(
             torch.from_numpy, demonstrations(worlds.scenes, args.shown, **steps, **log)
         )
-        agent.see(obs)
-        actor = [p for name, p in agent.named_parameters() if not name.startswith("value")]
-        imitate(lambda x: agent(x)[0], actor, agent.normalised(obs), actions, args.seed)
+        agent.begin(obs, actions, args.seed)
 
     # weights that saw nuScenes, or began with such, are not for commercial use
     of_nuscenes = str(place_from(args)).startswith("nuscenes:")
@@ -303,12 +280,12 @@ def train(args: argparse.Namespace) -> None:
     try:
         while done["decisions"] < args.decisions:
             left = 1.0 - done["decisions"] / args.decisions
-            optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, 0.05)
+            optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, LAST)
             with torch.no_grad():
                 agent.see(torch.from_numpy(worlds.obs))
                 data = rollout(agent, worlds, anchor)
             update(agent, optimiser, data, args.kl)
-            agent.log_std.data.clamp_(min=torch.tensor(args.noise).mul(max(left, 0.05)).log())
+            agent.calm(args.noise, max(left, LAST))
             done["decisions"] += len(data["x"])
             done["updates"] += 1
             done["seconds"] = now = time.perf_counter() - begin

@@ -1,8 +1,14 @@
-"""What an ego that learns from nothing meets and is paid, whatever the learner."""
+"""What an ego that learns from nothing meets and is paid, and how, whatever the learner."""
 
 from __future__ import annotations
 
 from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorWrapper
+
+from ccdiff_env.envs.vector import EgoVectorEnv
+from ccdiff_env.errors import ConfigError
 
 #: Weights of its reward. Arriving is worth most; a speed too low to arrive in time costs, so that
 #: standing still does not pay.
@@ -18,7 +24,19 @@ DYNAMICS: dict[str, Any] = {
         "max_yaw_acceleration_radps2": 1.9,
     }
 }
-GAMMA = 0.985  #: Discount of a decision.
+GAMMA, LAMBDA = 0.985, 0.95  #: Discount of a decision, and that of advantages beside it.
+ROLLOUT = 16  #: Decisions of each world between updates.
+EPOCHS, MINIBATCH = 3, 2048
+RATE, LAST = 5e-4, 0.05  #: Learning rate at first, and the share of it that stays.
+#: Standard deviations of the actions at first: with much noise it is off the road within a second,
+#: unless it is assisted. They fall no faster than the learning rate does.
+NOISE, ASSISTED_NOISE = (0.18, 0.12), (0.4, 0.2)
+#: Share of a decision's noise that stays in the next: it tries to brake, not to tremble.
+CORRELATION = 0.7
+#: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
+#: other way, a decision after which contact is a second away (grows from 0 at 1.6 s), and one
+#: with a jerk of 6 m/s³ (grows from 0 at 3).
+AT_FAULT, WRONG_WAY, CLOSE, ROUGH = -2.0, -2.0, -0.3, -0.1
 #: Options of its worlds: any vehicle of a scene may be the ego, in a tenth of the episodes also one
 #: whose log stands; an action is held for three steps; driving goes on after the goal, as in the
 #: benchmark.
@@ -42,3 +60,53 @@ LIGHTS: dict[str, Any] = {
     "reward": REWARD | {"red_light": -20.0},
     "on_red_light": "terminate",
 }  # fmt: skip
+
+
+class Priced(VectorWrapper):
+    """Worlds of :func:`ccdiff_env.make_vec` whose rewards pay these prices, too.
+
+    Args:
+        env: Worlds with flat observations that have rows of agents; put into ``SAME_STEP`` mode, if
+            they have not been reset.
+
+    Raises:
+        ConfigError: If their observations are others.
+    """
+
+    def __init__(self, env: EgoVectorEnv) -> None:
+        super().__init__(env)
+        if not env.begun:
+            env.set_autoreset_mode(AutoresetMode.SAME_STEP)
+        self.worlds, layout = env.worlds, env.worlds.layout
+        entries = {entry.name: entry for entry in layout.entries}
+        if env.single_observation_space.shape != (layout.size,) or "agents" not in entries:
+            raise ConfigError("Priced: expected flat observations with rows of agents")
+        ego, rows, mask = (entries[name] for name in ("ego", "agents", "agents_mask"))
+        self._mask = slice(mask.offset, mask.offset + mask.size)
+        first = rows.offset + rows.columns.index("ttc")
+        self._ttc = slice(first, rows.offset + rows.size, rows.shape[1])
+        self._acceleration = ego.offset + ego.columns.index("acceleration")
+        config = env.worlds.config
+        self._decision_s = config.decision_steps * config.dt_s
+
+    def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset as the worlds do."""
+        obs, infos = self.env.reset(**given)
+        self._before = obs[:, self._acceleration].copy()
+        return obs, infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step as the worlds do, and charge."""
+        obs, reward, terminated, truncated, infos = self.env.step(actions)
+        end = terminated | truncated
+        change_mps2 = 10.0 * np.abs(obs[:, self._acceleration] - self._before)
+        ttc_s = 10.0 * np.where(obs[:, self._mask] > 0, obs[:, self._ttc], 1.0).min(axis=1)
+        close = CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0)
+        rough = ROUGH * np.clip(change_mps2 / self._decision_s / 3.0 - 1.0, 0.0, 1.0)
+        reward = reward + close * ~end + rough * ~end
+        if end.any():
+            metrics = infos["final_info"]["metrics"]
+            for name, price in (("at_fault", AT_FAULT), ("wrong_way", WRONG_WAY)):
+                reward[end] += price * metrics[name][end]
+        self._before = obs[:, self._acceleration].copy()
+        return obs, reward.astype(np.float32), terminated, truncated, infos

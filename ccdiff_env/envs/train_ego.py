@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ccdiff_env.envs.recipe import ASSISTED_NOISE, NOISE, RATE
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
@@ -55,9 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decision-steps", type=int, default=3, help="steps per action")
     parser.add_argument("--worlds", type=int, default=1024, help="divided among kinds of traffic")
     parser.add_argument("--decisions", type=float, default=2e6, help="total, also when resumed")
-    parser.add_argument("--learning-rate", type=float, default=5e-4, help="of Adam, initially")
+    parser.add_argument("--learning-rate", type=float, default=RATE, help="of Adam, initially")
     parser.add_argument(
-        "--noise", type=float, nargs=2, default=(0.4, 0.2), help="initial standard deviations"
+        "--noise", type=float, nargs=2, help="initial standard deviations (default: the recipe's)"
     )
     parser.add_argument(
         "--shown",
@@ -79,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     unknown = [name for name in args.traffic if name not in TRAFFIC]
     if unknown:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
+    args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
     try:

@@ -24,8 +24,8 @@ F32 = npt.NDArray[np.float32]
 _LAYERS = ("encoder.0", "encoder.2", "policy.0", "policy.2", "policy.4")
 
 
-def _worlds(config: WorldConfig) -> Worlds:
-    """Return a world of a configuration."""
+def one_world(config: WorldConfig) -> Worlds:
+    """Return a world of a configuration, which tells the layout of its observations."""
     return Worlds(embedded_scenes("val")[:1], config, num_worlds=1)
 
 
@@ -39,7 +39,7 @@ class EgoPolicy:
         self.about = file.about
         #: What it was trained in.
         self.fit = Fit(fitting_fields(self.config), "flat", file.schema)
-        worlds = _worlds(self.config)
+        worlds = one_world(self.config)
         self.check(worlds)
         self.size = worlds.layout.size
         #: Weights by name, and ``mean`` and ``std`` [D] of observations.
@@ -100,7 +100,7 @@ def save_ego(
     metadata = {
         "format": FORMAT,
         "options": json.dumps(fitting_fields(config)),
-        "schema": schema_digest(_worlds(config).native.layout_json),
+        "schema": schema_digest(one_world(config).native.layout_json),
         "about": json.dumps(about),
     }
     write_tensors(path, kept, metadata)

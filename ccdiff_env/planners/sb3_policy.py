@@ -31,6 +31,7 @@ _ALGORITHMS = {
     "td3": ("stable_baselines3", "TD3"),
     "dqn": ("stable_baselines3", "DQN"),
     "common": ("stable_baselines3", "PPO"),
+    "ccdiff_env": ("stable_baselines3", "PPO"),
 }
 
 
