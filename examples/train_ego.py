@@ -35,7 +35,7 @@ from ccdiff_env.system.table import Column, Table
 BANKS = (1.0, 2.0)  #: Criticalities of the banks.
 #: A sixth of the worlds each: the log, IDM, fast critical traffic that reacts, what was recorded.
 TRAINED_IN = ("replay", "idm", "swift", "swift", "bank", "bank")
-RECIPE = ("--base", "pdm", "--anchor", "zero", "--noise", "0.2", "0.1")
+RECIPE = ("--base", "pdm", "--kl", "0.1", "--noise", "0.2", "0.1")
 OTHERS = ["pdm", "lane_idm", "idm"]
 CHOOSING, REPORTED = ["ccdiff-1", "ccdiff-2"], ["replay", "idm", "ccdiff", "ccdiff-1", "ccdiff-2"]
 FIGURES = (

@@ -79,41 +79,34 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         assert cli.main(["train-ego", "--out", str(out), *words]) == 2
         assert said in capsys.readouterr().err
         assert not out.exists()
-    words = ["--base", "pdm", "--anchor", "zero", "--out", str(out), "--threads", "1"]
+    words = ["--base", "pdm", "--kl", "0.1", "--out", str(out), "--threads", "1"]
     assert cli.main(["train-ego", "--smoke", *words]) == 0
     policy = ccdiff_env.planners.load(out / "ego.safetensors")
     assert policy.config.action.dynamics.base == "pdm"
     assert "ego.safetensors" in capsys.readouterr().out
 
 
-def test_vehicles_starts_and_differences_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
+def test_vehicles_and_starts_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
     pytest.importorskip("torch")
     import ccdiff_env
     from ccdiff_env.envs import train_ego
     from ccdiff_env.envs.ppo import Worlds
 
     ccdiff_env.record_bank(ccdiff_env.embedded_scenes("val")[:2], tmp_path, ego="replay")
-    words = ["--worlds", "48", "--traffic", "replay", "styles", "bank", "--bank", str(tmp_path)]
+    words = ["--worlds", "32", "--traffic", "idm", "bank", "--bank", str(tmp_path), "--any-ego"]
     parser = argparse.ArgumentParser()
     train_ego.add_arguments(parser)
     config = ccdiff_env.WorldConfig().with_options(start_spread_steps=50)
-    for drawn in ("--any-ego", "--differences 0.1"):
-        worlds = Worlds(parser.parse_args([*words, *drawn.split()]), config, seed=0)
-        for name, env in zip(("replay", "styles", "bank"), worlds.envs, strict=True):
-            native, scenes = env.worlds.native, env.worlds.scenes
-            status = [native.status(i) for i in range(16)]
-            egos = {scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status}
-            assert (egos == {"ego"}) == (name == "bank" or drawn != "--any-ego")
-            drivers = {driver for i in range(16) for driver in native.drivers(i)}
-            assert (drivers >= {"calm", "idm", "hasty"}) == ("idm" in drivers) == (name == "styles")
-            differ = [native.drawn(i)[0] for i in range(16)]
-            for gain in ("acceleration_gain", "yaw_gain", "size"):
-                off = [abs(one[gain] - 1.0) for one in differ]
-                assert (0.05 < max(off) <= 0.1) if drawn != "--any-ego" else not any(off)
-            assert {one["delay_steps"] for one in differ} <= {0, 1, 2}
+    worlds = Worlds(parser.parse_args(words), config, seed=0)
+    for name, env in zip(("idm", "bank"), worlds.envs, strict=True):
+        native, scenes = env.worlds.native, env.worlds.scenes
+        status = [native.status(i) for i in range(16)]
+        egos = {scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status}
+        assert (egos == {"ego"}) == (name == "bank")
+        assert ("idm" in {of for i in range(16) for of in native.drivers(i)}) == (name == "idm")
 
 
-def test_training_begins_with_a_policy_and_stays_near_an_anchor():
+def test_training_begins_with_a_policy_and_stays_near_no_action():
     torch = pytest.importorskip("torch")
     import ccdiff_env
     from ccdiff_env.envs.ego_network import Agent
@@ -134,12 +127,12 @@ def test_training_begins_with_a_policy_and_stays_near_an_anchor():
         assert np.allclose(mean.clamp(-1.0, 1.0).numpy(), ego.act(obs), atol=1e-4)
         actions = mean + 0.1 * torch.randn_like(mean)
         data = {"x": x, "actions": actions, "log_prob": agent.log_prob(mean, actions).detach()}
-        data |= {"advantage": torch.randn(64), "returns": torch.zeros(64), "anchor": mean}
+        data |= {"advantage": torch.randn(64), "returns": torch.zeros(64)}
         optimiser = torch.optim.Adam(agent.policy.parameters(), lr=1e-3)
         for _ in range(10):
             update(agent, optimiser, dict(data), kl)
-        moved[kl] = float((agent(x)[0] - mean).abs().mean().detach())
-    assert moved[1e4] < 0.5 * moved[0.0]
+        moved[kl] = float((agent(x)[0].abs().mean() / mean.abs().mean()).detach())
+    assert moved[1e4] < 0.7 * moved[0.0]
 
 
 def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():

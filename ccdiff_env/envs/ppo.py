@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeAlias
 
@@ -57,14 +56,6 @@ ASSISTED: dict[str, Any] = {
 }
 #: Weights of its reward; a place beside the route costs its square.
 ASSISTED_WEIGHTS, ASIDE = {"comfort": -0.04, "speed_limit": -0.05}, -0.02
-#: Traffic in which every vehicle is calm, as usual, or hasty.
-STYLES: dict[str, Any] = {
-    "traffic": {"calm": 0.25, "idm": 0.5, "hasty": 0.25},
-    "named_drivers": {
-        "calm": {"idm": {"headway_s": 2.0, "min_gap_m": 3.0, "acceleration_mps2": 1.0}},
-        "hasty": {"idm": {"headway_s": 0.6, "min_gap_m": 1.0, "acceleration_mps2": 2.5}},
-    },
-}
 #: Arguments that do not decide what an update does: a run may go on with others.
 FREE = ("decisions", "out", "run", "smoke", "threads", "verb")
 
@@ -78,14 +69,10 @@ class Worlds:
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
         self.drawn = drawn = drawn if args.any_ego else {}
-        if args.differences:
-            gains = dict.fromkeys(("acceleration_gain", "yaw_gain", "size"), args.differences)
-            config = config.with_options(randomization={**gains, "delay_steps": 2})
         # plans of one denoising step: two to three times as fast
         critical: dict[str, Any] = {"criticality": (0.0, args.criticality)}
         driven: dict[str, dict[str, Any]] = {
             "bank": {"traffic": "replay"},
-            "styles": STYLES,
             "ccdiff": {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 1}, **critical},
             LEARNED: {
                 "traffic": "ccdiff",
@@ -145,20 +132,15 @@ class Worlds:
         return np.concatenate(rewards), np.concatenate(ends), found, np.concatenate(last)
 
 
-def rollout(
-    agent: Agent, worlds: Worlds, anchor: Callable[[Floats], Floats] | None = None
-) -> dict[str, torch.Tensor]:
-    """Let all worlds decide ROLLOUT times; tensors [T, E, ...], with what the anchor would do."""
+def rollout(agent: Agent, worlds: Worlds) -> dict[str, torch.Tensor]:
+    """Let all worlds decide ROLLOUT times; tensors [T, E, ...]."""
     size, width, gamma = worlds.obs.shape[0], len(agent.log_std), worlds.gamma
     x, values = torch.empty(ROLLOUT, *worlds.obs.shape), torch.empty(ROLLOUT + 1, size)
     actions, log_prob = torch.empty(ROLLOUT, size, width), torch.empty(ROLLOUT, size)
     rewards, ends = torch.empty(ROLLOUT, size), torch.empty(ROLLOUT, size)
-    anchored = torch.empty(ROLLOUT, size, 0 if anchor is None else width)
     for t in range(ROLLOUT):
         x[t] = agent.normalised(torch.from_numpy(worlds.obs))
         mean, values[t] = agent(x[t])
-        if anchor is not None:
-            anchored[t] = torch.from_numpy(anchor(worlds.obs))
         actions[t] = agent.noisy(mean, worlds.noise)
         log_prob[t] = agent.log_prob(mean, actions[t])
         reward, end, cut, last = worlds.step(actions[t].clamp(-1.0, 1.0).numpy())
@@ -173,14 +155,14 @@ def rollout(
         later = delta + gamma * LAMBDA * goes_on * later
         advantage[t] = later
     found = {"x": x, "actions": actions, "log_prob": log_prob, "advantage": advantage}
-    found |= {"returns": advantage + values[:-1], "anchor": anchored}
+    found |= {"returns": advantage + values[:-1]}
     return {name: value.flatten(0, 1) for name, value in found.items()}
 
 
 def update(
     agent: Agent, optimiser: torch.optim.Optimizer, data: dict[str, torch.Tensor], kl: float = 0.0
 ) -> None:
-    """Some epochs of PPO; ``kl`` is the price of the KL divergence from the anchor."""
+    """Some epochs of PPO; ``kl`` is the price of the KL divergence from no action."""
     advantage = data["advantage"]
     data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     for _ in range(EPOCHS):
@@ -193,8 +175,8 @@ def update(
             policy = torch.max(-gain * ratio, -gain * ratio.clamp(1.0 - CLIP, 1.0 + CLIP)).mean()
             value = (values - data["returns"][index]).pow(2).mean()
             loss = policy + 0.5 * value
-            if data["anchor"].shape[1]:
-                away = (mean - data["anchor"][index]) / agent.log_std.detach().exp()
+            if kl:
+                away = mean / agent.log_std.detach().exp()
                 loss = loss + kl * 0.5 * away.pow(2).sum(1).mean()
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
@@ -211,13 +193,11 @@ def train(args: argparse.Namespace) -> None:
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
-    near = None if args.anchor in (None, "zero") else load_ego(args.anchor)
     given = load_ego(args.start) if args.start and not args.start.endswith(".pt") else None
-    policies = [policy for policy in (near, given) if policy is not None]
     own = {"assisted": {"assisted": {"base": args.base, **ASSISTED}}, "unicycle": DYNAMICS}
     dynamics: Any = own.get(args.dynamics, args.dynamics)
     fitting: dict[str, Any] = {
-        "dynamics": policies[0].config.action.dynamics if policies else dynamics,
+        "dynamics": given.config.action.dynamics if given else dynamics,
         "decision_steps": args.decision_steps,
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
@@ -233,8 +213,8 @@ def train(args: argparse.Namespace) -> None:
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
     torch.manual_seed(args.seed + done["updates"])
     worlds = Worlds(args, config, spread_seed(args.seed, done["decisions"]))
-    for policy in policies:
-        policy.check(worlds.envs[0].worlds)
+    if given is not None:
+        given.check(worlds.envs[0].worlds)
     layout = worlds.envs[0].worlds.layout
     agent = Agent(layout, tuple(args.noise))
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
@@ -256,12 +236,7 @@ def train(args: argparse.Namespace) -> None:
 
     # weights that saw nuScenes, or began with such, are not for commercial use
     of_nuscenes = str(place_from(args)).startswith("nuscenes:")
-    is_bound = of_nuscenes or any("licence" in policy.about for policy in policies)
-
-    def still(obs: Floats) -> Floats:
-        return np.zeros((len(obs), len(agent.log_std)), np.float32)
-
-    anchor = still if args.anchor == "zero" else None if near is None else near.act
+    is_bound = of_nuscenes or (given is not None and "licence" in given.about)
 
     def keep() -> None:
         if not all(bool(weights.isfinite().all()) for weights in agent.parameters()):
@@ -283,7 +258,7 @@ def train(args: argparse.Namespace) -> None:
             optimiser.param_groups[0]["lr"] = args.learning_rate * max(left, LAST)
             with torch.no_grad():
                 agent.see(torch.from_numpy(worlds.obs))
-                data = rollout(agent, worlds, anchor)
+                data = rollout(agent, worlds)
             update(agent, optimiser, data, args.kl)
             agent.calm(args.noise, max(left, LAST))
             done["decisions"] += len(data["x"])

@@ -11,9 +11,9 @@ from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
 from ccdiff_env.worlds.policy_file import LEARNED
 
-#: Traffic of training; ``styles`` is IDM of three tempers, ``learned`` CCDiff
-#: whose adversaries the shipped policy chooses, ``bank`` what ``--bank`` recorded.
-TRAFFIC = ("replay", "idm", "styles", EGOS, LEARNED, *NETWORKS, "bank")
+#: Traffic of training; ``learned`` is CCDiff whose adversaries the shipped policy chooses,
+#: ``bank`` what ``--bank`` recorded.
+TRAFFIC = ("replay", "idm", EGOS, LEARNED, *NETWORKS, "bank")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,15 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sample ego and start of every episode, except in banks",
     )
     parser.add_argument(
-        "--differences",
+        "--kl",
         type=float,
         default=0.0,
-        help="randomise dynamics: gains and sizes by up to this share, delays of up to two steps",
+        help="price of KL from the zero action: of the base, if any",
     )
-    parser.add_argument(
-        "--anchor", help="policy to stay near: a policy, or zero for no correction (default: none)"
-    )
-    parser.add_argument("--kl", type=float, default=0.1, help="weight of KL from --anchor")
     parser.add_argument(
         "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
     )
