@@ -275,22 +275,29 @@ def test_methods_of_realism_are_compared_in_pairs(desk):
     assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]
 
 
-def test_kept_samples_of_realism_are_played_again_bit_for_bit(desk, capsys):
-    words = "realism --methods ccdiff_one_sample,idm --samples 2 --limit 2 --keep"
-    assert bench(words) == 0
-    files = sorted((desk / "run/rollouts").glob("*.npz"))
-    assert len(files) == 2 * 2 + 2  # IDM draws nothing
+@pytest.mark.parametrize(
+    ("words", "count"),
+    [
+        ("realism --methods ccdiff_one_sample,idm --samples 2", 2 * 2 + 2),  # IDM draws nothing
+        ("traffic --methods ccdiff_random,idm --k 1", 2 * 3 + 2 + 2),  # three seeds; the floor
+    ],
+)
+def test_kept_rollouts_are_played_again_bit_for_bit(desk, capsys, words, count):
+    assert bench(f"{words} --limit 2 --keep") == 0
+    files = sorted((desk / "run/rollouts").glob("ccdiff*.npz"))
+    assert len([*(desk / "run/rollouts").iterdir()]) == count
     assert ccdiff_env.Rollout.load(files[0]).meta["traffic"] == "ccdiff"
+    # wherever the folder is now
+    (desk / "run").rename(desk / "moved")
+    files = [desk / "moved/rollouts" / file.name for file in files]
     capsys.readouterr()
-    assert cli.main(["bench", "verify", "run"]) == 0
-    assert "4 of 4 scenes and methods" in capsys.readouterr().out
-    other = next(
-        file for file in files if file.name[:30] == files[0].name[:30] and file != files[0]
-    )
-    files[0].write_bytes(other.read_bytes())
-    assert cli.main(["bench", "verify", "run"]) == 1
+    assert cli.main(["bench", "verify", "moved"]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^(\d+) of \1 episodes come out the same", said, re.MULTILINE)
+    files[0].write_bytes(files[1].read_bytes())
+    assert cli.main(["bench", "verify", "moved"]) == 1
     assert "another rollout than the one" in capsys.readouterr().out
-    raw = next((desk / "run/raw").glob("idm*.json"))
-    raw.write_text(raw.read_text().replace('"kinematic": 0.', '"kinematic": 1.'))
-    assert cli.main(["bench", "verify", "run"]) == 1
+    raw = next((desk / "moved/raw").glob("idm*.json"))
+    raw.write_text(re.sub(r'"(kinematic|fde)": ', r'"\1": 1', raw.read_text()))
+    assert cli.main(["bench", "verify", "moved"]) == 1
     assert "idm, " in capsys.readouterr().out

@@ -58,9 +58,17 @@ def add_traffic(
 
 
 def add_methods(parser: argparse.ArgumentParser, default: str, more: str = "") -> None:
-    """Add which methods of traffic are compared."""
+    """Add which methods of traffic are compared, their weights, and what is kept of them."""
     text = f"comma-separated{more}, of: {GRAMMAR} (docs/evaluation.md, Methods)"
     parser.add_argument("--methods", default=default, help=text)
+    add_weights(parser)
+    parser.add_argument(
+        "--keep", action="store_true", help="keep all rollouts in rollouts/ of the run folder"
+    )
+
+
+def _kept(args: argparse.Namespace) -> str | None:
+    return str((args.out / "rollouts").resolve()) if args.keep else None
 
 
 def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
@@ -117,7 +125,6 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         default="0.5,0.75,1,1.5,2,3",
         help="with --match: criticalities of guided methods (default: %(default)s)",
     )
-    add_weights(parser)
     parser.set_defaults(run=_traffic)
 
 
@@ -138,6 +145,7 @@ def _traffic(args: argparse.Namespace) -> int:
         weights=run.own_weights,
         seed=args.seed,
         strengths=strengths,
+        keep=_kept(args),
     )
     episodes = run.episodes(jobs, "method", "replan_steps", k="num_controlled")
     played = report.conditions(episodes)
@@ -383,12 +391,6 @@ def _add_realism(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     add_run_arguments(parser)
     add_methods(parser, "replay,constant_velocity,idm,ccdiff_one_sample,ccdiff")
     parser.add_argument("--samples", type=int, default=16, help="episodes per scene and method")
-    parser.add_argument(
-        "--keep",
-        action="store_true",
-        help="keep the rollouts of all samples in rollouts/ of the run folder",
-    )
-    add_weights(parser)
     parser.set_defaults(run=_realism)
 
 
@@ -404,7 +406,7 @@ def _realism(args: argparse.Namespace) -> int:
         num_samples=args.samples,
         weights=run.own_weights,
         seed=args.seed,
-        keep=str((run.folder / "rollouts").resolve()) if args.keep else None,
+        keep=_kept(args),
     )
     rows = run.episodes(jobs, "method")
     found = {method: of for (method,), of in grouped(rows, "method").items()}
@@ -423,7 +425,9 @@ def _realism(args: argparse.Namespace) -> int:
 
 def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = kinds.add_parser("verify", help="replay the episodes of a run and compare every bit")
-    parser.add_argument("record", type=Path, help="run folder of bench planners or realism")
+    parser.add_argument(
+        "record", type=Path, help="run folder of bench planners, traffic or realism"
+    )
     parser.add_argument(
         "--episodes",
         type=int,
@@ -449,26 +453,26 @@ def _verify(args: argparse.Namespace) -> int:
     from ccdiff_env import _native
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
-    from ccdiff_env.bench.verify_realism import is_realism, verify_realism
+    from ccdiff_env.bench.verify_traffic import is_of_traffic, verify_traffic
 
     if args.base_instructions:
         _native.hold_to_base()
-    if is_realism(args.record):
-        found = verify_realism(args.record, own_code=args.own_code)
-        print(*found.differing, sep="\n", end="\n" * bool(found.differing))
-        same = found.played - len(found.differing)
-        print(f"{same} of {found.played} scenes and methods come out the same, bit for bit")
-        return 1 if found.differing else 0
-    record = Record.read(args.record)
-    for heading, text in record.tables():
-        say(f"{escaped(heading)}\n\n{text}")
-    found = verify(
-        record,
-        episodes=args.episodes,
-        seed=args.seed,
-        dataroot=args.dataroot,
-        own_code=args.own_code,
-    )
+    if is_of_traffic(args.record):
+        for name in ("episodes", "seed", "dataroot"):
+            if getattr(args, name) is not None:
+                raise ConfigError(f"--{name} is for runs of bench planners: all are played here")
+        found = verify_traffic(args.record, own_code=args.own_code)
+    else:
+        record = Record.read(args.record)
+        for heading, text in record.tables():
+            say(f"{escaped(heading)}\n\n{text}")
+        found = verify(
+            record,
+            episodes=args.episodes,
+            seed=args.seed,
+            dataroot=args.dataroot,
+            own_code=args.own_code,
+        )
     for line in found.differing:
         print(line)
     same = found.played - len(found.differing)

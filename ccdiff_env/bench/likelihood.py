@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,15 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, on_device, resolved
-from ccdiff_env.bench.scenarios import motion_hash
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.bench.traffic import CHUNK, STATIONARY_MPS, Episode, episodes, off_road
+from ccdiff_env.bench.traffic import (
+    CHUNK,
+    STATIONARY_MPS,
+    Episode,
+    episodes,
+    kept_rollouts,
+    off_road,
+)
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.metrics import Motion, causal
 from ccdiff_env.planners.planning import overlap
@@ -333,9 +338,8 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """Play scenes several times: one dictionary per scene, see :func:`scene_likelihoods`.
 
-    ``processor_s``: processor seconds of an episode, mean of the chunk. With ``keep``, a folder,
-    the rollouts are saved there, and ``kept`` are their names; ``""`` saves none, and ``kept`` are
-    hashes of who was where.
+    ``processor_s``: processor seconds of an episode, mean of the chunk; ``keep`` as for
+    :func:`.kept_rollouts`.
     """
     METHODS.add(weights or {})
     chosen = on_device(resolved(METHODS[method].with_weights(weights or {})), device)
@@ -350,15 +354,6 @@ def evaluate(
     for i, scene in enumerate(scenes):
         samples = [p[i] for p in played]
         row = {"scene": scene.name, **scene_likelihoods(samples, num_samples), "processor_s": spent}
-        rollouts = [sample.rollout for sample in samples if sample.rollout is not None]
-        if keep:
-            row["kept"] = names = [
-                file_name(f"{method}-{scene.name}-{seed + k}", ".npz") for k in range(count)
-            ]
-            Path(keep).mkdir(parents=True, exist_ok=True)
-            for name, rollout in zip(names, rollouts, strict=True):
-                rollout.save(Path(keep) / name)
-        elif keep is not None:
-            row["kept"] = [motion_hash(rollout) for rollout in rollouts]
+        row |= kept_rollouts(keep, method, {seed + k: sample for k, sample in enumerate(samples)})
         rows.append(row)
     return rows

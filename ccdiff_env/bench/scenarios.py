@@ -21,7 +21,7 @@ from ccdiff_env.bench.methods import on_device
 from ccdiff_env.bench.planners import CHUNK, TRAFFIC, Traffic, drive, planner_jobs, window_of
 from ccdiff_env.bench.provenance import sha256_of
 from ccdiff_env.bench.scenes import chunks, scenes_of
-from ccdiff_env.bench.traffic import guidance_cost, motions
+from ccdiff_env.bench.traffic import guidance_cost, motion_hash, motions
 from ccdiff_env.errors import ConfigError, DatasetError
 from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, as_scene
@@ -118,12 +118,6 @@ def generate(
             }
         )
     return found
-
-
-def motion_hash(rollout: Rollout) -> str:
-    """Return the SHA-256 of who was where, which does not depend on who compressed the file."""
-    arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
-    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
 
 def realism(rollout: Rollout) -> dict[str, float | None]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -28,6 +29,7 @@ from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.system.files import file_name
 from ccdiff_env.system.settings import sha256
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
@@ -52,6 +54,7 @@ def traffic_jobs(
     weights: Mapping[str, str] | None = None,
     seed: int = 0,
     strengths: Sequence[float] = (),
+    keep: str | None = None,
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
@@ -76,6 +79,7 @@ def traffic_jobs(
             every = METHODS[method].driver in _PLANNERS and k in (replan_controlled or (k,))
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     given: dict[str, Any] = {"seed": seed, **({"weights": dict(weights)} if weights else {})}
+    given |= {"keep": keep} if keep is not None else {}
     return [
         job
         for method, k, n in conditions
@@ -201,18 +205,24 @@ def evaluate(
     replan_steps: int,
     seed: int,
     weights: Mapping[str, str] | None = None,
+    keep: str | None = None,
     device: str = "cpu",
 ) -> list[dict[str, Any]]:
     """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
 
     With a random ranking there is one per scene and seed: :data:`RANDOM_DRAWS` of them, from
-    ``seed`` on.
+    ``seed`` on. ``keep`` as for :func:`kept_rollouts`.
     """
     METHODS.add(weights or {})
     chosen = on_device(METHODS[method].with_weights(weights or {}), device)
     draws = RANDOM_DRAWS if chosen.ranking == "random" else 1
+    condition = f"{method}-K{num_controlled}-T{replan_steps}"
     return [
-        {**measure(episode, replan_steps), "seed": drawn}
+        {
+            **measure(episode, replan_steps),
+            "seed": drawn,
+            **kept_rollouts(keep, condition, {drawn: episode}),
+        }
         for drawn in range(seed, seed + draws)
         for episode in episodes(
             scenes_of(source, names),
@@ -222,6 +232,32 @@ def evaluate(
             seed=drawn,
         )
     ]
+
+
+def motion_hash(rollout: Rollout) -> str:
+    """Return the SHA-256 of who was where, which does not depend on who compressed the file."""
+    arrays = (rollout.position, rollout.heading, rollout.velocity, rollout.valid, rollout.drivers)
+    return sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays))
+
+
+def kept_rollouts(
+    keep: str | None, condition: str, played: Mapping[int, Episode]
+) -> dict[str, list[str]]:
+    """Save the rollouts of a scene, by seed, in the folder ``keep``: ``kept`` are their names.
+
+    ``""`` saves none, ``kept`` are hashes of who was where; ``None`` says nothing.
+    """
+    if keep is None:
+        return {}
+    rollouts = {seed: episode.rollout for seed, episode in played.items() if episode.rollout}
+    if not keep:
+        return {"kept": [motion_hash(rollout) for rollout in rollouts.values()]}
+    folder, names = Path(keep), list[str]()
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed, rollout in rollouts.items():
+        names.append(file_name(f"{condition}-{rollout.scene.name}-{seed}", ".npz"))
+        rollout.save(folder / names[-1])
+    return {"kept": names}
 
 
 def relations(
