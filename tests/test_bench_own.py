@@ -107,6 +107,7 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
         ("--planners desk_own:Brakes,desk_own:Brakes?title=Ours%2C%20braking", "is another one's"),
         ("--planners pdm?title=Ours", "the title 'Ours' is another one's"),
         ("--planners idm --traffic ccdif-1", "did you mean 'ccdiff-1'"),
+        ("--planners idm --metric EPDMS", "metric 'EPDMS' cannot be had: NAVSIM"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(desk, capsys, words, said):

@@ -1,7 +1,8 @@
 """The gallery of the site: scenes in critical and in realistic CCDiff traffic.
 
-``python -m tools.gallery docs/site/gallery`` writes the pages and their index. Where CCDIFF_DATA
-names a folder with nuScenes, its validation scenes are tried, too.
+``python -m tools.gallery docs/site/gallery`` writes the pages and their index; with two planners
+at the end, as ``ppo pdm``, scenes in which the first does better, or worse, at criticality 1.
+Where CCDIFF_DATA names a folder with nuScenes, its validation scenes are tried, too.
 """
 
 from __future__ import annotations
@@ -11,17 +12,20 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ccdiff_env.errors import SceneError
-from ccdiff_env.scenes import Scene
+from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.record.rollout import Rollout
+from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
 from ccdiff_env.scenes.sources import Place, load
-from ccdiff_env.view.index import write_index
+from ccdiff_env.view.captions import planner_title
+from ccdiff_env.view.index import Shown, write_index
 from ccdiff_env.view.outcome import outcome
-from ccdiff_env.view.sources import play_scene
 
 TITLES = ("criticality 1", "realistic")
+DRIVERS = ("idm", "pdm", "ego", "ppo")  #: Who drives the ego.
 HOME = ("../index.html", "documentation")  #: Page above the index: the site's.
 TRIED = 30  #: Scenes of nuScenes.
+EACH = 5  #: Scenes that one planner wins, and that it loses.
 
 
 def scenes_here() -> list[Scene]:
@@ -34,30 +38,59 @@ def scenes_here() -> list[Scene]:
     return found
 
 
+def driven(
+    scenes: Sequence[Scene], driver: str, traffic: str
+) -> tuple[dict[str, float], dict[str, Rollout]]:
+    """Return scores and episodes by scene, as ``bench planners`` drives them."""
+    names = [scene.name for scene in scenes]
+    rows, rollouts = drive(SceneSet([*scenes]), driver, TRAFFIC[traffic], record=names)
+    return {row["scene"]: row["score"] for row in rows}, rollouts
+
+
 def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
-    """Write a page for each scene in which criticality makes the difference for IDM: in critical
-    traffic it collides or leaves the road, in realistic traffic it reaches its goal and nobody
-    collides. Pages of an ego that is hit come first. Returns the index.
+    """Write a page for each scene in which criticality makes the difference for one of
+    :data:`DRIVERS`: in critical traffic it collides or leaves the road, in realistic traffic it
+    reaches its goal and nobody collides. Each drives about as often. Pages of an ego that is hit
+    come first. Returns the index.
     """
     scenes = scenes or scenes_here()
-    shown, known = [], 0
-    for scene in scenes:
-        try:
-            pair = [
-                play_scene(scene, traffic="ccdiff", driver="idm", ccdiff={"criticality": level})
-                for level in (1.0, 0.0)
-            ]
-        except SceneError:  # too short, or without an ego
-            continue
-        known += 1
-        critical, calm = map(outcome, pair)
-        if critical.tone == "bad" and (calm.tone, calm.others) == ("good", 0):
-            rank = (critical.mishap != "is hit", critical.fault == "at fault")
-            shown.append((rank, (scene.name, TITLES, pair)))
+    found: dict[str, list[tuple[tuple[bool, bool], int, list[Rollout]]]] = {}
+    for number, driver in enumerate(DRIVERS):
+        critical, calm = (driven(scenes, driver, name)[1] for name in ("ccdiff-1", "ccdiff"))
+        for name, run in critical.items():
+            fate, other = outcome(run), outcome(calm[name])
+            if fate.tone == "bad" and (other.tone, other.others) == ("good", 0):
+                rank = (fate.mishap != "is hit", fate.fault == "at fault")
+                found.setdefault(name, []).append((rank, number, [run, calm[name]]))
+    times, shown = [0] * len(DRIVERS), list[tuple[tuple[bool, bool], Shown]]()
+    for name, pairs in found.items():
+        rank, number, pair = min(pairs, key=lambda of: (of[0], times[of[1]], of[1]))
+        times[number] += 1
+        shown.append((rank, (name, TITLES, pair)))
     shown.sort(key=lambda entry: entry[0])
-    title = f"Gallery, {len(shown)} of {known} scenes: criticality makes IDM collide"
+    title = f"Gallery, {len(shown)} of {len(scenes)} scenes: criticality makes the ego collide"
     return write_index((page for _, page in shown), folder, title, home=HOME)
 
 
+def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene] = ()) -> Path:
+    """Write pages of two planners side by side: at most :data:`EACH` scenes in which the first one
+    scores most above the other, and as many in which it scores most below. Returns the index.
+    """
+    scenes = scenes or scenes_here()
+    (mine, runs), (theirs, others) = (driven(scenes, of, "ccdiff-1") for of in (one, other))
+    less = {name: score - theirs[name] for name, score in mine.items()}
+    order = sorted(less, key=less.__getitem__)
+    wins = [name for name in order[: -EACH - 1 : -1] if less[name] > 0.0]
+    losses = [name for name in order[:EACH] if less[name] < 0.0]
+    titles = tuple(
+        f"{planner_title(of)} {sum(scores.values()) / len(scores):.2f}"
+        for of, scores in ((one, mine), (other, theirs))
+    )
+    title = f"{len(wins)} scenes that {titles[0]} wins and {len(losses)} that {titles[1]} does"
+    shown = ((n, titles, [runs[n], others[n]]) for n in [*wins, *losses])
+    return write_index(shown, folder, title, home=HOME)
+
+
 if __name__ == "__main__":
-    print(write_gallery(Path(sys.argv[1])))
+    folder, *pair = sys.argv[1:]
+    print(write_duel(Path(folder), pair[0], pair[1]) if pair else write_gallery(Path(folder)))

@@ -213,6 +213,12 @@ def _sources(planner: str, traffic: str, metrics: Sequence[str] = ()) -> dict[st
 
 #: Metrics of the package, which need no path.
 METRICS = {"avoidable": "ccdiff_env.record.counterfactual:avoidable"}
+#: What is asked for and cannot be had, and why.
+NO_METRICS = dict.fromkeys(
+    ("epdms", "pdms"),
+    "NAVSIM scores single plans of 4 s from its own logs, sensors and second stage of synthetic "
+    "scenes, none of which are here; the score here is nuPlan's, in closed loop",
+)
 
 
 def metric_name(path: str) -> str:
@@ -227,6 +233,8 @@ def metric_names(metrics: Sequence[str]) -> list[str]:
     """
     found: list[str] = []
     for path in metrics:
+        if (why := NO_METRICS.get(path.lower())) is not None:
+            raise ConfigError(f"metric {path!r} cannot be had: {why}")
         if not callable(named_object(path, "metric")):
             raise ConfigError(f"metric {path!r}: expected a function of a rollout")
         name = metric_name(path)

@@ -12,7 +12,7 @@ from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.view.captions import is_log, subtitle
+from ccdiff_env.view.captions import ego_title, is_log, subtitle
 from ccdiff_env.view.outcome import Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import data_address
@@ -101,14 +101,14 @@ def write_index(
 def _tags(fate: Outcome, rollout: Rollout) -> list[str]:
     """What a replay can be chosen by."""
     embedded = "embedded" in rollout.scene.source
-    return [*filter(None, [fate.mishap, fate.fault, "" if embedded else rollout.scene.source])]
+    source = "" if embedded else rollout.scene.source
+    return [*filter(None, [fate.mishap, source, "" if is_log(rollout) else ego_title(rollout)])]
 
 
 def _chips(tags: Sequence[Sequence[str]]) -> str:
-    """Buttons that choose: the three things that split the replays most evenly."""
+    """Buttons that choose: what is true of some of the replays, of most first."""
     count = Counter(tag for of in tags for tag in of)
-    split = sorted(count, key=lambda tag: (abs(2 * count[tag] - len(tags)), tag))
-    split = [tag for tag in split if count[tag] < len(tags)][:3]
+    split = [tag for tag, of in count.most_common() if of < len(tags)]
     if len(tags) < FILTERED or not split:
         return ""
     buttons = (

@@ -124,4 +124,5 @@ def find_scene(name: str, place: Place | str = DEFAULT) -> Scene:
     except UnknownNameError as error:
         own = [known for names in embedded_splits().values() for known in names]
         hint = meant(name, own) or "ccdiff-env scenes lists them, --scenes names another source"
-        raise UnknownNameError(f"no file {name!r}, and in {place}: {error}; {hint}") from None
+        hint = "" if "did you mean" in str(error) else f"; {hint}"
+        raise UnknownNameError(f"no file {name!r}, and in {place}: {error}{hint}") from None

@@ -25,7 +25,7 @@ VARIABLE = "CCDIFF_NUPLAN"
 #: Packages that the devkit imports and that scenes of this package do without.
 STANDS_IN = (
     "geopandas", "fiona", "pyogrio", "rasterio", "aiofiles", "aioboto3", "boto3", "botocore",
-    "retry", "ujson", "hydra", "omegaconf",
+    "retry", "ujson", "hydra", "omegaconf", "urllib3",
 )  # fmt: skip
 INSTALL = "pip install 'ccdiff-env[nuplan]'"
 
