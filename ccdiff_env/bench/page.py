@@ -64,7 +64,9 @@ def write_report_page(
             f"<nav>{contents}</nav>",
             first,
             _terms(" ".join(shown.values())),
-            f'<div class="plots">{drawn}</div>' if drawn else "",
+            f'<div class="plots" role="region" aria-label="plots" tabindex="0">{drawn}</div>'
+            if drawn
+            else "",
             rest,
             *sections[1:],
             f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",

@@ -45,7 +45,7 @@ _REASONS = {
     "ttc": "close call",
 }
 #: Planners that all others are compared with: from outside, and the privileged one.
-BASES = ("lane_idm", "idm")
+BASES = ("lane_idm", "idm", "ego")
 UNLINKED = 10  #: Worst scenes of a planner that are listed where none has a replay.
 BAD_BELOW = 0.7  #: Scenes with a lower score are listed; others where they have a replay.
 
@@ -105,7 +105,7 @@ def comparison(
     found: Results, bases: Sequence[str] = BASES, extra: Sequence[str] = ()
 ) -> list[Block]:
     """Return paired differences of planners, of the score and ``extra`` figures: from ``bases``,
-    both IDM, and the one that scores best of the others.
+    both IDM and the trained ego, and the one that scores best of the others.
     """
     planners, traffic = _names(found)
     if len(planners) < 2:

@@ -67,12 +67,12 @@ class Strip {
     context.lineWidth = 1;
     line(context, x(player.time), 0, x(player.time), height);
     context.font = "10px system-ui, sans-serif";
-    context.fillStyle = colours.faint;
     context.textAlign = "left";
     context.textBaseline = "top";
-    context.strokeStyle = colours.panel;
-    context.lineWidth = 3;
-    context.strokeText(`${top.toFixed(top < 10 ? 1 : 0)} ${unit}`, 12, 1);
-    context.fillText(`${top.toFixed(top < 10 ? 1 : 0)} ${unit}`, 12, 1);
+    const most = `${top.toFixed(top < 10 ? 1 : 0)} ${unit}`;
+    context.fillStyle = colours.panel;
+    context.fillRect(9, 0, context.measureText(most).width + 6, 13);
+    context.fillStyle = colours.faint;
+    context.fillText(most, 12, 1);
   }
 }
