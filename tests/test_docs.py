@@ -16,10 +16,12 @@ from stable_baselines3 import PPO
 
 import ccdiff_env
 import ccdiff_env_cli
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.embedded import unpack
 from ccdiff_env.view.outcome import outcome
-from ccdiff_env.view.sources import find_scene, play_scene
+from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import parse
 from tools import gallery
 from tools.pages import DATA, rendered
@@ -332,22 +334,37 @@ def test_scenes_that_trained_or_chose_never_report(path):
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
 
 
-def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_path):
-    scenes = [find_scene(name) for name in ("cut-in-04", "free-curve-03", "double-left-02")]
-    fates = {}
-    for scene in scenes:
-        fates[scene.name] = [
-            outcome(play_scene(scene, traffic="ccdiff", driver="idm", ccdiff={"criticality": c}))
-            for c in (1.0, 0.0)
+def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_path, monkeypatch):
+    scenes, drivers = [*ccdiff_env.embedded_scenes("val")], ("idm", "pdm")
+    names = [scene.name for scene in scenes]
+    monkeypatch.setattr(gallery, "DRIVERS", drivers)
+    played = {
+        (driver, traffic): drive(SceneSet(scenes), driver, TRAFFIC[traffic], record=names)
+        for driver in drivers
+        for traffic in ("ccdiff-1", "ccdiff")
+    }
+    fates = {key: {n: outcome(run) for n, run in of.items()} for key, (_, of) in played.items()}
+    decided = {
+        name: [
+            fates[driver, "ccdiff-1"][name].mishap == "is hit"
+            for driver in drivers
+            if fates[driver, "ccdiff-1"][name].tone == "bad"
+            and (fates[driver, "ccdiff"][name].tone, fates[driver, "ccdiff"][name].others)
+            == ("good", 0)
         ]
-    shown = {n: f for n, (f, calm) in fates.items() if (f.tone, calm.tone) == ("bad", "good")}
-    index = gallery.write_gallery(tmp_path / "gallery", scenes).read_text(encoding="utf-8")
-    pages = sorted((tmp_path / "gallery").glob("*-*.html"))
-    assert {page.stem for page in pages} == {*shown}
+        for name in names
+    }
+    shown = {name: any(hits) for name, hits in decided.items() if hits}
+    index = gallery.write_gallery(tmp_path / "all", scenes).read_text(encoding="utf-8")
+    assert {page.stem for page in (tmp_path / "all").glob("*-*.html")} == {*shown}
     order = sorted(shown, key=lambda name: index.index(f'href="{name}.html'))
-    assert [shown[name].mishap == "is hit" for name in order] == sorted(
-        (fate.mishap == "is hit" for fate in shown.values()), reverse=True
-    )
-    assert index.count("traffic: CCDiff") == 1  # of all, said once
-    for page in pages:
-        assert page.read_text(encoding="utf-8").count('class="run"') == 2
+    assert [shown[name] for name in order] == sorted(shown.values(), reverse=True)
+    score = {key: {row["scene"]: row["score"] for row in rows} for key, (rows, _) in played.items()}
+    less = {n: score["pdm", "ccdiff-1"][n] - score["idm", "ccdiff-1"][n] for n in names}
+    index = gallery.write_duel(tmp_path / "duel", "pdm", "idm", scenes).read_text(encoding="utf-8")
+    pages = (page.stem for page in (tmp_path / "duel").glob("*-*.html"))
+    order = sorted(pages, key=lambda name: index.index(f'href="{name}.html'))
+    ranked = sorted(less.values())
+    wins = [value for value in ranked[::-1][: gallery.EACH] if value > 0.0]
+    losses = [value for value in ranked[: gallery.EACH] if value < 0.0]
+    assert [less[name] for name in order] == [*wins, *losses]

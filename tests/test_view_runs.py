@@ -27,6 +27,8 @@ import numpy as np
 
 
 class Brakes:
+    name = "braking"
+
     def __init__(self, worlds):
         self.count = worlds.num_worlds
 
@@ -84,7 +86,7 @@ def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, monkeypatch,
     scenes = SceneSet([embedded_scenes()[scene]])
     for planners, titles in (
         (["idm"], None),
-        (["idm", "desk_planners:Brakes"], ["IDM on the log's path", "desk_planners:Brakes"]),
+        (["idm", "desk_planners:Brakes"], ["IDM on the log's path", "braking"]),
     ):
         assert cli.main(["view", "run", *common, "--planner", *planners]) == 0
         shown = states(run / "page.html")

@@ -53,8 +53,9 @@ def nuplan_metrics(rollout: Rollout, expert_steps: int) -> dict[str, Any]:
     metrics, found = _Metrics(), {}
     for name in PARTS.values():
         metrics[name]
-    for name, metric in metrics.items():  # those that others ask come before them
-        found[name] = metric.compute(history, expert)[0]
+    with np.errstate(invalid="ignore"):  # of an ego beside its route, in shapely
+        for name, metric in metrics.items():  # those that others ask come before them
+            found[name] = metric.compute(history, expert)[0]
     return found
 
 

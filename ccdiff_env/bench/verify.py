@@ -123,7 +123,9 @@ def replayed(
         known = {name for entry in record.entries for name in entry.names}
         raise UnknownNameError(f"no scene {scene!r} in {path}; {meant(scene, known)}")
     names = list(dict.fromkeys(planner for planner, _, _ in there))
-    calls = {alias: name for name in names for alias in (name, short_name(name))}
+    # a class that names itself is called without its title, too
+    calls = {name.partition("?title=")[0]: name for name in names}
+    calls |= {alias: name for name in names for alias in (name, short_name(name))}
     who = [_known(calls, "planner of the run", name) for name in planners] or names
 
     def least(worst_in: Collection[str]) -> tuple[str, int]:

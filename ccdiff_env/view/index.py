@@ -86,8 +86,8 @@ def write_index(
     line = f"{line or counted(len(fates), 'replay')}; others collide in {collide}"
     # what holds for all is said once
     each = [[part for parts in lines for part in parts] for _, _, lines in cards]
-    common = [part for part in each[0] if all(part in parts for parts in each[1:])]
-    common = common if len(cards) > 1 else []
+    common = each[0] if len(cards) > 1 else []
+    common = [part for part in common if all(part in parts for parts in each)]
     up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
     written = [_finished(*card, common) for card in cards]
     chips = _chips([tags for _, tags, _ in cards])

@@ -69,10 +69,10 @@ class Strip {
     context.font = "10px system-ui, sans-serif";
     context.textAlign = "left";
     context.textBaseline = "top";
-    const most = `${top.toFixed(top < 10 ? 1 : 0)} ${unit}`;
+    const label = `${top.toFixed(top < 10 ? 1 : 0)} ${unit}`;
     context.fillStyle = colours.panel;
-    context.fillRect(9, 0, context.measureText(most).width + 6, 13);
+    context.fillRect(9, 0, context.measureText(label).width + 6, 13);
     context.fillStyle = colours.faint;
-    context.fillText(most, 12, 1);
+    context.fillText(label, 12, 1);
   }
 }
