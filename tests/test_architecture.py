@@ -8,14 +8,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
 import pytest
-from array_scenes import GOES_ON, played
 
-from ccdiff_env import EgoEnv
-from ccdiff_env.bench.planner_score import COMFORT, TTC_BOUND_S
-from ccdiff_env.config import ObservationConfig, RewardConfig, WorldConfig
-from ccdiff_env.record.counterfactual import ego_plans
 from ccdiff_env.traffic import KINDS, NETWORKS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -275,73 +269,3 @@ def test_the_package_by_itself_loads_no_benchmark_and_no_page():
     assert [name for name in found if name.startswith("ccdiff_env.view.")] == [
         "ccdiff_env.view.notebook"
     ]
-
-
-def numbers(file: str, constant: str) -> list[float]:
-    """Numbers in the value of a constant of a Rust file."""
-    text = (ROOT / "rust" / file).read_text(encoding="utf-8")
-    found = re.search(rf"const {constant}: [^=]*=([^;]*);", text)
-    assert found, constant
-    return [float(number) for number in re.findall(r"-?\d+\.\d+", found[1])]
-
-
-def test_limits_of_rewards_and_of_pdm_are_those_of_the_score():
-    file = "sim/src/events/limits.rs"
-    units = ("_MPS2", "_MPS2", "_MPS3", "_MPS3", "_RADPS", "_RADPS2")
-    for (name, (low, high)), unit in zip(COMFORT.items(), units, strict=True):
-        found = numbers(file, name.upper() + unit)
-        assert found in ([low, high], [high])
-        assert len(found) == 2 or low == -high
-    assert numbers(file, "TTC_S") == [TTC_BOUND_S]
-
-
-def test_ways_out_of_guidance_are_the_steady_plans_of_the_search():
-    file = "nets/src/traffic/way_out.rs"
-    accelerations, offsets = numbers(file, "ACCELERATIONS_MPS2"), numbers(file, "OFFSETS_M")
-    steady = ego_plans(len(accelerations) * len(offsets))
-    assert [(p.acceleration_mps2, p.offset_m) for p in steady] == [
-        ((a, a), d) for d in offsets for a in accelerations
-    ]
-
-
-BRAKES = np.array([-0.8, 0.0], np.float32)
-
-
-def test_an_observation_column_is_there_for_who_asks_for_it(scenes):
-    columns = ("x", "y", "speed", "acceleration")
-    row = ObservationConfig(num_neighbors=60, radius_m=500.0, agent_columns=columns)
-    config = WorldConfig(traffic="idm", observation=row, horizon_steps=40)
-    env = EgoEnv(scenes=scenes, config=config, observation="dict")
-    before, was_there, braked = np.zeros(0), np.zeros(0, bool), 0
-    for _, states, _ in played(env, BRAKES):
-        speed_mps, there = states["speed"].copy(), states["active"][1:]
-        if len(before):
-            change_mps = (speed_mps - before)[1:][there & was_there]
-            # divided by the step of 0.1 s and by the scale of 10 m/s²
-            expected, observation = np.clip(change_mps, -1.0, 1.0), env.observation()
-            shown = observation["agents"][observation["agents_mask"] > 0][:, 3]
-            if len(shown) == len(expected):
-                np.testing.assert_allclose(np.sort(shown), np.sort(expected), atol=1e-3)
-                braked += int(np.abs(expected).max() > 0.05)
-        before, was_there = speed_mps, there.copy()
-    assert braked > 5
-
-
-def test_a_reward_component_has_a_weight_a_column_and_a_metric(scenes):
-    plain, weighted = (
-        [info for *_, info in played(EgoEnv(scenes=scenes, reward=RewardConfig(jerk=jerk)), BRAKES)]
-        for jerk in (0.0, -0.01)
-    )
-    for info, other in zip(plain, weighted, strict=True):
-        expected = -0.01 * min(abs(float(info["jerk"])), 10.0)
-        assert info["reward_jerk"] == 0.0
-        np.testing.assert_allclose(other["reward_jerk"], expected, rtol=1e-5)
-        np.testing.assert_allclose(other["reward"] - info["reward"], expected, atol=1e-5)
-
-
-def test_an_info_column_says_by_how_much_the_limit_is_exceeded(scenes):
-    env, ahead = EgoEnv(scenes=scenes[:3], **GOES_ON), np.array([1.0, 0.0], np.float32)
-    found = [(info["speeding"], info["reward_speed_limit"]) for *_, info in played(env, ahead)]
-    speeding, rewards = np.array(found).T
-    np.testing.assert_allclose(speeding, rewards / RewardConfig().speed_limit, rtol=1e-5)
-    assert speeding.min() == 0.0 < speeding.max()

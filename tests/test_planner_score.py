@@ -1,5 +1,6 @@
 """The score of planners by hand, beside scipy, and beside nuPlan's own classes where they are."""
 
+import json
 import os
 
 import numpy as np
@@ -8,7 +9,10 @@ from array_scenes import agent, array_scene, wide_road
 from scipy.signal import savgol_filter
 
 import ccdiff_env
+from ccdiff_env import _native
 from ccdiff_env.bench.planner_score import (
+    COMFORT,
+    TTC_BOUND_S,
     comfort,
     no_at_fault,
     progress_share,
@@ -206,3 +210,10 @@ def test_parts_are_those_of_nuplans_own_metrics(planner):
     for row in rows:
         for part, (ours, theirs, *more) in compare(rollouts[row["scene"]], row).items():
             assert ours == pytest.approx(theirs, abs=SAME), (row["scene"], part, more)
+
+
+def test_limits_of_rewards_and_of_pdm_are_those_of_the_score():
+    limits = json.loads(_native.schema("limits"))
+    assert limits.pop("ttc_s") == pytest.approx(TTC_BOUND_S)
+    both = {k: of if isinstance(of, list) else [-of, of] for k, of in limits.items()}
+    assert both == {name: pytest.approx(ends) for name, ends in COMFORT.items()}

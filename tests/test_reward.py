@@ -299,3 +299,26 @@ def test_a_log_whose_rear_axle_goes_round_a_bend_is_followed_by_the_bicycle():
     # the slip of the centre in a turn by 1.2 rad has no action, nor has the turn within a step
     slip = (axle + 0.5 * speed * 0.1) * 2 * np.sin(0.6)
     assert found["unicycle"] == pytest.approx(slip, rel=0.01)
+
+
+BRAKES = np.array([-0.8, 0.0], np.float32)
+
+
+def test_a_reward_component_has_a_weight_a_column_and_a_metric(scenes):
+    plain, weighted = (
+        [info for *_, info in played(EgoEnv(scenes=scenes, reward=RewardConfig(jerk=jerk)), BRAKES)]
+        for jerk in (0.0, -0.01)
+    )
+    for info, other in zip(plain, weighted, strict=True):
+        expected = -0.01 * min(abs(float(info["jerk"])), 10.0)
+        assert info["reward_jerk"] == 0.0
+        np.testing.assert_allclose(other["reward_jerk"], expected, rtol=1e-5)
+        np.testing.assert_allclose(other["reward"] - info["reward"], expected, atol=1e-5)
+
+
+def test_an_info_column_says_by_how_much_the_limit_is_exceeded(scenes):
+    env, ahead = EgoEnv(scenes=scenes[:3], **GOES_ON), np.array([1.0, 0.0], np.float32)
+    found = [(info["speeding"], info["reward_speed_limit"]) for *_, info in played(env, ahead)]
+    speeding, rewards = np.array(found).T
+    np.testing.assert_allclose(speeding, rewards / RewardConfig().speed_limit, rtol=1e-5)
+    assert speeding.min() == 0.0 < speeding.max()

@@ -48,11 +48,10 @@ F32: TypeAlias = npt.NDArray[np.float32]
 #: Bins of each axis; steps for which a draw is held, and seconds of a step.
 BINS, HELD_STEPS, DT_S = 21, 5, 0.1
 #: A row: numbers of a vehicle and its route, of the ego, of K other agents, and how many are there.
-OWN, EGO, NEAR, OTHER = 65, 14, 8, 15
+OWN, EGO, NEAR, OTHER, PLACES_M = json.loads(_native.schema("swift_row"))
 ROW = OWN + EGO + NEAR * OTHER + 1
-#: The first of the four numbers of each place on the route, and how far ahead these are, metres.
-FIRST_PLACE = 13
-PLACES_M = (0.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 26.0, 32.0, 40.0, 50.0, 60.0, 80.0)
+#: The first of the four numbers of each place on the route; these are ``PLACES_M`` ahead.
+FIRST_PLACE = OWN - 4 * len(PLACES_M)
 #: Columns that change their sign where the world is mirrored: of a vehicle itself (turns, its place
 #: beside the route, places on the route), and of another agent, as which the ego begins.
 OWN_MIRRORED = (4, 5, 10, 11, *range(FIRST_PLACE + 1, OWN, 2))
@@ -168,7 +167,7 @@ def run(args: argparse.Namespace) -> int:
         rounds.append(labels(str(i), partial(taught, scenes, args.episodes, i, student)))
     networks = [trained(f"network-{seed}", args.updates, seed) for seed in range(args.seeds)]
     best = min(networks)[1]
-    dial, rates = fitted_dial(fit, best)
+    dial, rates = fit_dial(fit, best)
     say(f"IDM collides at {FITTED} with the teacher, at {TRIED} with {best.name}: {rates}")
     place = place_from(args)
     notes = {
@@ -205,11 +204,11 @@ def collect(
     for first in range(0, episodes, worlds):
         count = min(worlds, episodes - first, len(listed))
         batch = SceneSet([listed[i] for i in rng.choice(len(listed), count, replace=False)])
-        found += _labelled(batch, teacher, student, rng)
+        found += _label_episode(batch, teacher, student, rng)
     return np.concatenate(found)
 
 
-def _labelled(
+def _label_episode(
     scenes: SceneSet, teacher: Mapping[str, Any], student: Path | None, rng: np.random.Generator
 ) -> list[F32]:
     """Labels of each half second of an episode in every scene, each with a strength of its own."""
@@ -457,7 +456,7 @@ def collisions(scenes: SceneSet, options: Mapping[str, Any], seeds: Sequence[int
     return float(np.concatenate(hits).mean())
 
 
-def fitted_dial(
+def fit_dial(
     scenes: SceneSet, weights: Path, seeds: int = 4
 ) -> tuple[list[list[float]], dict[str, list[float]]]:
     """Return the dial of weights, and the shares that it was fitted to and found in.

@@ -6,6 +6,7 @@ All questions are asked of forks of a running environment or of a recorded rollo
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, ResetNeededError
 from ccdiff_env.planners.built_in import Ego, ego_driver
@@ -136,7 +138,7 @@ def branch(
         fork.config.guided_traffic("adversaries")
         ids = fork.scenes[native.status(0).scene_idx].agent_ids
         native.override_plan(0, guided=[ids.index(one) for one in adversaries], criticality=None)
-    act = _taken_over(fork, ego)
+    act = _take_over(fork, ego)
     recorder = Recorder(fork, planner=str(ego), source_step=native.status(0).elapsed_steps)
     for _ in play(fork, act, recorders={0: recorder}, most=steps):
         pass
@@ -153,7 +155,7 @@ def _fork(worlds: Worlds, seeds: Sequence[int | None], **options: Any) -> Worlds
     return fork
 
 
-def _taken_over(worlds: Worlds, ego: Ego) -> Callable[..., npt.NDArray[Any]] | None:
+def _take_over(worlds: Worlds, ego: Ego) -> Callable[..., npt.NDArray[Any]] | None:
     """Put somebody into the ego's seat; returns what makes its actions, if not the world does."""
     driver, seat = ego_driver(ego)
     at_present = worlds.config.driver
@@ -180,8 +182,7 @@ def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
         num_samples: Plans to return.
         seed: For the random ones.
     """
-    offsets = (0.0, 1.0, -1.0, 2.5, -2.5)
-    accelerations = (0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0)
+    accelerations, offsets = json.loads(_native.schema("steady_plans"))
     plans = [EgoPlan((a, a), 0.0, d) for d in offsets for a in accelerations]
     plans += [EgoPlan((first, 2.0), 1.5, d) for d in offsets for first in (-8.0, -4.0)]
     rng = np.random.default_rng(seed)

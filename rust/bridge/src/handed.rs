@@ -68,7 +68,7 @@ pub fn driver_capsule(py: Python<'_>, driver: BoxedDriver) -> PyResult<Bound<'_,
 ///
 /// # Errors
 /// `PolicyError` where it has been taken before.
-pub fn taken_driver(capsule: &Bound<'_, PyCapsule>) -> PyResult<BoxedDriver> {
+pub fn take_driver(capsule: &Bound<'_, PyCapsule>) -> PyResult<BoxedDriver> {
     let pointer = capsule.pointer_checked(Some(DRIVER))?.cast::<Mutex<Option<BoxedDriver>>>();
     #[allow(unsafe_code, reason = "modules of one build: check_build")]
     // SAFETY: the capsule of this name holds such a lock and is alive; both modules have the same layout of it

@@ -12,5 +12,5 @@ mod networks;
 
 pub use contained::contained;
 pub use cost::call_cost;
-pub use handed::{BoxedDriver, Handed, check_build, driver_capsule, scene_capsule, taken_driver};
+pub use handed::{BoxedDriver, Handed, check_build, driver_capsule, scene_capsule, take_driver};
 pub use networks::{AskedDriver, PyTrajectoryModel, path_of};

@@ -7,18 +7,18 @@ use ccdiff_nets::NetworkKind;
 use ccdiff_nets::networks::NETWORKS;
 use ccdiff_nets::networks::ccdiff::CCDIFF;
 use ccdiff_nets::traffic::DRIVERS;
+use ccdiff_nets::traffic::egos::EGOS;
 use ccdiff_nets::traffic::swift::SWIFT;
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::drivers::{KINDS, Kind};
 use ccdiff_sim::options;
-use ccdiff_sim::planner::EGOS;
 use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// All kinds: the simulator's, Python's, the networks, egos, swift traffic; recordings of earlier versions count in this order.
+/// All kinds: the simulator's, Python's, the networks, egos, swift traffic.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
     let own = KINDS.iter().chain([&python_driver::KIND]);
     own.chain(&DRIVERS).chain([&EGOS, &SWIFT])
@@ -37,13 +37,13 @@ fn has_file(kind: &Kind) -> bool {
     is_network(kind) || kind.name == EGOS.name
 }
 
-fn of(name: &str) -> Option<&'static Kind> {
+fn find_kind(name: &str) -> Option<&'static Kind> {
     kinds().find(|kind| kind.name == name)
 }
 
 /// How images show a kind of driver.
-fn drawn(kind: &str) -> DrawStyle {
-    let style = of(kind).map_or(kind, |kind| kind.style);
+fn style_of(kind: &str) -> DrawStyle {
+    let style = find_kind(kind).map_or(kind, |kind| kind.style);
     match NETWORKS.iter().find(|network| network.kind.name == kind) {
         Some(network) if !network.denoises => DrawStyle::Network,
         _ => DrawStyle::ALL.into_iter().find(|drawn| drawn.name() == style).unwrap_or(DrawStyle::Other),
@@ -52,7 +52,7 @@ fn drawn(kind: &str) -> DrawStyle {
 
 /// What legends call a kind of driver.
 fn title(kind: &str) -> &'static str {
-    of(kind).map_or_else(|| drawn(kind).title(), |kind| kind.title)
+    find_kind(kind).map_or_else(|| style_of(kind).title(), |kind| kind.title)
 }
 
 /// Name, title and number in images.
@@ -63,8 +63,8 @@ type Row = (&'static str, &'static str, u8);
 #[pyfunction]
 pub(crate) fn drivers() -> Vec<Row> {
     let styles = DrawStyle::ALL.iter().map(|d| (d.name(), title(d.name()), *d as u8));
-    let others = kinds().filter(|kind| drawn(kind.name).name() != kind.name);
-    styles.chain(others.map(|kind| (kind.name, kind.title, drawn(kind.name) as u8))).collect()
+    let others = kinds().filter(|kind| style_of(kind.name).name() != kind.name);
+    styles.chain(others.map(|kind| (kind.name, kind.title, style_of(kind.name) as u8))).collect()
 }
 
 /// All kinds of drivers, one dictionary each: `name`, `title`, `options` (name of their table or `None`), `always` (every batch
@@ -96,12 +96,12 @@ pub(crate) fn driver_kinds(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
 
 /// What is to be made beside the drivers that every batch has, those that agents have and all under names of their own: kind,
 /// name in the batch, options as JSON.
-fn recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, String)>> {
+fn list_recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, String)>> {
     let mut found = Vec::new();
     for (name, driver) in &config.named_drivers {
         let one = driver.as_object().filter(|o| o.len() == 1).and_then(|o| o.iter().next());
         let Some((kind, options)) =
-            one.and_then(|(kind, options)| Some((of(kind).filter(|k| k.options.is_some())?, options)))
+            one.and_then(|(kind, options)| Some((find_kind(kind).filter(|k| k.options.is_some())?, options)))
         else {
             let kinds: Vec<&str> = kinds().filter(|kind| kind.options.is_some()).map(|k| k.name).collect();
             let kinds = kinds.join(", ");
@@ -131,25 +131,25 @@ fn recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, String)>>
 #[pyfunction]
 pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
     let config = WorldConfig::from_json(config).map_err(from_sim)?;
-    let wanted = recipes(&config)?.into_iter().filter(|(kind, ..)| has_file(kind));
+    let wanted = list_recipes(&config)?.into_iter().filter(|(kind, ..)| has_file(kind));
     Ok(wanted.map(|(kind, name, options)| (name.to_owned(), kind.name, options)).collect())
 }
 
 /// The drivers in capsules of the module of networks, by name.
-pub(crate) fn taken(
+pub(crate) fn take_drivers(
     capsules: BTreeMap<String, Bound<'_, PyCapsule>>,
 ) -> PyResult<BTreeMap<String, BoxedDriver>> {
-    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::taken_driver(capsule)?))).collect()
+    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::take_driver(capsule)?))).collect()
 }
 
 /// The drivers of a configuration beside those that every batch has.
-pub(crate) fn boxed(
+pub(crate) fn make_drivers(
     config: &WorldConfig,
     mut networks: BTreeMap<String, BoxedDriver>,
     models: &BTreeMap<String, Py<PyAny>>,
 ) -> PyResult<Vec<(String, BoxedDriver)>> {
     let mut made = Vec::new();
-    for (kind, name, options) in recipes(config)? {
+    for (kind, name, options) in list_recipes(config)? {
         let path = path_of(name, kind.name);
         let driver: BoxedDriver = match (kind.make, networks.remove(name), models.get(name)) {
             (Some(make), ..) => make(&path, &options).map_err(from_sim)?,
@@ -170,10 +170,10 @@ pub(crate) fn boxed(
 }
 
 /// A configuration as worlds are told apart by it: options of drivers are those that are not the default.
-pub(crate) fn told_apart(config: WorldConfig) -> WorldConfig {
+pub(crate) fn without_defaults(config: WorldConfig) -> WorldConfig {
     let mut named_drivers = config.named_drivers;
     for (kind, options) in named_drivers.values_mut().filter_map(Value::as_object_mut).flatten() {
-        if let Some(table) = of(kind).and_then(|kind| kind.options) {
+        if let Some(table) = find_kind(kind).and_then(|kind| kind.options) {
             options::without_defaults(table, options);
         }
     }

@@ -1,11 +1,13 @@
 //! The network of an ego, by itself and as a driver of traffic.
 
 use crate::enter::enter;
-use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_bridge::errors::{from_model, from_sim, py};
 use ccdiff_bridge::{contained, driver_capsule};
+use ccdiff_nets::ModelError;
+use ccdiff_nets::compute::weights::Entry;
+use ccdiff_nets::traffic::egos::{EgoParts, Egos, NetworkOfEgo};
 use ccdiff_sim::observe::Layout;
 use ccdiff_sim::options;
-use ccdiff_sim::planner::{EgoParts, Egos, NetworkOfEgo, Tensors};
 use ccdiff_sim::world::{ActionConfig, ActionDecoder};
 use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods,
@@ -17,7 +19,7 @@ use std::collections::BTreeMap;
 /// Weights by name.
 type Arrays<'py> = BTreeMap<String, PyReadonlyArrayDyn<'py, f32>>;
 
-fn taken(arrays: Arrays<'_>) -> PyResult<Tensors> {
+fn read_arrays(arrays: Arrays<'_>) -> PyResult<BTreeMap<String, Entry>> {
     let whole = |(name, array): (String, PyReadonlyArrayDyn<'_, f32>)| {
         let numbers = array.as_slice().map_err(|e| py::ConfigError::new_err(format!("{name}: {e}")))?;
         Ok((name, (array.shape().to_vec(), numbers.to_vec())))
@@ -38,9 +40,19 @@ pub(crate) fn egos_driver<'py>(
         observation: options::read("observation", observation).map_err(from_sim)?,
         action: options::read("action", action).map_err(from_sim)?,
         decision_steps,
-        tensors: taken(tensors)?,
+        tensors: read_arrays(tensors)?,
     };
-    driver_capsule(py, contained(Box::new(Egos::new(parts).map_err(from_sim)?)))
+    driver_capsule(py, contained(Box::new(Egos::new(parts).map_err(misfit)?)))
+}
+
+/// The error of weights that do not fit; whoever read their file names it.
+fn misfit(error: ModelError) -> PyErr {
+    match error {
+        ModelError::Checkpoint { entry, got, expected, .. } => {
+            py::DatasetError::new_err(format!("{entry} is {got}, expected {expected}"))
+        }
+        error => from_model(error),
+    }
 }
 
 /// The network of an ego: actions for observations. Configurations and weights as in `egos_driver`.
@@ -54,11 +66,8 @@ impl EgoNetwork {
         let layout = Layout::new(&options::read("observation", observation).map_err(from_sim)?);
         let action: ActionConfig = options::read("action", action).map_err(from_sim)?;
         let width = ActionDecoder::new(&action).width();
-        let damaged = |e: ccdiff_sim::SimError| {
-            py::DatasetError::new_err(e.to_string().trim_start_matches("config: policy: ").to_owned())
-        };
-        let made = NetworkOfEgo::new(&layout.map_err(from_sim)?, width, taken(tensors)?);
-        Ok(Self(made.map_err(damaged)?))
+        let made = NetworkOfEgo::new(&layout.map_err(from_sim)?, width, read_arrays(tensors)?);
+        Ok(Self(made.map_err(misfit)?))
     }
 
     /// Actions [N, W] in [-1, 1] for observations [N, D].

@@ -3,10 +3,13 @@
 use crate::drivers;
 use crate::python_driver::PythonOptions;
 use ccdiff_bridge::errors::{from_sim, py};
+use ccdiff_nets::traffic::egos::EgosConfig;
+use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, PLACES, SPACING_M};
+use ccdiff_nets::traffic::way_out;
 use ccdiff_sim::drivers::{KINDS, PLAN_FIELDS};
+use ccdiff_sim::events::limits;
 use ccdiff_sim::observe::{BEV_CHANNELS, Layout, ObservationConfig, all_columns};
 use ccdiff_sim::options::{Table, check_table};
-use ccdiff_sim::planner::EgosConfig;
 use ccdiff_sim::world::{CANDIDATE_BOUND, CANDIDATE_FEATURES, COLUMNS, METRICS, TABLES};
 use pyo3::prelude::*;
 
@@ -31,6 +34,20 @@ pub(crate) fn schema(name: &str) -> PyResult<String> {
         }
         // the bound of all features of candidates, and the features
         "candidates" => to_json(&(CANDIDATE_BOUND, CANDIDATE_FEATURES)),
+        // limits of nuPlan's comfort, and its least time to contact
+        "limits" => to_json(&serde_json::json!({
+            "acceleration": limits::ACCELERATION_MPS2,
+            "lateral_acceleration": limits::LATERAL_ACCELERATION_MPS2,
+            "jerk": limits::JERK_MPS3,
+            "longitudinal_jerk": limits::LONGITUDINAL_JERK_MPS3,
+            "yaw_rate": limits::YAW_RATE_RADPS,
+            "yaw_acceleration": limits::YAW_ACCELERATION_RADPS2,
+            "ttc_s": limits::TTC_S,
+        })),
+        // accelerations and offsets of the steady plans that are ways out
+        "steady_plans" => to_json(&(way_out::ACCELERATIONS_MPS2, way_out::OFFSETS_M)),
+        // numbers of a row of swift traffic: own, of the ego, other agents, of each; how far ahead places are
+        "swift_row" => to_json(&(OWN, EGO, NEIGHBOURS, OTHER, PLACES.map(|k| k as f32 * SPACING_M))),
         _ => Err(py::UnknownNameError::new_err(format!("no schema {name:?}"))),
     }
 }

@@ -110,10 +110,10 @@ impl PyVecWorld {
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
-        let networks = drivers::taken(networks.unwrap_or_default())?;
+        let networks = drivers::take_drivers(networks.unwrap_or_default())?;
         let world = enter(py, || {
-            let made = drivers::boxed(&config, networks, &models.unwrap_or_default())?;
-            VecWorld::new(scenes, drivers::told_apart(config), num_worlds, num_threads, made)
+            let made = drivers::make_drivers(&config, networks, &models.unwrap_or_default())?;
+            VecWorld::new(scenes, drivers::without_defaults(config), num_worlds, num_threads, made)
                 .map_err(from_sim)
         })?;
         let arrays = world.extent().arrays(num_worlds);

@@ -2,12 +2,12 @@
 
 use ccdiff_nets::compute::weights::{Entry, parse, tensors};
 use ccdiff_nets::networks::trajectory_model::TrajectoryModel;
+use ccdiff_nets::traffic::egos::NetworkOfEgo;
 use ccdiff_nets::traffic::swift::{DT_S, SWIFT, Swift};
 use ccdiff_nets::traffic::{CcdiffConfig, PlannedTraffic};
 use ccdiff_nuscenes::decode_scene;
 use ccdiff_sim::drivers::{Driver, DriverModel};
 use ccdiff_sim::options::read;
-use ccdiff_sim::planner::NetworkOfEgo;
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{ResetRequest, StepBuffers, VecWorld, WorldConfig};
 use std::collections::BTreeMap;

@@ -17,7 +17,7 @@ pub mod trunk;
 
 use kind::NetworkKind;
 
-/// All of them, in the order in which recordings count them; a new one is its file, `pub mod`, and a line here.
+/// All of them; a new one is its file, `pub mod`, and a line here.
 pub const NETWORKS: &[NetworkKind] = &[
     ccdiff::CCDIFF,
     simnet::SIMNET,

@@ -9,12 +9,13 @@
 
 mod adversary_policy;
 pub(crate) mod config;
+pub mod egos;
 mod memory;
 mod planned_agents;
 mod planning;
 mod reach;
 pub mod swift;
-mod way_out;
+pub mod way_out;
 
 pub use config::{
     BackgroundDriver, CcdiffConfig, CollisionTargets, Conflict, DRIVERS, GraphMode, GuidanceChoice,

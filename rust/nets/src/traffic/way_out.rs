@@ -5,10 +5,10 @@ use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::geom::{Polyline, Pose2, Real, Vector2};
 use ccdiff_sim::state::Footprint;
 
-/// Accelerations that are tried, each held until the ego stands, m/s²: those of `ccdiff_env.record.counterfactual.ego_plans`.
-const ACCELERATIONS_MPS2: [Real; 7] = [0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0];
+/// Accelerations that are tried, each held until the ego stands, m/s².
+pub const ACCELERATIONS_MPS2: [Real; 7] = [0.0, -1.5, -3.0, -5.0, -8.0, 1.5, 3.0];
 /// Distances from the route that are tried, left positive, metres.
-const OFFSETS_M: [Real; 5] = [0.0, 1.0, -1.0, 2.5, -2.5];
+pub const OFFSETS_M: [Real; 5] = [0.0, 1.0, -1.0, 2.5, -2.5];
 /// Speed with which the ego moves over, m/s, and most of it for each metre ahead.
 const LATERAL_MPS: Real = 1.0;
 const LATERAL_SHARE: Real = 0.3;

@@ -1,11 +1,5 @@
 //! Planners that drive an agent through its action: PDM-Closed, and the intelligent driver model on the centre line.
 
-mod egos;
-mod network_of_ego;
-
-pub use egos::{EGOS, EgoParts, Egos, EgosConfig};
-pub use network_of_ego::{NetworkOfEgo, Tensors};
-
 use crate::drivers::{IdmConfig, braking, idm_towards};
 use crate::dynamics::{Action, Dynamics, UnicycleLimits};
 use crate::error::{Result, SimError};

@@ -11,7 +11,7 @@ const CURVATURE_REACH_M: Real = 2.0;
 
 /// Acceleration and yaw rate for a change of acceleration and an offset; vehicles that never move in the log stay parked,
 /// and those whose log backs up wait.
-pub(crate) fn assisted_action(
+pub fn assisted_action(
     limits: &AssistedLimits,
     view: &WorldView<'_>,
     agent_idx: usize,

@@ -42,7 +42,7 @@ mod tow;
 mod traffic;
 
 pub use actions::ActionDecoder;
-pub(crate) use assist::assisted_action;
+pub use assist::assisted_action;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
 pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 pub use config::{
@@ -61,7 +61,7 @@ pub use reward_columns::{
 pub use rng::Rng;
 pub use score_facts::ScoreFacts;
 pub use start::{LEAST_WAY_M, Wanted};
-pub(crate) use surroundings::place_on_route;
+pub use surroundings::place_on_route;
 pub use traffic::{EXTERNAL, Traffic};
 
 use crate::drivers::{Driver, DriverModel, PlanRequest};

@@ -11,7 +11,7 @@ use crate::world::episode::{Episode, Slot};
 const LANE_REACH_M: Real = 5.0;
 
 /// Finds an agent beside its route, at a place along it, and beside the lanes; with it, the distance from that place, metres.
-pub(crate) fn place_on_route(
+pub fn place_on_route(
     states: &AgentStates,
     scene: &PreparedScene,
     a: usize,

@@ -8,7 +8,7 @@ mod network;
 mod seen;
 mod watch;
 
-pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES};
+pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, PLACES, Rows, SPACING_M, STATES};
 
 use crate::compute::weights::File;
 use crate::error::{Result, require};

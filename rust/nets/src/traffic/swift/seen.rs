@@ -19,10 +19,11 @@ pub const EGO: usize = 14;
 /// The number of another agent that says what it is: 1 for the ego, 0 for vehicles, -1 for all others.
 pub(super) const WHO: usize = OTHER - 1;
 
-/// Distance between places on the route and their number; those that are told, by index.
-const SPACING_M: Real = 2.0;
+/// Distance between places on the route, metres.
+pub const SPACING_M: Real = 2.0;
 const NUM_PLACES: usize = 41;
-const PLACES: [usize; 13] = [0, 1, 2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40];
+/// Places that are told, by index.
+pub const PLACES: [usize; 13] = [0, 1, 2, 4, 6, 8, 10, 13, 16, 20, 25, 30, 40];
 /// Numbers are clipped here.
 const CLIP: Real = 6.0;
 

@@ -1,16 +1,23 @@
 //! The policy of an ego as traffic: vehicles decide on what they would observe as the ego, and drive as it would.
 
-use super::network_of_ego::{NetworkOfEgo, Tensors};
-use crate::drivers::{AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView};
-use crate::dynamics::Dynamics;
-use crate::error::{Result, SimError};
-use crate::events::off_road;
-use crate::geom::Real;
-use crate::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
-use crate::options;
-use crate::scene::AgentKind;
-use crate::state::AgentStates;
-use crate::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
+mod network;
+
+pub use network::NetworkOfEgo;
+
+use crate::compute::weights::Entry;
+use crate::error::Result;
+use ccdiff_sim::drivers::{
+    AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
+};
+use ccdiff_sim::dynamics::Dynamics;
+use ccdiff_sim::events::off_road;
+use ccdiff_sim::geom::Real;
+use ccdiff_sim::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
+use ccdiff_sim::scene::AgentKind;
+use ccdiff_sim::state::AgentStates;
+use ccdiff_sim::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
+use ccdiff_sim::{SimError, options};
+use std::collections::BTreeMap;
 
 /// Traffic of egos.
 pub const EGOS: Kind = Kind {
@@ -41,8 +48,8 @@ pub struct EgoParts {
     pub action: ActionConfig,
     /// Steps for which it holds an action.
     pub decision_steps: usize,
-    /// Its weights.
-    pub tensors: Tensors,
+    /// Its weights, by name.
+    pub tensors: BTreeMap<String, Entry>,
 }
 
 /// Numbers that a vehicle remembers from one decision to the next: its action, and whether it has been on the road.
@@ -64,15 +71,16 @@ impl Egos {
     /// Traffic of a policy.
     ///
     /// # Errors
-    /// [`SimError::Config`] where observation, actions and weights do not fit together.
+    /// [`SimError::Config`] where observation and actions do not fit together, [`crate::ModelError::Checkpoint`] where the
+    /// weights do not.
     pub fn new(parts: EgoParts) -> Result<Self> {
         let layout = Layout::new(&parts.observation)?;
         let decoder = ActionDecoder::new(&parts.action);
         if decoder.num_actions().is_some() || matches!(decoder.dynamics(), Dynamics::DeltaPose(_)) {
-            return Err(SimError::config("egos.policy", "other actions", "accelerations and turns"));
+            return Err(SimError::config("egos.policy", "other actions", "accelerations and turns").into());
         }
         if parts.decision_steps == 0 {
-            return Err(SimError::config("egos.policy.decision_steps", 0, "at least 1"));
+            return Err(SimError::config("egos.policy.decision_steps", 0, "at least 1").into());
         }
         let network = NetworkOfEgo::new(&layout, decoder.width(), parts.tensors)?;
         let row = vec![0.0; layout.size];
@@ -192,7 +200,7 @@ impl DriverModel for Egos {
         1
     }
 
-    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
+    fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {
         let held = self.decision_steps;
         Ok(requests.iter().map(|r| r.is_due(held).then(|| self.planned(r))).collect())
     }
