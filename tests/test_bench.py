@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 import shapely
-from array_scenes import agent, array_scene, wide_road
-from shapely import affinity
+from array_scenes import agent, array_scene, outline, wide_road
 
 import ccdiff_env
 from ccdiff_env import _native, cli
@@ -219,11 +218,9 @@ def test_the_way_off_the_road_is_that_of_shapely():
             # whose rings have spikes without an area
             polygons = [shapely.Polygon(a["exterior"], a["holes"]).buffer(0) for a in areas]
             road = shapely.unary_union(polygons)
-            half = scene.sizes[ego, :2].astype(float) / 2
-            box = shapely.MultiPoint([half * s for s in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
-            box = affinity.rotate(box, float(states["heading"][ego]), (0, 0), use_radians=True)
-            box = affinity.translate(box, *states["position"][ego].astype(float))
-            expected = max(road.distance(corner) for corner in box.geoms)
+            pose = *states["position"][ego].astype(float), float(states["heading"][ego])
+            box = outline(*pose, scene.sizes[ego].astype(float))
+            expected = max(road.distance(shapely.Point(c)) for c in box.exterior.coords)
             (found,) = worlds.native.off_road_m(i)
             assert found == pytest.approx(expected, abs=2e-3)
             gates[i] = max(gates[i], expected)

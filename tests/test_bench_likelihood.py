@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from array_scenes import outline
 
 from ccdiff_env import cli
 from ccdiff_env.bench.likelihood import (
@@ -33,16 +34,14 @@ NAMES = ["cut-in-03", "left-turn-04"]
 
 
 def test_gaps_of_boxes_agree_with_shapely():
-    shapely = pytest.importorskip("shapely")
     rng = np.random.default_rng(0)
     for _ in range(20):
         position, heading = rng.uniform(-12, 12, (7, 2)), rng.uniform(-4, 4, 7)
         sizes = rng.uniform([2.0, 1.0], [8.0, 3.0], (7, 2))
-        boxes = []
-        for (x, y), yaw, (length, width) in zip(position, heading, sizes, strict=True):
-            box = shapely.box(-length / 2, -width / 2, length / 2, width / 2)
-            box = shapely.affinity.rotate(box, yaw, origin=(0, 0), use_radians=True)
-            boxes.append(shapely.affinity.translate(box, x, y))
+        boxes = [
+            outline(*place, yaw, size)
+            for place, yaw, size in zip(position, heading, sizes, strict=True)
+        ]
         found = box_gaps(position, heading, sizes)
         for i, one in enumerate(boxes):
             for j, other in enumerate(boxes):

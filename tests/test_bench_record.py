@@ -1,18 +1,62 @@
 """Scores of a run, recomputed from its raw results alone."""
 
+import json
 import re
 
 import pytest
-from planner_run import raw, write_run
 
+from ccdiff_env.bench.planner_score import score_of
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.record import Record
 from ccdiff_env.errors import DatasetError
 
+PARTS = [*PROTOCOL.fields["score"]["gates"], *PROTOCOL.fields["score"]["weights"]]
 TEN = [0.0, 1.0] * 5
 IDM = "IDM on the log's path"
 MARKED = f"{IDM} †"
+
+
+def row(scene, value, seed=0):
+    """An episode all of whose graded parts have a value."""
+    parts = dict.fromkeys(PARTS, 1.0) | dict.fromkeys(PROTOCOL.fields["score"]["weights"], value)
+    more = {"collision": 0.0, "success": 1.0, "min_ttc_s": 1.0, "digest": "d"}
+    return {"scene": scene, "seed": seed, **parts, **more, "score": score_of(parts)}
+
+
+def raw(planner, traffic, values, *, seed=0, source=None, scenes="", **made_from):
+    """A raw result: values by scene, `scenes` is the beginning of their hashes."""
+    names = [f"scene-{i:02d}" for i in range(len(values))]
+    return {
+        "function": "ccdiff_env.bench.planners:evaluate",
+        "arguments": {
+            "source": "embedded/val",
+            "names": names,
+            "planner": planner,
+            "traffic": traffic,
+            "seed": seed,
+            "sources": {"planner": source, "traffic": None},
+        },
+        "made_from": {
+            "version": "1",
+            "package": "p",
+            "weights": "w",
+            "protocol": PROTOCOL.sha256,
+            "scenes": {name: f"{scenes}{name}" for name in names},
+            **made_from,
+        },
+        "result": [row(name, value, seed) for name, value in zip(names, values, strict=True)],
+        "seconds": 1.0,
+    }
+
+
+def write_run(folder, *results, **settings):
+    """Write a run folder; returns it."""
+    (folder / "raw").mkdir(parents=True)
+    (folder / "run.json").write_text(json.dumps({"benchmark": "planners", **settings}))
+    for i, result in enumerate(results):
+        (folder / "raw" / f"{i}.json").write_text(json.dumps(result))
+    return folder
 
 
 def tables(folder, *results):

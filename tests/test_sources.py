@@ -23,7 +23,7 @@ from ccdiff_env.scenes.arguments import (
     place_from,
 )
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
-from ccdiff_env.scenes.sources import SOURCES, Source, coverage, parse, settled, title
+from ccdiff_env.scenes.sources import SOURCES, Source, coverage, parse, settle, title
 from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
 
@@ -52,7 +52,7 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
     place = parse(text)
     assert (place.source, place.path, place.version, place.split, place.limit) == parts
     assert str(place) == text
-    whole = settled(place)
+    whole = settle(place)
     assert parse(str(whole)) == whole
 
 
@@ -184,7 +184,7 @@ def test_folders_may_have_an_at_sign_in_their_names(tmp_path):
 
 
 def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
-    place = settled(parse(f"nuscenes:{nuscenes}/val"))
+    place = settle(parse(f"nuscenes:{nuscenes}/val"))
     assert place.version == MINI  # the only one that is there
     with pytest.warns(UserWarning, match="has 1 of the 150 scenes"):
         scenes = ccdiff_env.load(place)
