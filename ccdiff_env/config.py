@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
 from ccdiff_env.errors import ConfigError, unknown, unknown_option
-from ccdiff_env.system.files import parsed_object
+from ccdiff_env.system.files import parse_object
 from ccdiff_env.system.named_objects import named_instance, object_name
 from ccdiff_env.traffic import (
     KINDS,
@@ -82,7 +82,7 @@ class WorldConfig(WorldOptions):
             value = getattr(self, entry.name)
             if hasattr(make, "__dataclass_fields__") and not isinstance(value, make):
                 # a dictionary of the fields to change
-                object.__setattr__(self, entry.name, _formed(entry.name, value, make, make()))
+                object.__setattr__(self, entry.name, _form_value(entry.name, value, make, make()))
         for name, driver in own.items():
             kind = KINDS.get(name)
             if name == "external" or (kind and (kind.always or name != driver.kind)):
@@ -213,7 +213,7 @@ class WorldConfig(WorldOptions):
             ConfigError: If the text is no JSON object, or a field is unknown or of the wrong type.
         """
         try:
-            fields = parsed_object(text)
+            fields = parse_object(text)
         except (TypeError, ValueError) as error:
             raise ConfigError(f"config: not JSON ({error})") from None
         named = fields.get("named_drivers")
@@ -255,7 +255,7 @@ def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str)
             if not path:
                 check_option(name)
             raise unknown("option", path + str(name), [path + n for n in hints])
-        changes[name] = _formed(path + name, value, hints[name], getattr(old, name, None))
+        changes[name] = _form_value(path + name, value, hints[name], getattr(old, name, None))
     checked = {n: _plain_field(n, v) for n, v in changes.items() if n not in ("ccdiff", "model")}
     table = "PythonOptions" if kind is PythonTraffic else kind.__name__
     check(table, path.removesuffix("."), checked)
@@ -265,7 +265,7 @@ def _made(kind: type[_C], old: _C | None, options: Mapping[str, Any], path: str)
         raise ConfigError(f"config: {path.removesuffix('.')}: {error}") from None
 
 
-def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
+def _form_value(path: str, value: Any, hint: Any, old: Any) -> Any:
     """Value in the form of an annotation; what does not fit is left for Rust to refuse."""
     if hasattr(value, "item") and getattr(value, "ndim", None) == 0:  # numpy scalars
         value = value.item()
@@ -298,11 +298,11 @@ def _formed(path: str, value: Any, hint: Any, old: Any) -> Any:
         if not all(isinstance(name, str) for name in value):
             raise ConfigError(f"config: {path} is {value!r}, expected values by name")
         of = next((typing.get_args(p)[1] for p in parts if typing.get_origin(p) is Mapping), Any)
-        form = _named_driver if of is NamedDriver else _formed
+        form = _named_driver if of is NamedDriver else _form_value
         return {name: form(f"{path}.{name}", entry, of, None) for name, entry in value.items()}
     if hasattr(value, "__iter__") and not isinstance(value, (str, bytes)):
         of = next((typing.get_args(p)[0] for p in parts if typing.get_origin(p) is tuple), Any)
-        return tuple(_formed(f"{path}[{i}]", entry, of, None) for i, entry in enumerate(value))
+        return tuple(_form_value(f"{path}[{i}]", entry, of, None) for i, entry in enumerate(value))
     return value
 
 
@@ -319,7 +319,7 @@ def _named_driver(path: str, value: Any, *_: Any) -> NamedDriver:
     ((name, options),) = value.items()
     if name not in known:
         raise unknown(path, str(name), known)
-    return NamedDriver(name, _formed(f"{path}.{name}", options, known[name], None))
+    return NamedDriver(name, _form_value(f"{path}.{name}", options, known[name], None))
 
 
 def _with_named_drivers(

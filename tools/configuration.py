@@ -101,7 +101,7 @@ def _alias(choice: Mapping[str, Any]) -> str:
     plain = [v["name"] for v in choice["variants"] if v["form"] is None]
     parts = [f"Literal[{', '.join(json.dumps(name) for name in plain)}]"] if plain else []
     parts += [_annotation(v["form"]) for v in choice["variants"] if v["form"] is not None]
-    text = _wrapped(_python(choice["doc"]), "#: ", "#: ")
+    text = _wrap(_python(choice["doc"]), "#: ", "#: ")
     text += f"\n{choice['name']}: TypeAlias = {' | '.join(parts)}\n"
     if plain:
         return text
@@ -133,7 +133,7 @@ def _python(doc: str) -> str:
     return re.sub(r"`([^`]+)`", r"``\1``", " ".join(_text(doc)))
 
 
-def _described(field: Mapping[str, Any]) -> str:
+def _describe(field: Mapping[str, Any]) -> str:
     """Meaning of a field with its unit and range in its first clause."""
     text, facts = " ".join(_text(field["doc"])), [field["unit"], field["range"]]
     known = ", ".join(fact for fact in facts if fact)
@@ -143,7 +143,7 @@ def _described(field: Mapping[str, Any]) -> str:
     return f"{clause[1]} ({known}){text[clause.end(1) :]}"
 
 
-def _wrapped(text: str, first: str, then: str) -> str:
+def _wrap(text: str, first: str, then: str) -> str:
     wrapper = textwrap.TextWrapper(
         100, initial_indent=first, subsequent_indent=then, break_on_hyphens=False
     )
@@ -153,7 +153,7 @@ def _wrapped(text: str, first: str, then: str) -> str:
 def _with_comment(line: str, text: str) -> list[str]:
     """Return a line of code with its comment behind it, or above where there is no room."""
     both = f"{line}  #: {text}"
-    return [both] if len(both) <= 100 else [_wrapped(text, "    #: ", "    #: "), line]
+    return [both] if len(both) <= 100 else [_wrap(text, "    #: ", "    #: "), line]
 
 
 def _class(table: Table) -> str:
@@ -161,12 +161,12 @@ def _class(table: Table) -> str:
     summary, _, rest = first.partition(". ")
     paragraphs = [f'"""{summary.rstrip(".")}."""', *(p for p in (rest, *more) if p)]
     lines = ["@dataclass(frozen=True, kw_only=True)", f"class {_named(table)}(Options):"]
-    text = "\n\n".join(_wrapped(p, "    ", "    ") for p in paragraphs)
+    text = "\n\n".join(_wrap(p, "    ", "    ") for p in paragraphs)
     lines += [text if "\n" not in text else text.replace('."""', ".", 1) + '\n    """', ""]
     for entry in table["fields"]:
         if OWN_FORM.get(table["name"]) == entry["name"]:
             continue
-        doc = re.sub(r"`([^`]+)`", r"``\1``", _described(entry))
+        doc = re.sub(r"`([^`]+)`", r"``\1``", _describe(entry))
         line = f"    {entry['name']}: {_annotation(entry['form'])}"
         if table["defaults"] is not None:
             line += f" = {_default(entry, table['defaults'][entry['name']])}"
@@ -202,10 +202,10 @@ def classes(found: list[Table]) -> str:
 
     for table in kept:
         add(table)
-    return _formatted("\n\n".join(parts))
+    return _format("\n\n".join(parts))
 
 
-def _formatted(text: str) -> str:
+def _format(text: str) -> str:
     return subprocess.run(
         [sys.executable, "-m", "ruff", "format", "-q", "--stdin-filename", "options.py", "-"],
         input=text,
@@ -249,7 +249,7 @@ def page(found: list[Table]) -> str:
         lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
         lines += ["| field | default | what |", "|---|---|---|"]
         for entry in table["fields"]:
-            doc = _described(entry).replace("|", "\\|")
+            doc = _describe(entry).replace("|", "\\|")
             lines.append(f"| `{entry['name']}` | {_shown(entry, table)} | {doc} |")
         for entry in table["fields"]:
             for choice in _choices(entry["form"]):

@@ -16,7 +16,7 @@ from typing import Any
 
 from ccdiff_env.bench.scenes import chunks, scene_names
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
 from ccdiff_env.system.settings import first_change
@@ -123,7 +123,7 @@ def run_jobs(
         path = folder / f"{job.name}.json"
         if path.exists():
             with reading("result", path):
-                known = parsed_object(read_text(path))
+                known = parse_object(read_text(path))
                 if changed := _changed(known, job.description()):
                     stale.append(f"{job.name} because of: {changed}")
                 else:

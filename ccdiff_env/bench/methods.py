@@ -13,8 +13,8 @@ from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant
 from ccdiff_env.interop.nuplan import PREFIX
 from ccdiff_env.models import guidance_preset, shipped_weights
 from ccdiff_env.planners.built_in import is_of_package
-from ccdiff_env.system.files import parsed_object, reading
-from ccdiff_env.system.named_objects import named_object, title_of, untitled
+from ccdiff_env.system.files import parse_object, reading
+from ccdiff_env.system.named_objects import named_object, strip_title, title_of
 from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig
 from ccdiff_env.view.captions import is_taken
@@ -143,7 +143,7 @@ class NamedDrivers(dict[str, _T]):
 def network_of(file: str) -> str:
     """Return the kind of network that a file of weights is of."""
     with reading("weights", file):
-        kind = parsed_object(read_tensors(Path(file))[1]["ccdiff_env"])["kind"]
+        kind = parse_object(read_tensors(Path(file))[1]["ccdiff_env"])["kind"]
         if kind not in NETWORKS:
             raise DatasetError(f"weights of {kind!r}, expected one of {', '.join(NETWORKS)}")
     return str(kind)
@@ -164,7 +164,7 @@ def titled(names: Iterable[str]) -> list[str]:
         title = title or own
         taken = title is not None and (is_taken(title) or title in found)
         if title is not None and (
-            taken or not title.isprintable() or is_of_package(untitled(text))
+            taken or not title.isprintable() or is_of_package(strip_title(text))
         ):
             raise ConfigError(f"{text}: the title {title!r} is another one's, or no line of words")
         found[title or text] = text

@@ -145,7 +145,7 @@ def _sources(module: str) -> dict[str, Path]:
     Nothing is imported to find them: that would run what nobody asked for.
     """
     own = _spec(module.partition(".")[0])
-    installed = _installed(Path(own.origin) if own is not None and own.origin else None)
+    installed = _list_installed(Path(own.origin) if own is not None and own.origin else None)
     found: dict[str, Path] = {}
     seen, waiting = {module}, [module]
     while waiting:
@@ -179,7 +179,7 @@ def _spec(module: str) -> ModuleSpec | None:
     return spec
 
 
-def _installed(own: Path | None) -> set[Path]:
+def _list_installed(own: Path | None) -> set[Path]:
     """Folders of Python and of installed packages, those that .pth files name among them.
 
     ``own`` is the file of a planner's package: its folder may be one that such a file names.

@@ -29,7 +29,7 @@ from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.scenes.sources import coverage
-from ccdiff_env.system.files import num_values, parsed_object, read_text, reading
+from ccdiff_env.system.files import num_values, parse_object, read_text, reading
 from ccdiff_env.system.named_objects import title_of
 from ccdiff_env.system.table import document
 from ccdiff_env.view.captions import is_taken
@@ -189,7 +189,7 @@ def _parsed(path: Path) -> dict[str, dict[str, Any]]:
         if values > MOST_VALUES:
             raise DatasetError(f"more than {MOST_VALUES} values")
         with reading("result", file):
-            found[file.relative_to(path).as_posix()] = parsed_object(text)
+            found[file.relative_to(path).as_posix()] = parse_object(text)
     return found
 
 

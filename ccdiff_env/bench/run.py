@@ -92,7 +92,7 @@ class Run:
         if self._begun:
             self._begin()
 
-    def _dated(self, job: Job) -> Job:
+    def _date(self, job: Job) -> Job:
         """Return a job that knows what its result follows from beside its arguments."""
         made_from: dict[str, Any] = {
             "version": self._made_with["version"],
@@ -119,7 +119,7 @@ class Run:
 
         Each episode gets its ``job``, whose arguments ``keys``, and further ones by other names.
         """
-        dated = [self._dated(job) for job in jobs]
+        dated = [self._date(job) for job in jobs]
         self._begin()
         self._jobs |= {job.name: job for job in dated}
         given = {**{key: key for key in keys}, **names}

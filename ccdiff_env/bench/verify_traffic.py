@@ -11,7 +11,7 @@ from ccdiff_env.bench.traffic import motion_hash
 from ccdiff_env.bench.verify import Verified
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError
 from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.system.files import parsed_object, read_text, reading
+from ccdiff_env.system.files import parse_object, read_text, reading
 from ccdiff_env.system.progress import shown
 
 FUNCTIONS = ("ccdiff_env.bench.likelihood:evaluate", "ccdiff_env.bench.traffic:evaluate")
@@ -23,7 +23,7 @@ def is_of_traffic(path: Path) -> bool:
     if not file.is_file():
         return False
     with reading("settings of a run", file):
-        return parsed_object(read_text(file)).get("benchmark") in ("traffic", "realism")
+        return parse_object(read_text(file)).get("benchmark") in ("traffic", "realism")
 
 
 def verify_traffic(folder: Path, *, own_code: bool = False) -> Verified:
@@ -39,7 +39,7 @@ def verify_traffic(folder: Path, *, own_code: bool = False) -> Verified:
     differing, played = list[str](), 0
     for file in shown(files, what="results"):
         with reading("result", file):
-            fields = parsed_object(read_text(file))
+            fields = parse_object(read_text(file))
             given, rows = fields["arguments"], fields["result"]
             if (function := fields["function"]) not in FUNCTIONS:
                 raise DatasetError(f"{file} is no result of `bench traffic` or `bench realism`")

@@ -32,7 +32,7 @@ RENDER_OPTIONS: dict[str, Any] = {
 }
 
 
-def checked_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
+def check_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the options of images with defaults filled in; refuses names that are unknown."""
     for name in given or {}:
         if name not in RENDER_OPTIONS:

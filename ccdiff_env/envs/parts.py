@@ -12,9 +12,9 @@ import numpy.typing as npt
 from ccdiff_env.config import WorldConfig, check_option
 from ccdiff_env.envs.agent_selection import AgentSelection, Bool
 from ccdiff_env.envs.attributes import Attributes
-from ccdiff_env.envs.drawing import checked_render_options
+from ccdiff_env.envs.drawing import check_render_options
 from ccdiff_env.errors import ConfigError, unknown
-from ccdiff_env.planners.built_in import Seat, seated
+from ccdiff_env.planners.built_in import Seat, seat_driver
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.worlds.curriculum import Criticality
@@ -83,7 +83,7 @@ class OnWorlds(Attributes):
                 f"render_mode is {shared.render_mode!r}, expected None or one of {', '.join(modes)}"
                 + ' ("human" needs pygame)' * (shared.render_mode == "human")
             )
-        self._render_options = checked_render_options(shared.render_options)
+        self._render_options = check_render_options(shared.render_options)
         self.render_mode = shared.render_mode
         self._form: Form = form
         self._info: str = shared.info
@@ -112,7 +112,7 @@ class OnWorlds(Attributes):
                 f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'"
             )
         chosen = scene_set(shared.scenes)
-        self._seat, config, given = seated(options, config, chosen[0].dt)
+        self._seat, config, given = seat_driver(options, config, chosen[0].dt)
         self._play(shared, chosen, world_config(chosen, config, given, self._form))
 
     def _take_agents(

@@ -113,8 +113,8 @@ def train(
         config = json.dumps({**json.loads(config), **TrajectoryModel(start).header["model"]})
     was = {"training": json.loads(training), "network": json.loads(config)}
     changed = {
-        "training": _merged("training setting", was["training"], settings or {}),
-        "network": _merged("part of the network", was["network"], network or {}),
+        "training": _merge("training setting", was["training"], settings or {}),
+        "network": _merge("part of the network", was["network"], network or {}),
     }
     if resumed:
         kept_settings(folder / "run.json", given)
@@ -209,7 +209,7 @@ def _digest(weights: str | os.PathLike[str]) -> str:
         return sha256(read_bytes(weights))
 
 
-def _merged(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+def _merge(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
     unknown = sorted(set(changes) - set(preset))
     if unknown:
         raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")

@@ -28,7 +28,7 @@ from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
 from ccdiff_env.planners.rules import LaneIdm, NoOp, PdmClosed
 from ccdiff_env.planners.sb3_policy import Sb3Policy
-from ccdiff_env.system.named_objects import named_object, untitled
+from ccdiff_env.system.named_objects import named_object, strip_title
 from ccdiff_env.traffic import KINDS, driver_names
 from ccdiff_env.traffic.python import PythonTraffic
 from ccdiff_env.worlds import Worlds
@@ -37,7 +37,7 @@ from ccdiff_env.worlds.spaces import F32, U8, Form, StepArrays
 from ccdiff_env.worlds.worlds_view import worlds_view
 
 __all__ = [
-    "EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "is_of_package", "seated",
+    "EGO_HELP", "Act", "Ego", "Planner", "Seat", "ego_driver", "is_of_package", "seat_driver",
 ]  # fmt: skip
 
 #: Planners of the package by name, without weights of their own.
@@ -252,7 +252,7 @@ class Seat:
         if hasattr(self._act, "explain"):
             told = self._answer(self._act.explain, self._worlds, np.flatnonzero(due))
             for i in np.flatnonzero(due).tolist():
-                self._meant[i] = self._weighed(i, told)
+                self._meant[i] = self._weigh(i, told)
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
         if found.shape != shape or found.dtype.kind not in "iuf":
@@ -293,7 +293,7 @@ class Seat:
         """
         return self._meant.pop(world_idx, None)
 
-    def _weighed(self, world_idx: int, told: Any) -> tuple[F32, F32]:
+    def _weigh(self, world_idx: int, told: Any) -> tuple[F32, F32]:
         """What ``explain()`` says of a world, checked, the cheapest first."""
         try:
             poses, costs = (np.asarray(part, np.float32) for part in told[world_idx])
@@ -350,7 +350,7 @@ class Seat:
             ) from error
 
 
-def seated(
+def seat_driver(
     options: Mapping[str, Any], config: WorldConfig | None, dt_s: float
 ) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
     """Take a planner out of an environment's option ``driver``; ``dt_s`` is the scenes' step.
@@ -393,7 +393,7 @@ def ego_driver(ego: Ego) -> tuple[str, Seat | None]:
     Raises:
         ConfigError: For another name.
     """
-    if isinstance(ego, str) and (name := untitled(ego)) in _WORLD_DRIVERS:
+    if isinstance(ego, str) and (name := strip_title(ego)) in _WORLD_DRIVERS:
         return name, None
     return "external", seat_of(ego)
 
@@ -407,7 +407,7 @@ def seat_of(ego: Ego) -> Seat:
             planner = Sb3Policy(ego, name)
         return Seat(planner, name, ego)
     given = os.fspath(ego)
-    name = untitled(given)
+    name = strip_title(given)
     if name.endswith(".zip") and "?" not in name:
         return Seat(load(name), Path(given).name, ego)
     if name.startswith(PREFIX):

@@ -138,7 +138,7 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
         with reading("bank", path):
             data = read_bytes(path)
             spare += MOST_RATIO * len(data)
-            for plain in _unpacked(data):
+            for plain in _unpack(data):
                 spare -= len(plain)
                 if spare < 0:
                     raise DatasetError("unpacks to far more bytes than expected")
@@ -146,7 +146,7 @@ def load_bank(folder: str | os.PathLike[str]) -> SceneSet:
     return SceneSet(scenes)
 
 
-def _unpacked(data: bytes) -> Iterator[bytes]:
+def _unpack(data: bytes) -> Iterator[bytes]:
     """Scenes of a file, one after the other."""
     at = 0
     while at < len(data):

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import SnapshotError
-from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
 from ccdiff_env.system.version import __version__
 from ccdiff_env.worlds import fit
 
@@ -112,7 +112,7 @@ class Certificate:
             SnapshotError: If the text is damaged or of another format.
         """
         try:
-            fields = parsed_object(text)
+            fields = parse_object(text)
             if (found := fields.pop("format")) != FORMAT:
                 raise SnapshotError(f"certificate: format {found!r}, this release reads {FORMAT!r}")
             packed = fields["actions"]

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from ccdiff_env.errors import DatasetError, MissingFeatureError, ShapeError, expect_shape
 from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.system.fields import documented
-from ccdiff_env.system.files import MOST_BYTES, parsed_object, read_bytes, reading, write_aside
+from ccdiff_env.system.files import MOST_BYTES, parse_object, read_bytes, reading, write_aside
 from ccdiff_env.traffic import TrafficPlan, driver_names
 from ccdiff_env.traffic.ccdiff import PLAN_ARRAYS
 
@@ -293,7 +293,7 @@ class Rollout:
 
     @classmethod
     def _from_arrays(cls, arrays: Mapping[str, npt.NDArray[Any]]) -> Rollout:
-        head = parsed_object(arrays["head"].tobytes())
+        head = parse_object(arrays["head"].tobytes())
         if head["format"] != FORMAT:
             raise DatasetError(f"format {head['format']!r}, this release reads {FORMAT!r}")
         scene = Scene.from_bytes(arrays["scene"].tobytes())

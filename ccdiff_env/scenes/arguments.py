@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
-from ccdiff_env.scenes.sources import DEFAULT, SOURCES, Place, load, parse, settled, split_names
+from ccdiff_env.scenes.sources import DEFAULT, SOURCES, Place, load, parse, settle, split_names
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, use: str | None = None) -> None:
@@ -18,7 +18,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser, use: str | None = None)
     """
     forms = ", ".join(source.form for source in SOURCES.values())
     splits = ", ".join(name for source in SOURCES.values() for name in split_names(source))
-    usual = settled(Place(DEFAULT), use)
+    usual = settle(Place(DEFAULT), use)
     parser.set_defaults(scenes_use=use)
     parser.add_argument(
         "--scenes",
@@ -46,7 +46,7 @@ def place_from(args: argparse.Namespace) -> Place:
     place = parse(DEFAULT if args.scenes is None else args.scenes)
     if args.limit is not None:
         place = replace(place, limit=args.limit)
-    return settled(place, args.scenes_use)
+    return settle(place, args.scenes_use)
 
 
 def other_place(args: argparse.Namespace) -> Place:
@@ -55,12 +55,12 @@ def other_place(args: argparse.Namespace) -> Place:
     """
     use: str = args.other_use
     if (text := getattr(args, f"{use}_scenes")) is not None:
-        return settled(parse(text), use)
+        return settle(parse(text), use)
     place = place_from(args)
     usual = SOURCES[place.source].usual.get(place.version or "", {}).get(use)
     if usual is None:
         raise ConfigError(f"{place} has no split to {use} on: give --{use}-scenes")
-    return settled(replace(place, split=usual), use)
+    return settle(replace(place, split=usual), use)
 
 
 def scenes_from(args: argparse.Namespace, *, other: bool = False) -> SceneSet:

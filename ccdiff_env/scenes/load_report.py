@@ -78,7 +78,7 @@ def _some(names: tuple[str, ...]) -> str:
     return f"{len(names)}: {', '.join(names[:8])}{more}" if names else ""
 
 
-def _counted(names: Iterable[str]) -> str:
+def _count_names(names: Iterable[str]) -> str:
     return ", ".join(f"{name} in {count} scenes" for name, count in sorted(Counter(names).items()))
 
 
@@ -101,8 +101,8 @@ def _lines(report: LoadReport) -> list[str]:
         *((f"  {which}", str(count)) for which, count in sorted(dropped.items())),
         ("gaps filled", str(sum(s.filled_gaps for s in scenes))),
         ("gaps above 2 s", f"{absences}: away meanwhile" if absences else ""),
-        ("ego poses", _counted(s.ego_channel or "none" for s in scenes)),
-        ("road", _counted(s.road for s in scenes)),
+        ("ego poses", _count_names(s.ego_channel or "none" for s in scenes)),
+        ("road", _count_names(s.road for s in scenes)),
         ("maps missing", _some(report.missing_maps)),
         *(("map", note) for note in report.map_notes),
         *((s.name, note) for s in scenes for note in s.notes),

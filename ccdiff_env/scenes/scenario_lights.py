@@ -67,7 +67,7 @@ def _stop_point(source: ScenarioFields, light: Mapping[str, Any], where: str) ->
     return np.asarray(found[np.isfinite(found).all(axis=1) & found.any(axis=1)][:1])
 
 
-def written_lights(
+def write_lights(
     lights: Sequence[Light], lanes: Sequence[Lane], origin: npt.NDArray[np.float64]
 ) -> dict[str, dict[str, Any]]:
     """Return lights as ``dynamic_map_states`` has them; several of one lane have numbers."""

@@ -100,7 +100,7 @@ def _scalar(dtype: Any, data: Any = b"") -> Any:
     return dtype.dtype.type() if empty else _array(data, dtype, (), "C")[()]
 
 
-def _encoded(text: Any, codec: Any) -> bytes:
+def _encode(text: Any, codec: Any) -> bytes:
     if not (isinstance(text, str) and codec == "latin1"):
         raise _refusal(f"_codecs.encode of {type(text).__name__} to {_shown(codec)}")
     return text.encode("latin1")
@@ -117,7 +117,7 @@ _GLOBALS: dict[str, Callable[..., Any] | None] = {
     "numpy.core.multiarray._reconstruct": lambda *_: _Array((0,), "b"),
     "numpy.core.multiarray.scalar": _scalar,
     "numpy.core.numeric._frombuffer": _array,
-    "_codecs.encode": _encoded,
+    "_codecs.encode": _encode,
     "collections.OrderedDict": _dict,
     "collections.defaultdict": _dict,
     "builtins.set": set,

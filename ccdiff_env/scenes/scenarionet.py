@@ -405,7 +405,7 @@ def read_description(
     filled, absences = 0, 0
     road = "none"
     if tracks:
-        given, road = _assembled(source, name, dt, tracks)
+        given, road = _assemble(source, name, dt, tracks)
         scene, (filled, absences), notes = given._mended()
         source.notes.extend(notes)
         if [track.id for track in tracks] == [_EGO_ID]:
@@ -426,7 +426,7 @@ def read_description(
     return scene, report
 
 
-def _assembled(
+def _assemble(
     source: ScenarioFields, name: str, dt: float, tracks: Sequence[_Track]
 ) -> tuple[Scene, str]:
     valid = np.stack([track.valid for track in tracks])

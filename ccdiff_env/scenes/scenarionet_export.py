@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.scenes import Scene
-from ccdiff_env.scenes.scenario_lights import written_lights
+from ccdiff_env.scenes.scenario_lights import write_lights
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, Polygon
 from ccdiff_env.system.files import write_aside
 
@@ -124,7 +124,7 @@ def scenario_dict(scene: Scene) -> dict[str, Any]:
         "version": VERSION,
         "length": scene.num_steps,
         "tracks": {agent_id: _track(scene, i, tracks, origin) for i, agent_id in enumerate(ids)},
-        "dynamic_map_states": written_lights(layers.get("lights", []), layers["lanes"], origin),
+        "dynamic_map_states": write_lights(layers.get("lights", []), layers["lanes"], origin),
         "map_features": _features(scene, origin),
         "metadata": {
             "ts": np.arange(scene.num_steps) * scene.dt,

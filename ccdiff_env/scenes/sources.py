@@ -23,7 +23,7 @@ from ccdiff_env.scenes.windows import Windows, logs_of
 from ccdiff_env.system.files import reading
 
 __all__ = [
-    "DEFAULT", "SOURCES", "Place", "Source", "coverage", "load", "parse", "settled", "split_names",
+    "DEFAULT", "SOURCES", "Place", "Source", "coverage", "load", "parse", "settle", "split_names",
     "title",
 ]  # fmt: skip
 
@@ -296,7 +296,7 @@ def _wrong(text: str, what: str, name: str = "", known: Iterable[str] = ()) -> C
     return ConfigError(f"scenes {text!r}: {what}{hint}; sources are {forms}")
 
 
-def settled(place: Place, use: str | None = None) -> Place:
+def settle(place: Place, use: str | None = None) -> Place:
     """Return a place whose version and split are named.
 
     Args:
@@ -356,7 +356,7 @@ def load(
     if any(value is not None for value in asked.values()):
         place = replace(place, window=_window(str(place), asked))
     place = replace(
-        settled(place),
+        settle(place),
         names=None if names is None else tuple(names),
         kinds=None if kinds is None else tuple(kinds),
     )

@@ -92,7 +92,7 @@ def num_values(text: str) -> int:
     return 1 + sum(map(text.count, ",[{"))
 
 
-def parsed_object(text: str | bytes) -> dict[str, Any]:
+def parse_object(text: str | bytes) -> dict[str, Any]:
     """Return the object that a JSON text from a file holds.
 
     A ``ValueError`` refuses what is no object, nested too deep, has more than :data:`MOST_VALUES`

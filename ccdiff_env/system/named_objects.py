@@ -23,7 +23,7 @@ def named_object(text: str, what: str) -> Any:
     :class:`ConfigError` names a module, object or option that is not there; ``what`` says in it
     what the object is.
     """
-    text = untitled(text)
+    text = strip_title(text)
     path, _, options = text.partition("?")
     module, _, name = path.partition(":")
     if "" not in sys.path and os.getcwd() not in sys.path:
@@ -51,7 +51,7 @@ def title_of(text: str) -> str | None:
     return next((unquote(p.removeprefix("title=")) for p in parts if p.startswith("title=")), None)
 
 
-def untitled(text: str) -> str:
+def strip_title(text: str) -> str:
     """Return a text without its title."""
     path, _, options = text.partition("?")
     kept = "&".join(part for part in options.split("&") if not part.startswith("title="))

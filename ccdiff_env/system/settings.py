@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.system.files import parsed_object, read_text, reading, write_aside
+from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
 
 
 def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
 def kept_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the file of a run holds, nothing without one; raises as :func:`keep_settings`."""
     with reading("settings of a run", path):
-        known = parsed_object(read_text(path)) if path.exists() else {}
+        known = parse_object(read_text(path)) if path.exists() else {}
     if known:
         refuse_others(path.parent, known, settings)
     return known

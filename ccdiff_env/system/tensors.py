@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.system.files import parsed_object, read_bytes, reading, write_aside
+from ccdiff_env.system.files import parse_object, read_bytes, reading, write_aside
 
 F32 = npt.NDArray[np.float32]
 
@@ -49,7 +49,7 @@ def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, F32], dict[str
         (length,) = struct.unpack_from("<Q", data)
         if 8 + length > len(data):
             raise ValueError("the header reaches beyond the end")
-        header = parsed_object(data[8 : 8 + length])
+        header = parse_object(data[8 : 8 + length])
         metadata = {str(k): str(v) for k, v in header.pop("__metadata__", {}).items()}
         tensors = _arrays(header, data[8 + length :])
         return tensors, metadata

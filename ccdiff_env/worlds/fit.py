@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.system.files import parsed_object
+from ccdiff_env.system.files import parse_object
 
 if TYPE_CHECKING:
     from ccdiff_env.config import WorldConfig
@@ -69,7 +69,7 @@ class Fit:
                 "own space"
             )
         try:
-            found = parsed_object(text) if isinstance(text, str) else {}
+            found = parse_object(text) if isinstance(text, str) else {}
             made = cls(found["options"], str(found["form"]), str(found["schema"]))
             if not isinstance(made.options, dict) or set(made.options) != set(FIELDS):
                 raise ValueError("options")

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.config import EgosConfig, WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, unknown
-from ccdiff_env.system.files import parsed_object, reading
+from ccdiff_env.system.files import parse_object, reading
 from ccdiff_env.system.tensors import read_tensors
 
 F32 = npt.NDArray[np.float32]
@@ -66,7 +66,7 @@ def read_policy(name: str | os.PathLike[str]) -> PolicyFile:
         if metadata.get("format") != FORMAT:
             found = metadata.get("format")
             raise DatasetError(f"format {found!r}, expected {FORMAT!r}")
-        options, about = (parsed_object(metadata[name]) for name in ("options", "about"))
+        options, about = (parse_object(metadata[name]) for name in ("options", "about"))
         # others do not belong to a policy, and some name files, or modules to import
         if others := set(options) - set(FITTING):
             raise ValueError(f"options {sorted(others)}, expected some of {', '.join(FITTING)}")
