@@ -155,7 +155,9 @@ def plot_lines(
     figure, found = new_plot(5.2 * len(panels), 3.8, ncols=len(panels))
     for axes, (title, lines) in zip(np.ravel(np.array(found)), panels.items(), strict=True):
         _draw_lines(axes, lines)
-        axes.set_xticks(sorted({x for _, _, points in lines.values() for x, _ in points}))
+        places = sorted({x for _, _, points in lines.values() for x, _ in points})
+        if len(places) < 8:
+            axes.set_xticks(places)
         axes.set_xlabel(across)
         axes.set_ylabel(title)
     return save_plot(figure, path)

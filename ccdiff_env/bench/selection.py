@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.intervals import difference
-from ccdiff_env.bench.plots import FAINT, looks, name_ends, new_plot, save_plot
+from ccdiff_env.bench.plots import plot_lines
 from ccdiff_env.envs.selection import FEATURES, SCALES, AdversarySelectionVectorEnv
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import SceneSet
@@ -224,20 +224,14 @@ def table(played: Mapping[str, Mapping[str, Figures]]) -> list[Table]:
 
 def plot(played: Mapping[str, Mapping[str, Figures]], path: Path, *, ego: str) -> None:
     """Draw collisions against moves: lines of the rules, the learned ones as points."""
-    figure, axes = new_plot(7.0, 4.4)
-    ends = []
-    for (line, points), (color, marker) in zip(played.items(), looks(played), strict=True):
-        found = sorted((_means(one)[0], *_interval(one["is_success"])) for one in points.values())
-        x, share, low, high = 100.0 * np.array(found).T
-        x /= 100.0
-        look: dict[str, Any] = {"fmt": f"{marker}-", "markersize": 5, "color": color}
-        if line == "learned":
-            look |= {"fmt": "*", "markersize": 11, "color": "#000000"}
-        axes.errorbar(x, share, yerr=[share - low, high - share], elinewidth=1, **look)
-        ends.append((share[-1], x[-1], line, look["color"]))
-    name_ends(axes, ends, gap=3.5, aside=0.05)
-    axes.grid(color=FAINT[0])
-    axes.set_axisbelow(True)
-    axes.set_xlabel("move of the guided plan at 2 s, m, mean over plans")
-    axes.set_ylabel(f"scenes in which the ego ({ego}) collides, %")
-    save_plot(figure, path)
+    lines = {
+        line: (line, 5.0, sorted((_means(of)[0], _share(of)) for of in points.values()))
+        for line, points in played.items()
+    }
+    title = f"scenes in which the ego ({ego}) collides, %"
+    plot_lines({title: lines}, "move of the guided plan at 2 s, m, mean over plans", path)
+
+
+def _share(of: Figures) -> tuple[float, float, float]:
+    share, low, high = (100.0 * value for value in _interval(of["is_success"]))
+    return share, low, high
