@@ -1,8 +1,6 @@
 """Experiments of the traffic benchmark: conflict of gradients, own weights."""
 
 import csv
-import json
-import re
 from dataclasses import replace
 from hashlib import sha256
 
@@ -32,46 +30,21 @@ def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
                 assert (cosine[share == 0.0] >= 0.0).all()
 
 
-def test_weights_of_ones_own_drive_the_methods_of_their_network(tmp_path, capsys):
-    routes, tokens = models.shipped_weights(routes=True), models.shipped_weights("tokens")
-    command = ["bench", "traffic", "--quiet", "--k", "2", "--limit", "2"]
-
-    def rows(folder, *more):
-        given = ["--out", str(tmp_path / folder), "--methods", "ccdiff,tokens", *more]
-        assert cli.main([*command, *given]) == 0
-        raw = (tmp_path / folder / "raw").glob("*-K2-*.json")
-        return {f.name.split("-")[0]: json.loads(f.read_text())["result"] for f in raw}
-
-    shipped = rows("shipped")
-    own = rows("own", "--weights", f"ccdiff={routes}")
-    assert own["ccdiff"] != shipped["ccdiff"]
-    assert own["tokens"] == shipped["tokens"]
-    digest = sha256(routes.read_bytes()).hexdigest()
-    for folder, name in (("shipped", "CCDiff"), ("own", f"CCDiff, own weights {digest[:8]}")):
-        folder = tmp_path / folder
-        table, page = ((folder / file).read_text() for file in ("table.md", "report.html"))
-        assert f"| {name} | 2 |" in table
-        assert "| Tokens | 2 |" in table
-        assert (f"own ccdiff {digest[:12]}" in page) == (name != "CCDiff")
-        for file in ("episodes.csv", "figures.csv"):
-            lines = list(csv.DictReader((folder / file).open()))
-            found = {row["own_weights"] for row in lines if row["method"] == "ccdiff"}
-            assert found == {digest if name != "CCDiff" else ""}
-            assert {row["own_weights"] for row in lines if row["method"] == "tokens"} == {""}
-    capsys.readouterr()
-    for text, said in (
-        (f"ccdiff={tokens}", "another run|other settings: own_weights"),
+@pytest.mark.parametrize(
+    ("weights", "said"),
+    [
         ("ccdiff", "NAME=FILE"),
-        (f"my-net={tokens}", "NAME=FILE"),
-        (f"idm={tokens}", "idm is method already"),
-        (f"ccdiff={tmp_path}/no", "no weights for ccdiff"),
-    ):
-        given = ["--out", str(tmp_path / "own"), "--methods", "ccdiff", "--weights", text]
-        assert cli.main([*command, *given]) == 2
-        assert re.search(said, capsys.readouterr().err), text
-    given = ["--out", str(tmp_path / "kind"), "--methods", "ccdiff"]
-    assert cli.main([*command, *given, "--weights", f"ccdiff={tokens}"]) == 2
-    assert "tokens" in capsys.readouterr().err
+        ("my-net={tokens}", "NAME=FILE"),
+        ("idm={tokens}", "idm is method already"),
+        ("ccdiff=no", "no weights for ccdiff"),
+        ("ccdiff={tokens}", "tokens"),
+    ],
+)
+def test_weights_that_fit_no_name_are_refused(tmp_path, capsys, weights, said):
+    weights = weights.format(tokens=models.shipped_weights("tokens"))
+    command = ["bench", "traffic", "--quiet", "--k", "2", "--limit", "2", "--methods", "ccdiff"]
+    assert cli.main([*command, "--out", str(tmp_path / "own"), "--weights", weights]) == 2
+    assert said in capsys.readouterr().err
 
 
 def test_rows_without_guidance_say_how_many_samples_they_choose_from():
@@ -100,12 +73,16 @@ def test_weights_under_names_of_their_own_stand_beside_the_shipped_ones(tmp_path
     assert found["mine_careful"]["realism"] != found["ccdiff_careful"]["realism"]
     table = (tmp_path / "realism/table.md").read_text()
     assert f"| mine, careful, N=1, own weights {digest[:8]} |" in table
-    # the same figures as where they replace those of the network
-    beside = ["--weights", f"ccdiff={routes}", "--methods", "ccdiff_careful", "--samples", "2"]
-    again = ["bench", "realism", *common[:3], *beside, "--out", str(tmp_path / "instead")]
-    assert cli.main(again) == 0
-    (first, *_) = csv.DictReader((tmp_path / "instead/episodes.csv").open())
+    # the same figures as where they replace those of the network, and of no other
+    beside = ["--weights", f"ccdiff={routes}", "--methods", "ccdiff_careful,tokens_careful"]
+    again = ["bench", "realism", *common[:3], *beside, "--samples", "2"]
+    assert cli.main([*again, "--out", str(tmp_path / "instead")]) == 0
+    (first, *others) = csv.DictReader((tmp_path / "instead/episodes.csv").open())
     assert first["realism"] == next(r["realism"] for r in rows if r["method"] == "mine_careful")
+    assert first["own_weights"] == digest
+    assert {row["own_weights"] for row in others if row["method"] == "tokens_careful"} == {""}
+    page = (tmp_path / "instead/report.html").read_text()
+    assert f"own ccdiff {digest[:12]}" in page
     # as traffic of planners, in two processes, and on pages
     words = ["--planners", "idm", "--traffic", "mine-1,ccdiff-1", "--seeds", "0", "--workers", "2"]
     rows = episodes("planners", *words)

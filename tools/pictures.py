@@ -116,13 +116,8 @@ def write_saved(path: Path, scene: Scene) -> None:
     width, height = PREVIEW
     span = 44.0
     centre = hit.position[ego, step] + (0.0, 1.5)
-    video = Video(
-        hit,
-        size=PREVIEW,
-        span_m=span,
-        centre_m=tuple(centre.tolist()),
-        captions=False,
-    )
+    at_m = tuple(centre.tolist())
+    video = Video(hit, size=PREVIEW, span_m=span, centre_m=at_m, captions=False)
     figure = plt.figure(figsize=(width / 100, height / 100), dpi=100)
     axes = figure.add_axes((0, 0, 1, 1))
     half = np.array([span, span * height / width]) / 2
@@ -131,15 +126,11 @@ def write_saved(path: Path, scene: Scene) -> None:
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.axis("off")
-    sizes = scene.sizes
-
-    def box(agent: int, x: float, y: float, heading: float) -> Any:
-        corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * sizes[agent, :2] / 2
-        c, s = np.cos(heading), np.sin(heading)
-        return corners @ np.array([[c, s], [-s, c]]) + (x, y)
 
     def ghost(agent: int, pose: Any, colour: Any, inside: float = 0.25) -> None:
-        corners = box(agent, *pose)
+        corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * scene.sizes[agent, :2] / 2
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        corners = corners @ np.array([[c, s], [-s, c]]) + pose[:2]
         axes.add_patch(Polygon(corners, facecolor=(*colour, inside), edgecolor="none", zorder=3))
         axes.add_patch(Polygon(corners, fill=False, edgecolor=colour, lw=2.5, ls="--", zorder=4))
 
