@@ -211,8 +211,28 @@ def dial() -> str:
     return lines_chart(title, across, series, (0, 10, 20, 30, 40, 50), stills)
 
 
+def matrix() -> str:
+    """Return the chart of collisions by the traffic that egos were trained in."""
+    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff"))
+    tested = {"ccdiff": 0.0, "ccdiff-1-one-step": 1.0, "ccdiff-2-one-step": 2.0}
+    series = [
+        Series(row["trained"].split(",")[0], (next(looks), "o"), [*tested.values()],
+               [_figure(row["shares"], t, 100) for t in tested])
+        for row in run["rows"] if "shares" in row
+    ]  # fmt: skip
+    title = f"collisions of egos by their training, % of {run['scenes'].split()[0]} scenes"
+    return lines_chart(
+        title, "criticality of the CCDiff traffic of the test", series, (0, 20, 40, 60, 80)
+    )
+
+
 #: Charts by name of their file.
-MADE = {"realism": realism, "learning": learning, "dial": dial}
+MADE = {
+    "realism": realism,
+    "learning": learning,
+    "dial": dial,
+    "learning_matrix": matrix,
+}
 
 
 def write() -> None:

@@ -1,22 +1,26 @@
-"""What to expect of training: ``python -m tools.expectations`` runs it and writes the table.
+"""What to expect of training: ``python -m tools.expectations`` runs it and writes the tables.
 
 Runs examples/train_ego_sb3.py with some seeds, and keeps how the held-out episodes of its egos, of
 IDM and of PDM-Closed end, and their scores: in docs/results, from which the tables of
-docs/learning.md are written. A training that has finished is not repeated.
+docs/learning.md are written. ``matrix`` trains egos in each traffic of :data:`TRAINED`, ``data`` on
+more and more scenes; both test them on scenes that they never drove. What has finished is not
+repeated.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.planners import TRAFFIC, play
 from ccdiff_env.envs import make_vec
 from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes
@@ -29,7 +33,7 @@ from ccdiff_env.scenes.arguments import (
     place_from,
 )
 from ccdiff_env.scenes.sources import load
-from ccdiff_env.system.table import Cell, Column, Table
+from ccdiff_env.system.table import Cell, Column, Figure, Table
 from tools import pages
 from tools.pages import ROOT, keep
 
@@ -39,8 +43,27 @@ PLANNERS = {
     "idm": "IDM on the log's path",
     "pdm": "PDM-Closed",
 }
-#: Arguments of ``train-ego`` for the same recipe.
-SAME = "--dynamics unicycle --any-ego --traffic idm --worlds 512 --threads 1"
+#: Arguments of ``train-ego`` for the recipe of the example.
+SAME = "--dynamics unicycle --any-ego --worlds 512 --threads 1"
+#: Traffic of trainings, as ``train-ego`` takes it, by name of their rows.
+TRAINED = {
+    "IDM": "idm",
+    "swift, criticality 0 to 2": "swift --criticality 2",
+}
+#: Traffic of tests by head of their columns.
+TESTED = {
+    "replay": "log replay",
+    "idm": "IDM",
+    "swift": "swift",
+    "ccdiff": "CCDiff",
+    "ccdiff-1-one-step": "CCDiff, criticality 1",
+    "ccdiff-2-one-step": "CCDiff, criticality 2",
+}
+SCENES = (40, 160, None)  #: Numbers of scenes to train on; the last is all.
+DATA_TESTED = ("idm", "ccdiff-1-one-step")  #: Traffic of the tests of ``data``.
+#: Figure of each study.
+FIGURE = {"matrix": "collision", "data": "success"}
+FIGURES = ("collision", "success", "no_at_fault_collision", "on_road", "score")
 
 
 def trained(args: argparse.Namespace, seed: int) -> Path:
@@ -54,13 +77,16 @@ def trained(args: argparse.Namespace, seed: int) -> Path:
     return folder
 
 
-def trained_set(args: argparse.Namespace, seed: int, folder: Path) -> str:
-    """Train by ``train-ego``, which does not repeat what is done; return the policy's file."""
-    out = folder.with_name(f"{folder.name}-set")
-    words = ["--scenes", str(place_from(args)), "--decisions", str(args.decisions)]
-    words += ["--seed", str(seed), *SAME.split(), "--out", str(out)]
-    subprocess.run([sys.executable, "-m", "ccdiff_env.cli", "train-ego", *words], check=True)
-    return str(out / "ego.safetensors")
+def train(folder: Path, words: str) -> float:
+    """Train by ``train-ego``, which does not repeat what is done; return its CPU seconds."""
+    kept, before = folder / "cpu_s.json", resource.getrusage(resource.RUSAGE_CHILDREN)
+    if not kept.is_file():
+        command = [sys.executable, "-m", "ccdiff_env.cli", "train-ego", *words.split()]
+        subprocess.run([*command, *SAME.split(), "--out", str(folder)], check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        taken_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        kept.write_text(json.dumps(taken_s))
+    return float(json.loads(kept.read_text()))
 
 
 def ends(scenes: SceneSet, file: str) -> Any:
@@ -76,7 +102,12 @@ def learned(args: argparse.Namespace) -> None:
     folders = [trained(args, seed) for seed in range(args.seeds)]
     runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
     scenes, rows = load(other_place(args)), list[dict[str, Any]]()
-    sets = [trained_set(args, seed, folder) for seed, folder in enumerate(folders)]
+    sets = list[str]()
+    for seed, folder in enumerate(folders):
+        out = folder.with_name(f"{folder.name}-set")
+        words = f"--traffic idm --scenes {place_from(args)} --decisions {args.decisions}"
+        train(out, f"{words} --seed {seed}")
+        sets.append(str(out / "ego.safetensors"))
     for run, file in zip(runs, sets, strict=True):
         run["outcomes"]["set"] = ends(scenes, file)
     for planner, title in PLANNERS.items():
@@ -109,6 +140,60 @@ def learned(args: argparse.Namespace) -> None:
     keep(name, kept | {"trained_on": trained_on.split}, rows)
 
 
+def test(folder: Path, scenes: SceneSet, traffic: str) -> list[dict[str, Any]]:
+    """Drive the scenes in a kind of traffic, unless it has been done; figures of each."""
+    kept = folder / f"{traffic}.json"
+    if not kept.is_file():
+        rows = play(scenes, str(folder / "ego.safetensors"), TRAFFIC[traffic])
+        kept.write_text(json.dumps([{n: row[n] for n in ("scene", *FIGURES)} for row in rows]))
+    found: list[dict[str, Any]] = json.loads(kept.read_text())
+    return found
+
+
+def cell(figure: Figure, note: str = "") -> str:
+    """Return a share in percent with its interval."""
+    mean, low, high = (100.0 * value for value in figure)
+    return f"{mean:.1f} [{low:.1f}, {high:.1f}]{note}"
+
+
+def study(args: argparse.Namespace) -> None:
+    """Train and test all egos, and keep their table after each row."""
+    place, scenes, is_matrix = place_from(args), load(other_place(args)), args.study == "matrix"
+    trainings = {name: (words, place) for name, words in TRAINED.items()}
+    if not is_matrix:
+        parts = {n or len(load(place)): replace(place, limit=n) for n in SCENES}
+        trainings = {f"{n}": ("idm", part) for n, part in parts.items()}
+    tested = TESTED if is_matrix else {traffic: TESTED[traffic] for traffic in DATA_TESTED}
+    figure = FIGURE[args.study]
+    words = f"--decisions {args.decisions} --seeds {args.seeds} --scenes nuscenes:<nuscenes>/train"
+    head: dict[str, Any] = {"command": f"python -m tools.expectations {args.study} {words}"}
+    first = "trained in" if is_matrix else "scenes"
+    head |= {"figure": figure, "scenes": f"{len(scenes)} scenes of {other_place(args).split}"}
+    head |= {"heads": {"trained": first, "cpu_s": "CPU s", **tested}}
+    rows, beside = list[dict[str, Any]](), dict[str, dict[str, float]]()
+    for name, (traffic, part) in trainings.items():
+        folders, taken_s = list[Path](), list[float]()
+        for seed in range(args.seeds):
+            run = f"{traffic.replace(' ', '')}-{part.limit}-{args.decisions}-{seed}"
+            folders.append(args.out / run)
+            words = f"--traffic {traffic} --scenes {part} --decisions {args.decisions}"
+            taken_s.append(train(folders[-1], f"{words} --seed {seed}"))
+        driven = {t: [row for f in folders for row in test(f, scenes, t)] for t in tested}
+        shares = {t: mean_interval(of, figure) for t, of in driven.items()}
+        rounded = {t: [round(value, 4) for value in of] for t, of in shares.items()}
+        means = {t: scene_means(of, figure) for t, of in driven.items()}
+        row = {"trained": name, "cpu_s": round(float(np.mean(taken_s))), "shares": rounded}
+        rows.append(row | {t: cell(share) for t, share in shares.items()})
+        if is_matrix and beside:
+            row = {"trained": f"less {rows[0]['trained']}", "cpu_s": ""}
+            for t, of in means.items():
+                less, p = difference(np.array([of[s] - beside[t][s] for s in of]))
+                row[t] = cell(less, f", p {p:.2g}")
+            rows.append(row)
+        beside = beside or means
+        keep(f"learning_{args.study}", head, rows)
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """Return a table in Markdown, with the columns that its rows have."""
     heads: dict[str, Column | str] = {
@@ -137,13 +222,18 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("study", nargs="?", default="example", choices=("example", *FIGURE))
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
-    parser.add_argument("--decisions", type=int, default=700_000, help="of each training by PPO")
+    parser.add_argument("--decisions", type=int, default=700_000, help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
-    parser.set_defaults(scenes="embedded/city")
-    learned(parser.parse_args())
+    args = parser.parse_args()
+    if args.study == "example":
+        args.scenes = args.scenes or "embedded/city"
+        learned(args)
+    else:
+        study(args)
 
 
 if __name__ == "__main__":

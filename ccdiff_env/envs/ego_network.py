@@ -148,7 +148,7 @@ class Agent(nn.Module):
         """Begin as a clone of decisions that were shown, observations [N, D] and actions [N, W]."""
         self.see(obs)
         actor = [p for name, p in self.named_parameters() if not name.startswith("value")]
-        imitate(lambda x: self(x)[0], actor, self.normalised(obs), actions, seed)
+        imitate(lambda x: self.policy(self.features(x)), actor, self.normalised(obs), actions, seed)
 
     @torch.no_grad()
     def act(self, obs: Floats) -> Floats:
