@@ -163,10 +163,10 @@ def test_an_entry_of_a_table_is_named_there_alone(entry, files):
 def test_a_driver_is_named_where_it_is_declared():
     """A network in one file of each crate of networks.
 
-    Its own methods may be in the benchmark, and the playground says whom it offers.
+    Its own methods and marker may be in the benchmark, and the playground says whom it offers.
     """
     for name in sorted(set(NETWORKS) - {"ccdiff"}):
-        elsewhere = ("/methods.py", "/link.py", "/tests.rs")
+        elsewhere = ("/methods.py", "/plots.py", "/link.py", "/tests.rs")
         named = [file for file in naming(name) if not file.endswith(elsewhere)]
         crates = ["nets"] if KINDS[name].distilled else ["models", "nets"]
         assert [file.split("/")[0] for file in named] == crates, (name, named)
