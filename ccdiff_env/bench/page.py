@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -72,6 +73,13 @@ def write_report_page(
             f"<footer>made by <code>{html.escape(command)}</code></footer>" if command else "",
         ]
     )
+    regions = Counter[str]()
+
+    def numbered(found: re.Match[str]) -> str:  # no two regions have one name
+        regions[found[1]] += 1
+        return f'aria-label="table {regions[found[1]]}: {found[1]}"'
+
+    body = re.sub(r'aria-label="table: ([^"]*)"', numbered, body)
     style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
     page = plain_html(title, line, style=style.read_text(encoding="utf-8"), body=body)
     write_aside(path, page)

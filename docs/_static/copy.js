@@ -23,3 +23,5 @@ for (const cell of document.querySelectorAll(".table-wrapper td > p")) {
   cell.textContent = cell.textContent.slice(0, -whole.length);
   cell.append(small);
 }
+document.querySelector(".sidebar-drawer")?.setAttribute("aria-label", "pages");
+document.querySelector(".toc-drawer")?.setAttribute("aria-label", "on this page");

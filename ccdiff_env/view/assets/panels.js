@@ -95,7 +95,7 @@ function showEvents(container, runs, goTo) {
     }
     const list = element("ul", "events");
     list.append(...[...told.values()].map((entry) => eventItem(entry, runs.length > 1, goTo)));
-    container.append(element("h3", "events-head", `${title}: ${counted(found.length, "event")}`), list);
+    container.append(element("h2", "events-head", `${title}: ${counted(found.length, "event")}`), list);
   }
   if (!container.childElementCount) container.append(element("p", "quiet", "No events."));
 }
