@@ -82,11 +82,10 @@ def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene] = ())
     order = sorted(less, key=less.__getitem__)
     wins = [name for name in order[: -EACH - 1 : -1] if less[name] > 0.0]
     losses = [name for name in order[:EACH] if less[name] < 0.0]
-    titles = tuple(
-        f"{planner_title(of)} {sum(scores.values()) / len(scores):.2f}"
-        for of, scores in ((one, mine), (other, theirs))
-    )
-    title = f"{len(wins)} scenes that {titles[0]} wins and {len(losses)} that {titles[1]} does"
+    titles = (planner_title(one), planner_title(other))
+    means = [f"{sum(of.values()) / len(of):.2f}" for of in (mine, theirs)]
+    title = f"{titles[0]} (mean score {means[0]}) beside {titles[1]} ({means[1]}): "
+    title += f"{len(wins)} scenes that it wins, {len(losses)} that it loses"
     shown = ((n, titles, [runs[n], others[n]]) for n in [*wins, *losses])
     return write_index(shown, folder, title, home=HOME)
 
