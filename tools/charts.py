@@ -226,12 +226,24 @@ def matrix() -> str:
     )
 
 
+def data() -> str:
+    """Return the chart of success by the number of scenes of the training."""
+    run, series = kept("learning_data"), []
+    for traffic, look in (("idm", "idm"), ("ccdiff-1-one-step", "ccdiff")):
+        figures = [_figure(row["shares"], traffic, 100) for row in run["rows"]]
+        places = [float(row["trained"]) for row in run["rows"]]
+        series.append(Series(run["heads"][traffic], (look, "o"), places, figures))
+    title = f"success of egos, % of {run['scenes'].split()[0]} scenes that they never drove"
+    return lines_chart(title, "scenes of the training", series, (0, 25, 50, 75, 100))
+
+
 #: Charts by name of their file.
 MADE = {
     "realism": realism,
     "learning": learning,
     "dial": dial,
     "learning_matrix": matrix,
+    "learning_data": data,
 }
 
 
