@@ -47,12 +47,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
     parser.add_argument("--dynamics", help="model of motion (default: the recipe's unicycle)")
     parser.add_argument("--lights", action="store_true", help="scenes have traffic lights")
-    parser.add_argument(
-        "--decisions", type=int, help="training decisions (default: two to three minutes)"
-    )
-    parser.add_argument(
-        "--shown", type=int, default=100_000, help="logged decisions that PPO begins with"
-    )
+    parser.add_argument("--decisions", type=int, help="of the training (default: 2 to 3 minutes)")
+    parser.add_argument("--shown", type=int, default=100_000, help="logged decisions before PPO's")
     parser.add_argument("--start", type=Path, help="folder of a run to continue from")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--option", nargs="*", default=[], help="NAME=JSON of worlds or algorithm")
@@ -98,7 +94,7 @@ def main() -> None:
     args = arguments()
     algorithm, policy, settings, worlds, decisions = ALGORITHMS[args.algorithm]
     decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
-    tests = 8 * len(held_out)
+    tests, train = 8 * len(held_out), scenes_from(args)
     if args.smoke:
         worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
         args.shown = min(args.shown, 100)
@@ -111,19 +107,17 @@ def main() -> None:
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
     options = WORLDS | (LIGHTS if args.lights else {}) | given
     options |= {"dynamics": args.dynamics} if args.dynamics else {}
-    train = scenes_from(args)
     shown = {"info": "end", "num_threads": 1}
-    env = Priced(ccdiff_env.make_vec(worlds, scenes=train, **shown, **traffic, **options))
-    env = SB3VecEnv(env, clock_ends=True)
+    env = ccdiff_env.make_vec(worlds, scenes=train, **shown, **traffic, **options)
+    env = SB3VecEnv(Priced(env), clock_ends=True)
     keep_settings(args.out / "run.json", {n: of and str(of) for n, of in vars(args).items()})
     if args.start:
         started = ccdiff_env.planners.load(args.start / "ego.zip").model
         if type(started) is not algorithm:
             raise SystemExit(f"{args.start} is of {type(started).__name__}, not {args.algorithm}")
     if args.algorithm == "sac":
-        env = VecNormalize(env, norm_reward=False)
-        if args.start:
-            env = VecNormalize.load(str(args.start / "normalize.pkl"), env.venv)
+        kept = args.start and str(args.start / "normalize.pkl")
+        env = VecNormalize.load(kept, env) if kept else VecNormalize(env, norm_reward=False)
     begins = {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     begins |= {"autoreset_mode": "same_step", "info": "end"} | traffic
     given = {n: v for n, v in options.items() if n not in TRAINED}
@@ -138,8 +132,7 @@ def main() -> None:
         model.set_parameters(started.get_parameters())
     elif args.algorithm == "ppo" and args.shown and args.dynamics != "assisted":
         clone(model, *demonstrations(train, args.shown, seed=args.seed, **options))
-    first = args.out / ("start.zip" if args.start else "clone.zip")
-    save_policy(model, first)
+    save_policy(model, first := args.out / ("start.zip" if args.start else "clone.zip"))
     red = {"before": red_of_arrivals(test, act)} if args.lights else {}
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     model.learn(decisions, callback=curve)
@@ -148,11 +141,11 @@ def main() -> None:
         env.save(str(args.out / "normalize.pkl"))
     rules = {n: ccdiff_env.make_vec(tests, driver=n, **begins) for n in ("idm", "pdm")}
     found = {"ego": curve.shares} | {n: play_episodes(of) for n, of in rules.items()}
-    kept = {"curve": curve.rows, "outcomes": {name: [*of] for name, of in found.items()}}
-    (args.out / "curve.json").write_text(json.dumps(kept) + "\n")
+    shares = {name: [*of] for name, of in found.items()}
+    (args.out / "curve.json").write_text(json.dumps({"curve": curve.rows, "outcomes": shares}))
     table(f"of {tests} episodes", OUTCOMES, found.items())
     if args.lights:
-        red |= {"ego": red_of_arrivals(test, act)}
+        red["ego"] = red_of_arrivals(test, act)
         red |= {n: red_of_arrivals(of) for n, of in rules.items()}
         table("lights", ("arrivals", "that ran red"), red.items())
     seen = Traffic("", args.traffic, traffic.get("ccdiff", {}) | guided)
