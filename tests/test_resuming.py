@@ -62,6 +62,15 @@ def test_a_training_that_diverges_keeps_its_last_finite_state(tmp_path, monkeypa
     train(scenes, steps=step, **options)
 
 
+@pytest.fixture
+def heard():
+    """Ctrl-C is heard, also where the tests are a shell's job in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monkeypatch, capsys):
     from ccdiff_env.envs import ppo
