@@ -268,13 +268,13 @@ def rankings(played: Played) -> Table:
     and in those with many of them.
     """
     rows: TableRows = []
+    others = {"ccdiff", *REORDERED} - {"ccdiff_random"}
     for c, episodes in played.items():
         random = played.get(c._replace(method="ccdiff_random"))
-        if random is None or not c.k.isdigit() or c.method not in ("ccdiff", *REORDERED):
+        if random is None or c.k == "Full" or c.method not in others:
             continue
         for least in sorted({int(c.k) + 1, _MANY}):
-            some = [row for row in episodes if row["num_moving"] >= least]
-            if some and c.method != "ccdiff_random":
+            if some := [row for row in episodes if row["num_moving"] >= least]:
                 less = [difference(some, random, floor(played), f.name) for f in _RANKED]
                 rows.append([*c[:3], least, len(some), *less])
     return Table(("method", "K", "replan_s", "moving", "scenes", *_RANKED), rows)
