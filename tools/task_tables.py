@@ -40,12 +40,10 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
 
 
 def _observed(column: Mapping[str, Any]) -> tuple[str, ...]:
-    low = "±" if column["low"] < 0 else "0–"
-    scale = f"{column['scale']:g} {column['unit']}".strip()
-    return column["name"], scale, f"{low}{column['high']:g}", column["doc"]
+    return column["name"], f"{column['scale']:g} {column['unit']}".strip(), column["doc"]
 
 
-_OBSERVED = ("column", "scale", "range", "what")
+_OBSERVED = ("column", "scale", "what")
 
 
 def _observation() -> str:
