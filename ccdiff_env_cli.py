@@ -23,9 +23,9 @@ from typing import Any, NoReturn
 
 #: What each verb does, and the module of the package with its `add_arguments` and `run`.
 VERBS = {
-    "train": ("train a planning network (resumes a run in --out)", "models.train_command"),
-    "train-ego": ("train an ego with PPO (resumes a run in --out)", "envs.train_ego"),
-    "distil": ("distil guided CCDiff into swift traffic", "envs.distil"),
+    "train": ("train a planning network (resumes a run in --out)", "training.train_command"),
+    "train-ego": ("train an ego with PPO (resumes a run in --out)", "training.train_ego"),
+    "distil": ("distil guided CCDiff into swift traffic", "training.distil"),
     "bench": ("benchmarks of traffic and of planners", "bench.cli"),
     "view": ("write a replay page, an image or a video", "bench.view_command"),
     "scenes": ("list the scenes of a source", "view.listing"),

@@ -23,9 +23,9 @@ from sb3_contrib import MaskablePPO
 from ccdiff_env import AdversarySelectionVectorEnv
 from ccdiff_env.bench import selection
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
-from ccdiff_env.envs.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.table import document
+from ccdiff_env.training.selection_policy import CandidatePolicy, save_policy
 
 #: Cost per metre of move, one stage of the training after the other.
 MOVE_COSTS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.04, 0.04, 0.04)

@@ -21,12 +21,13 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
 from ccdiff_env.bench.planners import Traffic, play
-from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes, red_of_arrivals
-from ccdiff_env.envs.recipe import LIGHTS, WORLDS, Priced
-from ccdiff_env.envs.sb3 import PPO_SETTINGS, SAC_SETTINGS, SB3VecEnv, SetPolicy, clone, save_policy
+from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
+from ccdiff_env.training.cloning import demonstrations
+from ccdiff_env.training.outcomes import OUTCOMES, play_episodes, red_of_arrivals
+from ccdiff_env.training.recipe import LIGHTS, WORLDS, Priced
+from ccdiff_env.training.sb3 import PPO_SETTINGS, SAC_SETTINGS, SetPolicy, clone
 
 #: Algorithm, its settings, worlds, and decisions that take two to three minutes of one core.
 ALGORITHMS = {

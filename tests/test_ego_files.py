@@ -10,11 +10,11 @@ import ccdiff_env
 from ccdiff_env import WorldConfig, planners
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import AssistedLimits, EgosConfig
-from ccdiff_env.envs import ego_network
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, ShapeError
 from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
+from ccdiff_env.training import ego_network
 from ccdiff_env.worlds import Worlds
 
 OPTIONS = {"dynamics": "assisted", "decision_steps": 3}

@@ -12,12 +12,12 @@ from test_scenes_scenarionet import save, scenario
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Scene
-from ccdiff_env.envs.outcomes import red_of_arrivals
-from ccdiff_env.envs.recipe import LIGHTS
 from ccdiff_env.errors import ConfigError, DatasetError, SceneError, ShapeError
 from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
 from ccdiff_env.scenes.signals import recorded_passes
+from ccdiff_env.training.outcomes import red_of_arrivals
+from ccdiff_env.training.recipe import LIGHTS
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.render import legend
 from ccdiff_env.view.sources import play_scene

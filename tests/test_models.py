@@ -14,12 +14,11 @@ from ccdiff_env.models import (
     TrajectoryModel,
     guidance_preset,
     shipped_weights,
-    train,
-    training,
     weight_files,
 )
-from ccdiff_env.models.training import Curves
 from ccdiff_env.traffic import NETWORKS, SWIFT
+from ccdiff_env.training import networks
+from ccdiff_env.training.networks import Curves, train
 
 QUICK = {"batch_scenes": 2, "warmup_steps": 0}
 
@@ -90,7 +89,7 @@ def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
 ):
     """Header and numbers: constants of the data come back from the state to the last bit."""
     options = {"settings": {**QUICK, "seed": 3}, "progress": False, "steps": 10}
-    monkeypatch.setattr(training, "_CHUNK", 3)
+    monkeypatch.setattr(networks, "_CHUNK", 3)
     often = train([road()], out=tmp_path / "often", checkpoint_minutes=0.0, **options)
     train([road()], out=tmp_path / "whole", **options)
     write, left = Curves.write, [2]
@@ -115,7 +114,7 @@ def test_a_run_that_was_killed_and_goes_on_writes_the_bytes_of_one_that_was_not(
 
 
 def test_a_run_that_cooled_down_goes_on_over_added_steps(tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "_CHUNK", 3)
+    monkeypatch.setattr(networks, "_CHUNK", 3)
     spans = []
     for steps in (10, 14, 12):
         path = train([road()], out=tmp_path, steps=steps, settings=QUICK, progress=False)

@@ -6,10 +6,10 @@ from array_scenes import STEPS, TIMES_S, agent, array_scene, wide_road
 
 import ccdiff_env
 from ccdiff_env import planners
-from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.outcomes import OUTCOMES, Learning, play_episodes
-from ccdiff_env.envs.recipe import Priced
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.training.cloning import demonstrations
+from ccdiff_env.training.outcomes import OUTCOMES, Learning, play_episodes
+from ccdiff_env.training.recipe import Priced
 
 STEADY = agent("ego", 10.0 * TIMES_S)
 STOPS = agent("ego", np.minimum(10.0 * TIMES_S, 90.0))
@@ -111,16 +111,18 @@ def test_an_episode_that_runs_out_of_time_may_have_ended(clock_ends):
 def test_a_clone_does_what_was_shown_and_its_file_drives_as_it_does(monkeypatch, tmp_path):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
 
-    from ccdiff_env.envs import ego_network, sb3
+    from ccdiff_env.envs import sb3
+    from ccdiff_env.training import ego_network
+    from ccdiff_env.training.sb3 import PPO_SETTINGS, SetPolicy, clone
 
     monkeypatch.setattr(ego_network, "CLONE_STEPS", 150)
     env = sb3.SB3VecEnv(worlds(array_scene(STEADY)))
-    model = stable_baselines3.PPO(sb3.SetPolicy, env, seed=0, **sb3.PPO_SETTINGS)
+    model = stable_baselines3.PPO(SetPolicy, env, seed=0, **PPO_SETTINGS)
     rng = np.random.default_rng(0)
     obs = rng.normal(2.0, 3.0, (4_000, env.observation_space.shape[0])).astype(np.float32)
     actions = np.tanh(0.1 * obs[:, :2] - 0.2)
     before = model.policy.agent.log_std.detach().clone()
-    sb3.clone(model, obs, actions)
+    clone(model, obs, actions)
     done = model.predict(obs, deterministic=True)[0]
     assert np.abs(done - actions).mean() < 0.5 * np.abs(actions - actions.mean(axis=0)).mean()
     assert (model.policy.agent.log_std.detach() == before).all()
@@ -128,27 +130,28 @@ def test_a_clone_does_what_was_shown_and_its_file_drives_as_it_does(monkeypatch,
     np.testing.assert_array_equal(planners.load(tmp_path / "clone.zip").act(obs), done)
     bare = stable_baselines3.PPO("MlpPolicy", env, device="cpu")
     with pytest.raises(ConfigError, match="expected SetPolicy"):
-        sb3.clone(bare, obs, actions)
+        clone(bare, obs, actions)
 
 
 def test_the_set_policy_refuses_what_it_cannot_see():
     stable_baselines3 = pytest.importorskip("stable_baselines3")
 
     from ccdiff_env.envs import sb3
+    from ccdiff_env.training.sb3 import PPO_SETTINGS, SetPolicy
 
     env = sb3.SB3VecEnv(worlds(array_scene(STEADY)))
     narrow = {"policy_kwargs": {"noise": (0.2,)}}
     with pytest.raises(ConfigError, match="actions 2 wide, expected 'flat' and 1"):
-        stable_baselines3.PPO(sb3.SetPolicy, env, **sb3.PPO_SETTINGS | narrow)
+        stable_baselines3.PPO(SetPolicy, env, **PPO_SETTINGS | narrow)
     env = sb3.SB3VecEnv(worlds(array_scene(STEADY), observation="dict"))
     with pytest.raises(ConfigError, match="observations are 'dict'"):
-        stable_baselines3.PPO(sb3.SetPolicy, env, **sb3.PPO_SETTINGS)
+        stable_baselines3.PPO(SetPolicy, env, **PPO_SETTINGS)
 
 
 def test_noise_goes_on_from_one_decision_to_the_next():
     torch = pytest.importorskip("torch")
-    from ccdiff_env.envs.ego_network import Agent
-    from ccdiff_env.envs.recipe import CORRELATION
+    from ccdiff_env.training.ego_network import Agent
+    from ccdiff_env.training.recipe import CORRELATION
 
     torch.manual_seed(0)
     layout = worlds(array_scene(STEADY)).worlds.layout

@@ -8,10 +8,11 @@ import pytest
 from test_models import QUICK, road
 
 from ccdiff_env import cli, embedded_scenes
-from ccdiff_env.envs import distil
 from ccdiff_env.errors import CcdiffError, ConfigError
-from ccdiff_env.models import TrajectoryModel, shipped_weights, train, training
+from ccdiff_env.models import TrajectoryModel, shipped_weights
 from ccdiff_env.system.settings import keep_settings
+from ccdiff_env.training import distil, networks
+from ccdiff_env.training.networks import train
 
 torch = pytest.importorskip("torch")
 
@@ -51,7 +52,7 @@ def test_a_training_goes_on_with_what_it_was_begun_with(tmp_path):
 
 
 def test_a_training_that_diverges_keeps_its_last_finite_state(tmp_path, monkeypatch):
-    monkeypatch.setattr(training, "_CHUNK", 1)
+    monkeypatch.setattr(networks, "_CHUNK", 1)
     options = {"out": tmp_path, "checkpoint_minutes": 0.0, "progress": False}
     scenes = embedded_scenes("train")[:4]
     with pytest.raises(CcdiffError):
@@ -73,7 +74,7 @@ def heard():
 @pytest.mark.usefixtures("heard")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monkeypatch, capsys):
-    from ccdiff_env.envs import ppo
+    from ccdiff_env.training import ppo
 
     def interrupted(command, place, name, when):
         """Run a command that the signal meets in a call; expect its end by the signal."""
@@ -120,8 +121,8 @@ def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monke
 
     one = ["train", "--scenes", "embedded/train?limit=4", "--hold-out-every", "4", "--quiet"]
     one += ["--batch-scenes", "1", "--steps", "3", "--out", str(tmp_path / "train")]
-    monkeypatch.setattr(training, "_CHUNK", 1)
-    interrupted(one, training.Curves, "write", 2)
+    monkeypatch.setattr(networks, "_CHUNK", 1)
+    interrupted(one, networks.Curves, "write", 2)
     state = tmp_path / "train" / "weights.safetensors"
     assert TrajectoryModel(state).header["step"] == 2
     assert cli.main(one) == 0

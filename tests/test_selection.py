@@ -20,8 +20,8 @@ from ccdiff_env.bench import selection
 from ccdiff_env.bench.selection import fork_actions, rule_actions
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection import FEATURES, SCALES
-from ccdiff_env.envs.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.system.tensors import read_tensors, write_tensors
+from ccdiff_env.training.selection_policy import CandidatePolicy, save_policy
 from ccdiff_env.view import render
 
 QUICK = {"ccdiff": {"replan_steps": 5}, "horizon_steps": 40}

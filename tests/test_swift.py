@@ -11,11 +11,11 @@ from traffic_play import Play
 import ccdiff_env
 from ccdiff_env import _native
 from ccdiff_env.config import CcdiffConfig
-from ccdiff_env.envs import distil
 from ccdiff_env.errors import CcdiffError, CheckpointError, ConfigError
 from ccdiff_env.models import shipped_weights
 from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import SWIFT, NamedDriver
+from ccdiff_env.training import distil
 from ccdiff_env_cli import main
 
 

@@ -89,8 +89,8 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
 def test_vehicles_and_starts_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
     pytest.importorskip("torch")
     import ccdiff_env
-    from ccdiff_env.envs import train_ego
-    from ccdiff_env.envs.ppo import Worlds
+    from ccdiff_env.training import train_ego
+    from ccdiff_env.training.ppo import Worlds
 
     ccdiff_env.record_bank(ccdiff_env.embedded_scenes("val")[:2], tmp_path, ego="replay")
     words = ["--worlds", "32", "--traffic", "idm", "bank", "--bank", str(tmp_path), "--any-ego"]
@@ -109,8 +109,8 @@ def test_vehicles_and_starts_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
 def test_training_begins_with_a_policy_and_stays_near_no_action():
     torch = pytest.importorskip("torch")
     import ccdiff_env
-    from ccdiff_env.envs.ego_network import Agent
-    from ccdiff_env.envs.ppo import update
+    from ccdiff_env.training.ego_network import Agent
+    from ccdiff_env.training.ppo import update
 
     ego = ccdiff_env.planners.load("ego")
     env = ccdiff_env.make_vec(64, traffic="idm", **ego.env_options)

@@ -23,7 +23,6 @@ import numpy as np
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.planners import TRAFFIC, play
 from ccdiff_env.envs import make_vec
-from ccdiff_env.envs.outcomes import OUTCOMES, play_episodes
 from ccdiff_env.planners import load_ego
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
@@ -34,6 +33,7 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Cell, Column, Figure, Table
+from ccdiff_env.training.outcomes import OUTCOMES, play_episodes
 from tools import pages
 from tools.pages import ROOT, keep
 

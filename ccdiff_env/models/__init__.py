@@ -1,8 +1,7 @@
-"""Planning networks, CCDiff and its rivals: training, loading, planning."""
+"""Planning networks, CCDiff and its rivals: loading, planning."""
 
 from __future__ import annotations
 
-from ccdiff_env.models.training import train
 from ccdiff_env.models.trajectory_model import ScenePlan, TrajectoryModel, guidance_preset
 from ccdiff_env.models.weights import (
     TORCH,
@@ -15,5 +14,5 @@ from ccdiff_env.models.weights import (
 
 __all__ = [
     "TORCH", "ScenePlan", "TrajectoryModel", "guidance_preset", "needs_torch", "require_networks",
-    "shipped_weights", "train", "weight_files", "weights_path",
+    "shipped_weights", "weight_files", "weights_path",
 ]  # fmt: skip

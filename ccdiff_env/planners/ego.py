@@ -80,7 +80,7 @@ def save_ego(
 
     Args:
         path: File to write.
-        tensors: State of the network as :mod:`ccdiff_env.envs.ppo` has it, tensors or arrays.
+        tensors: State of the network as :mod:`ccdiff_env.training.ppo` has it, tensors or arrays.
         options: Fields of :class:`~ccdiff_env.config.WorldConfig` that fit the policy:
             :data:`FITTING`.
         about: How it was trained: what JSON can hold.

@@ -337,7 +337,7 @@ impl PyVecWorld {
         plan.map(|plan| world_plans::dict(py, plan)).transpose()
     }
 
-    /// What swift traffic would see of vehicles of a world, rows [n, F] (`ccdiff_env.envs.distil`).
+    /// What swift traffic would see of vehicles of a world, rows [n, F] (`ccdiff_env.training.distil`).
     fn swift_rows<'py>(
         &self,
         py: Python<'py>,

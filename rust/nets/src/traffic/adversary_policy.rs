@@ -13,7 +13,7 @@ use std::path::Path;
 const KIND: &str = "adversary_policy";
 /// A file holds few candidates and strengths.
 const MOST_OUTPUTS: usize = 1024;
-/// Hidden units of every layer, as in `ccdiff_env.envs.selection_policy`.
+/// Hidden units of every layer, as in `ccdiff_env.training.selection_policy`.
 const WIDTH: usize = 64;
 
 /// A network that scores each candidate at each strength, and the choice of none.
@@ -28,7 +28,7 @@ pub(crate) struct AdversaryPolicy {
 }
 
 impl AdversaryPolicy {
-    /// Reads a file that `ccdiff_env.envs.selection_policy.save_policy` wrote.
+    /// Reads a file that `ccdiff_env.training.selection_policy.save_policy` wrote.
     fn load(path: &Path) -> Result<Self> {
         let (header, tensors) = read(path)?;
         let kind: String = field(path, &header, "kind")?;

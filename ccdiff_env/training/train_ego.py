@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ccdiff_env.envs.recipe import ASSISTED_NOISE, NOISE, RATE
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
+from ccdiff_env.training.recipe import ASSISTED_NOISE, NOISE, RATE
 from ccdiff_env.worlds.policy_file import LEARNED
 
 #: Traffic of training; ``learned`` is CCDiff whose adversaries the shipped policy chooses,
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
     try:
-        from ccdiff_env.envs.ppo import train
+        from ccdiff_env.training.ppo import train
     except ModuleNotFoundError as error:
         raise MissingFeatureError(
             f"training needs {error.name}: pip install 'ccdiff-env[models]'"

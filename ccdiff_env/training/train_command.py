@@ -58,7 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, and print where the weights are."""
-    from ccdiff_env.models import require_networks, train
+    from ccdiff_env.models import require_networks
+    from ccdiff_env.training.networks import train
 
     place = place_from(args)
     source = SOURCES[place.source]

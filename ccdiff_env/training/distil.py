@@ -28,7 +28,6 @@ from ccdiff_env import _native
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.models import weights_path
-from ccdiff_env.models.training import LICENCE
 from ccdiff_env.record.episode import begin, play
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.arguments import (
@@ -42,6 +41,7 @@ from ccdiff_env.system.files import read_bytes, reading, write_aside
 from ccdiff_env.system.settings import keep_settings, sha256
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.traffic import SWIFT, CcdiffConfig, NamedDriver
+from ccdiff_env.training.networks import LICENCE
 
 F32: TypeAlias = npt.NDArray[np.float32]
 

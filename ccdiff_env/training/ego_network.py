@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from ccdiff_env.envs.recipe import CORRELATION
 from ccdiff_env.planners.ego import EgoPolicy
+from ccdiff_env.training.recipe import CORRELATION
 from ccdiff_env.worlds.spaces import Layout
 
 Floats: TypeAlias = np.ndarray[Any, Any]

@@ -18,10 +18,20 @@ from torch import nn
 
 from ccdiff_env.config import AssistedLimits, WorldConfig
 from ccdiff_env.envs import make_vec
-from ccdiff_env.envs.cloning import demonstrations
-from ccdiff_env.envs.ego_network import Agent
-from ccdiff_env.envs.outcomes import Learning, outcomes
-from ccdiff_env.envs.recipe import (
+from ccdiff_env.errors import CheckpointError, ConfigError
+from ccdiff_env.planners import load_ego
+from ccdiff_env.planners.ego import save_ego
+from ccdiff_env.record.bank import load_bank
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes.arguments import place_from, scenes_from
+from ccdiff_env.system.seeds import spread_seed
+from ccdiff_env.system.settings import keep_settings, kept_settings
+from ccdiff_env.traffic import EGOS, SWIFT
+from ccdiff_env.training.cloning import demonstrations
+from ccdiff_env.training.ego_network import Agent
+from ccdiff_env.training.networks import LICENCE
+from ccdiff_env.training.outcomes import Learning, outcomes
+from ccdiff_env.training.recipe import (
     DYNAMICS,
     EPOCHS,
     GAMMA,
@@ -32,16 +42,6 @@ from ccdiff_env.envs.recipe import (
     WORLDS,
     Priced,
 )
-from ccdiff_env.errors import CheckpointError, ConfigError
-from ccdiff_env.models.training import LICENCE
-from ccdiff_env.planners import load_ego
-from ccdiff_env.planners.ego import save_ego
-from ccdiff_env.record.bank import load_bank
-from ccdiff_env.scenes import SceneSet
-from ccdiff_env.scenes.arguments import place_from, scenes_from
-from ccdiff_env.system.seeds import spread_seed
-from ccdiff_env.system.settings import keep_settings, kept_settings
-from ccdiff_env.traffic import EGOS, SWIFT
 from ccdiff_env.worlds.policy_file import LEARNED
 
 Floats: TypeAlias = np.ndarray[Any, Any]

@@ -1,0 +1,1 @@
+"""Learners: networks of traffic, egos, choices of adversaries; environments know none of them."""
