@@ -1,13 +1,15 @@
 """How episodes end, and what logged drivers did."""
 
+import sys
+
 import numpy as np
 import pytest
 from array_scenes import STEPS, TIMES_S, agent, array_scene, wide_road
 
 import ccdiff_env
 from ccdiff_env import planners
-from ccdiff_env.errors import ConfigError
-from ccdiff_env.training.cloning import demonstrations
+from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError
+from ccdiff_env.training.cloning import demonstrations, export_demonstrations
 from ccdiff_env.training.outcomes import OUTCOMES, Learning, play_episodes
 from ccdiff_env.training.recipe import Priced
 
@@ -93,6 +95,40 @@ def test_demonstrations_drive_as_the_log_does():
     with pytest.raises(ConfigError, match="number"):
         demonstrations([scene], 0)
     assert len(TIMES_S) == STEPS
+
+
+@pytest.mark.parametrize(("driver", "traffic"), [("replay", "replay"), ("pdm", "idm")])
+def test_an_exported_episode_is_repeated_by_its_seed_and_its_actions(driver, traffic, tmp_path):
+    minari = pytest.importorskip("minari")
+    given = {"episodes": 3, "seed": 5, "traffic": traffic, "ego": "any"}
+    folder = export_demonstrations("embedded/val", driver, tmp_path / "shown", **given)
+    found = minari.MinariDataset(folder)
+    env = found.recover_environment()
+    about = list(found.storage.get_episode_metadata(range(3)))
+    assert [of["seed"] for of in about] == [5, 6, 7]
+    for episode, of in zip(found.iterate_episodes(), about, strict=True):
+        obs, info = env.reset(seed=int(of["seed"]), options=of["options"])
+        steps = [(obs, *env.step(action)) for action in episode.actions]
+        seen, rewards, *ends, _ = map(list, zip(*[step[1:] for step in steps], strict=True))
+        np.testing.assert_array_equal([obs, *seen], episode.observations)
+        np.testing.assert_array_equal(rewards, episode.rewards)
+        np.testing.assert_array_equal(ends, [episode.terminations, episode.truncations])
+        assert np.abs(episode.actions).max() <= 1.0
+        assert info["scene"] == of["options"]["scene"]
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path, monkeypatch):
+    with monkeypatch.context() as without:
+        without.setitem(sys.modules, "minari", None)
+        with pytest.raises(MissingFeatureError, match=r"\[minari\]"):
+            export_demonstrations("embedded/val", "replay", tmp_path / "shown")
+    pytest.importorskip("minari")
+    for driver, episodes, fault in (("idm", 1, "driver is 'idm'"), ("pdm", 0, "episodes is 0")):
+        with pytest.raises(ConfigError, match=fault):
+            export_demonstrations("embedded/val", driver, tmp_path / "shown", episodes=episodes)
+    (tmp_path / "note").touch()
+    with pytest.raises(DatasetError, match="not empty"):
+        export_demonstrations("embedded/val", "pdm", tmp_path)
 
 
 @pytest.mark.parametrize("clock_ends", [False, True])
