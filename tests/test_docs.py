@@ -7,6 +7,7 @@ import importlib
 import json
 import re
 import shlex
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -80,20 +81,56 @@ def desk(tmp_path, monkeypatch):
     )
 
 
+INDEX = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+TUTORIALS = re.search(r":caption: Tutorials\n:hidden:\n\n([^`]+)", INDEX)[1].split()
 PYTHON = {
     f"{page.stem}-{line}": (page, "\n" * line + text)
     for page in PAGES
     for language, text, line in blocks(page)
-    if language == "python"
+    if language == "python" and page.stem not in TUTORIALS
 }
+
+
+def smaller(text: str) -> str:
+    """A block in the size that runs here."""
+    for large, small in SMALLER.items():
+        text = re.sub(large, small, text)
+    return text
 
 
 @pytest.mark.parametrize("block", PYTHON)
 def test_every_block_of_python_runs_by_itself(block, desk):
     page, text = PYTHON[block]
-    for large, small in SMALLER.items():
-        text = re.sub(large, small, text)
-    exec(compile(text, str(page), "exec"), {"__name__": page.stem})
+    exec(compile(smaller(text), str(page), "exec"), {"__name__": page.stem})
+
+
+#: What is made smaller in the commands of tutorials.
+FEWER = {
+    r" --open": "",
+    r"bench planners": r"bench planners --seeds 0",
+    r"--protocol \S+": "--traffic idm",
+    r"bench realism": r"bench realism --samples 2",
+    r"(bench (planners|traffic|realism))": r"\1 --limit 1 --quiet",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_leads_from_its_first_line_to_its_last(name, desk, monkeypatch):
+    assert len(TUTORIALS) == 3
+    monkeypatch.syspath_prepend(Path.cwd())
+    monkeypatch.delitem(sys.modules, "mine", raising=False)
+    for language, text, _ in blocks(ROOT / f"docs/{name}.md"):
+        if language == "python" and (file := re.match(r"# (\w+\.py)\n", text)):
+            Path(file[1]).write_text(text, encoding="utf-8")
+        elif language == "python":
+            exec(compile(smaller(text), name, "exec"), {"__name__": name})
+        else:
+            for large, small in FEWER.items():
+                text = re.sub(large, small, text)
+            for line in text.splitlines():
+                assert ccdiff_env_cli.main(shlex.split(line)[1:]) == 0, line
 
 
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=ids(WITH_COMMANDS))
@@ -215,7 +252,7 @@ def test_charts_are_those_of_the_results_that_were_kept(name):
 
 def test_pictures_of_the_front_page_are_copied_into_the_site():
     docs = ROOT / "docs"
-    names = re.findall(r'<img src="([^"]+)"', (docs / "index.md").read_text("utf-8"))
+    names = re.findall(r'<img src="([^"]+)"', INDEX)
     settings = (docs / "conf.py").read_text("utf-8")
     assert names
     for name in names:
