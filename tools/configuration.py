@@ -239,7 +239,7 @@ def _shown(entry: Mapping[str, Any], table: Table) -> str:
 
 
 def page(found: list[Table]) -> str:
-    """Return the tables of the page."""
+    """Return what the page says of the fields."""
     lines: list[str] = []
     seen = set[str]()
     for table in found:
@@ -247,10 +247,8 @@ def page(found: list[Table]) -> str:
         if not plain or table["name"] in SIZES:
             continue
         lines += ["", f"## {table['name']}", "", "\n\n".join(_text(table["doc"])), ""]
-        lines += ["| field | default | what |", "|---|---|---|"]
         for entry in table["fields"]:
-            doc = _describe(entry).replace("|", "\\|")
-            lines.append(f"| `{entry['name']}` | {_shown(entry, table)} | {doc} |")
+            lines.append(f"* `{entry['name']}` ({_shown(entry, table)}): {_describe(entry)}")
         for entry in table["fields"]:
             for choice in _choices(entry["form"]):
                 if choice["name"] in seen:

@@ -1,4 +1,4 @@
-"""Tables of docs that are made from the schemas."""
+"""Tables and lists of docs that are made from the schemas."""
 
 from __future__ import annotations
 
@@ -20,14 +20,12 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:
-    def row(c: InfoColumn) -> tuple[str, str]:
-        return f"`{c.name}`", f"{c.doc} ({c.unit})" if c.unit else c.doc
-
-    return _table(("key", "what"), map(row, columns))
+    units = {c.name: f" ({c.unit})" if c.unit else "" for c in columns}
+    return "\n".join(f"* `{c.name}`{units[c.name]}: {c.doc}" for c in columns)
 
 
 def _unweighted(columns: Iterable[InfoColumn]) -> str:
-    return _columns(c for c in columns if not c.name.startswith("reward_"))
+    return _columns([c for c in columns if not c.name.startswith("reward_")])
 
 
 def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
@@ -39,11 +37,10 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
     )
 
 
-def _observed(column: Mapping[str, Any]) -> tuple[str, ...]:
-    return column["name"], f"{column['scale']:g} {column['unit']}".strip(), column["doc"]
-
-
-_OBSERVED = ("column", "scale", "what")
+def _observed(columns: Iterable[Mapping[str, Any]]) -> str:
+    scales = [f" ({c['scale']:g} {c['unit']})".replace(" )", ")") for c in columns]
+    rows = zip(columns, scales, strict=True)
+    return "\n".join(f"* `{c['name']}`{s.replace(' (1)', '')}: {c['doc']}" for c, s in rows)
 
 
 def _observation() -> str:
@@ -52,9 +49,8 @@ def _observation() -> str:
     parts = [f"Default configuration: {layout['size']} floats."]
     for entry in layout["entries"]:
         parts.append(f"## `{entry['name']}` {entry['shape']}, from float {entry['offset']}")
-        rows = map(_observed, entry["columns"])
         is_mask = entry["kind"] == "mask"
-        parts.append("1 where the row is there, else 0." if is_mask else _table(_OBSERVED, rows))
+        parts.append("1 where the row is there." if is_mask else _observed(entry["columns"]))
     return "\n\n".join(parts)
 
 
@@ -63,13 +59,8 @@ def _on_request() -> str:
     layout, columns, _ = json.loads(_native.schema("observation"))
     entries = [entry for entry in layout["entries"] if entry["kind"] != "mask"]
     shown = {entry["name"]: {c["name"] for c in entry["columns"]} for entry in entries}
-    rows = [
-        (f"`{name}`", *_observed(column))
-        for name, of_entry in columns
-        for column in of_entry
-        if column["name"] not in shown.get(name, ())
-    ]
-    return _table(("entry", *_OBSERVED), rows)
+    more = {n: [c for c in of if c["name"] not in shown.get(n, ())] for n, of in columns}
+    return "\n\n".join(f"`{name}`:\n\n{_observed(of)}" for name, of in more.items() if of)
 
 
 def _raster() -> str:
@@ -80,11 +71,9 @@ def _raster() -> str:
 
 def _candidates() -> str:
     _, features = json.loads(_native.schema("candidates"))
-    rows = (
-        (f"`{name}`", f"{doc} ({unit})" if unit else doc, f"{scale:g}")
-        for name, unit, scale, doc in features
+    return _observed(
+        [dict(zip(("name", "unit", "scale", "doc"), f, strict=True)) for f in features]
     )
-    return _table(("column", "what", "divided by"), rows)
 
 
 #: Maker of each table by its name in the page.
