@@ -32,9 +32,7 @@ def _rewards(columns: Iterable[InfoColumn], weights: object) -> str:
     default = {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights)}  # type: ignore[arg-type]
     parts = [(c.name.removeprefix("reward_"), c) for c in columns if c.name.startswith("reward_")]
     words = {name: c.doc.removeprefix("weighted reward of ") for name, c in parts}
-    return _table(
-        ("weight", "default", "for"), ((f"`{n}`", f"{default[n]:g}", w) for n, w in words.items())
-    )
+    return "\n".join(f"* `{n}` ({default[n]:g}): {w}" for n, w in words.items())
 
 
 def _observed(columns: Iterable[Mapping[str, Any]]) -> str:
