@@ -1,22 +1,17 @@
-"""Tables and lists of docs that are made from the schemas."""
+"""Lists of docs that are made from the schemas."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ccdiff_env import _native
 from ccdiff_env.config import RewardConfig
 from ccdiff_env.envs.selection import INFO_COLUMNS
-from ccdiff_env.system.table import Markdown, Table
 from ccdiff_env.worlds.spaces import InfoColumn, read_columns
 from tools import configuration
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return str(Table(heads, [[*map(Markdown, row)] for row in rows]))
 
 
 def _columns(columns: Iterable[InfoColumn]) -> str:
@@ -63,8 +58,7 @@ def _on_request() -> str:
 
 def _raster() -> str:
     *_, channels = json.loads(_native.schema("observation"))
-    rows = ((str(k), c["name"], c["doc"]) for k, c in enumerate(channels))
-    return _table(("channel", "name", "bytes"), rows)
+    return "\n".join(f"* {k}, `{c['name']}`: {c['doc']}" for k, c in enumerate(channels))
 
 
 def _candidates() -> str:
@@ -74,7 +68,7 @@ def _candidates() -> str:
     )
 
 
-#: Maker of each table by its name in the page.
+#: Maker of each list by its name in the page.
 TABLES: dict[str, Callable[[], str]] = {
     "info": lambda: _unweighted(read_columns(_native.schema("columns"))),
     "rewards": lambda: _rewards(read_columns(_native.schema("columns")), RewardConfig()),
