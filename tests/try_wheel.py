@@ -51,6 +51,7 @@ def main(wheel: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
         print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB, without torch", flush=True)
+        assert wheel.stat().st_size < 15e6, "README says 14 MB"
         bare = environment_with(str(wheel), work / "bare", wheel.parent)
         run(bare / "ccdiff-env", "doctor", cwd=work)
         view = ("view", "left-turn-04", "--traffic", "ccdiff", "--criticality", "1", "-o", "a.html")
