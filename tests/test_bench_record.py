@@ -79,7 +79,7 @@ def test_the_better_mean_stands_higher(tmp_path):
     assert "0.85" in table
     assert "0.75" in table
     assert f"| PDM-Closed | {IDM} | +0.050 [" in table
-    assert "PDM-Closed is best over all (0.68)" in table
+    assert "PDM-Closed has the best mean (0.68)" in table
 
 
 def test_all_are_compared_with_both_idm_and_not_the_best_alone(tmp_path):

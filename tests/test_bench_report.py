@@ -191,11 +191,13 @@ def test_the_verdict_names_the_best_and_what_breaks():
         pdm__replay=[0.5, 0.5], pdm__idm=[0.0, 0.2],
     )  # fmt: skip
     text = verdict(found)
-    assert text.startswith("IDM on the log's path is best over all (0.85), first in all traffic. ")
-    assert "PDM-Closed breaks most: from 0.50 (Log replay) to 0.10 (IDM)" in text
+    assert text.startswith(
+        "IDM on the log's path has the best mean (0.85) and leads in all traffic. "
+    )
+    assert "PDM-Closed loses most, from 0.50 (Log replay) to 0.10 (IDM)" in text
     assert text.endswith("10 scenes.")
     near = rows_of(idm__replay=[0.0, 1.0], pdm__replay=[0.0, 0.9])
-    assert "not significantly better than PDM-Closed (paired, p >= 0.05)" in verdict(near)
+    assert "not significantly above PDM-Closed (paired, p >= 0.05)" in verdict(near)
     few = {key: rows[:9] for key, rows in found.items()}
     assert verdict(few) == FEW
 

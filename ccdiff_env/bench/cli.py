@@ -123,7 +123,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument(
         "--strengths",
         default="0.5,0.75,1,1.5,2,3",
-        help="with --match: criticalities of guided methods (default: %(default)s)",
+        help="with --match: criticalities at which guided methods are run",
     )
     parser.set_defaults(run=_traffic)
 
@@ -206,14 +206,14 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--metric",
         action="append",
         metavar="MODULE:FUNCTION",
-        help="a figure of your own, from a rollout to a number, as a column of all tables and "
-        "tests, or avoidable, whether a collision was; may be given more than once (default: none)",
+        help="add a function of yours, from a rollout to a number, as a column of all tables and "
+        "tests; or avoidable, whether a collision was; may be given more than once (default: none)",
     )
     parser.add_argument(
         "--tags",
         type=Path,
         metavar="CSV",
-        help="further tags of scenes, columns scene and tag (default: those of log and map alone)",
+        help="more tags of scenes, in columns scene and tag (default: those told from log and map)",
     )
     add_weights(parser)
     add_replays(parser, "worst scenes of every planner")

@@ -291,12 +291,12 @@ def verdict(found: Results) -> str:
         seen = {key: round(value[0], 2) for key, value in mean.items()}  # ties as tables have them
         first = [t for t in traffic if all(seen[best, t] >= seen[p, t] for p in rest)]
         of_all = f"{len(first)} of {len(traffic)}"
-        where = "all traffic" if len(first) == len(traffic) else of_all
-        text = f"{short_name(best)} is best over all ({over_all[best]:.2f}), first in {where}"
+        where = "all traffic" if len(first) == len(traffic) else f"{of_all} kinds of traffic"
+        text = f"{short_name(best)} has the best mean ({over_all[best]:.2f}) and leads in {where}"
         level = PROTOCOL.fields["statistics"]["level"]
         less = {p: difference(_paired(found, best, p, traffic, "score"))[1] for p in rest}
         if near := [short_name(p) for p in rest if less[p] >= level]:
-            text += f"; not significantly better than {' and '.join(near)} (paired, p >= {level:g})"
+            text += f"; not significantly above {' and '.join(near)} (paired, p >= {level:g})"
         sentences.append(text)
     drops = []
     for planner in planners:
@@ -306,7 +306,7 @@ def verdict(found: Results) -> str:
     drop, name, top, low = max(drops)
     if drop >= 0.005:
         ends = "from {:.2f} ({}) to {:.2f} ({})".format(*top, *low)
-        sentences.append(f"{name} breaks most: {ends}")
+        sentences.append(f"{name} loses most, {ends}")
     count = len({row["scene"] for row in next(iter(found.values()))})
     return escaped(". ".join([*sentences, counted(count, "scene")]) + ".")
 

@@ -213,9 +213,9 @@ def add_weights(parser: argparse._ActionsContainer) -> None:
         "--weights",
         action="append",
         metavar="NAME=FILE",
-        help="weights of ccdiff-env train, under the name of a network, which they replace, or "
-        "one of your own: mine=FILE makes mine, mine_careful, mine-1 of mine; may be given more "
-        "than once (default: the shipped ones)",
+        help="weights of ccdiff-env train: mine=FILE adds the methods mine, mine_careful and so "
+        "on, and the traffic mine-1; under the name of a network they replace it; may be given "
+        "more than once (default: the shipped ones)",
     )
 
 

@@ -252,7 +252,7 @@ def _against(played: Played, base: str) -> list[Block]:
     return [
         Table(["method", "K", "T s", *COMPARED], rows, f"Less {label_of(base, own)}"),
         f"Means over scenes, same scenes and vehicles. {brackets(played.values())} "
-        "Methods without guidance: less the same without guidance.",
+        "Methods without guidance are compared with its form without guidance.",
     ]
 
 

@@ -17,7 +17,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser, use: str | None = None)
     scenes for ``None``.
     """
     forms = ", ".join(source.form for source in SOURCES.values())
-    splits = ", ".join(name for source in SOURCES.values() for name in split_names(source))
+    splits = ", ".join(dict.fromkeys(n for s in SOURCES.values() for n in split_names(s)))
     usual = settle(Place(DEFAULT), use)
     parser.set_defaults(scenes_use=use)
     parser.add_argument(

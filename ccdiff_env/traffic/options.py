@@ -402,9 +402,8 @@ class CcdiffConfig(Options):
     #: Standard deviation of the noise that is denoised, or what logits of tokens are divided by (in
     #: (0, 100]); 1 for other networks. Below 1 likely plans are drawn more often.
     temperature: float = 1.0
-    #: Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the
-    #: same). Speeds after 3 s are then spread as those of the log
-    #: (docs/results.md#likelihood-of-the-log).
+    #: Correlate the noise of successive plans of a vehicle (0.5; tokens reuse it), so that speeds
+    #: after 3 s spread as those of the log (docs/results.md#likelihood-of-the-log).
     keep_noise: bool = False
     #: Whether the network gets the routes of its vehicles: the path of the log, then the lanes
     #: ahead. It needs weights trained with routes.
@@ -423,18 +422,18 @@ class CcdiffConfig(Options):
     background_driver: BackgroundDriver = "ccdiff"
     #: Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured (in [0, 10]); the
     #: learning rate grows with its power of 1.5 (routes: 1.8 times that, so that an ego collides as
-    #: often). Tokens: guided vehicles take the best of 1 plus its square of draws. Worlds can
+    #: often). Of tokens, a guided vehicle takes the best of 1 + criticality² samples. Worlds can
     #: change it at any time.
     criticality: float = 0.0
     #: Guidance: a preset (``"rl"``, ``"paper"``) or settings.
     guidance: str | Mapping[str, Any] = "rl"
-    #: Whether unguided plans are moved away from contacts and onto the road, at the cost of the
-    #: gradients. Tokens: whether they are the first of 8 draws without contact or road departure in
-    #: 1.5 s.
+    #: Push unguided plans away from contacts and back onto the road, which costs the gradients of
+    #: each plan. Tokens take the first of 8 samples without a contact or a step off the road in 1.5
+    #: s.
     careful: bool = False
     #: Agents with which contacts count in the collision objectives.
     collision_targets: CollisionTargets = "ego"
-    #: Ids of the agents with which contacts count; empty: those of ``collision_targets``.
+    #: Agents that guidance aims at, by id; empty: those of ``collision_targets``.
     targets: tuple[str, ...] = ()
     #: Kinds of conflict: only vehicles in such a position to the nearest target are guided; empty:
     #: all.

@@ -44,10 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="training steps in total; a finished run with fewer continues, with a new cycle of "
         "the learning rate",
     )
-    length.add_argument("--minutes", type=float, help="train for these minutes in this call")
+    length.add_argument("--minutes", type=float, help="minutes to train in this call")
     parser.add_argument("--device", default="cpu", help="where torch computes: cpu, cuda, cuda:N")
     parser.add_argument("--batch-scenes", type=int, help="scenes per step (default: the preset's)")
-    parser.add_argument("--learning-rate", type=float, help="peak of Adam (default: the preset's)")
+    parser.add_argument(
+        "--learning-rate", type=float, help="peak learning rate of Adam (default: the preset's)"
+    )
     parser.add_argument("--seed", type=int, help="seed of weights and batches (default: 0)")
     parser.add_argument(
         "--hold-out-every", type=int, default=16, help="keep every n-th scene for validation"

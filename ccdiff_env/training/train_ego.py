@@ -32,40 +32,58 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=["replay"],
         help=f"traffic to train in, of: {', '.join(TRAFFIC)}",
     )
-    parser.add_argument("--criticality", type=float, default=1.0, help="of guided traffic")
-    parser.add_argument("--opponent", default="ego", help=f"policy that drives {EGOS} traffic")
+    parser.add_argument(
+        "--criticality",
+        type=float,
+        default=1.0,
+        help="maximum criticality of guided traffic; each episode samples one from 0 to it",
+    )
+    parser.add_argument(
+        "--opponent", default="ego", help=f"policy that drives the vehicles of {EGOS} traffic"
+    )
     parser.add_argument(
         "--any-ego",
         action="store_true",
-        help="sample ego and start of every episode, except in banks",
+        help="sample the ego and the start of each episode, except in banks",
     )
     parser.add_argument(
         "--kl",
         type=float,
         default=0.0,
-        help="price of KL from the zero action: of the base, if any",
+        help="weight of the KL divergence from the zero action, which is that of the base, if any",
     )
     parser.add_argument(
-        "--dynamics", default="assisted", help="model of motion, of: assisted, unicycle, bicycle"
+        "--dynamics", default="assisted", help="dynamics of the ego: assisted, unicycle, or bicycle"
     )
-    parser.add_argument("--base", default="idm", help="what assisted actions change, of: idm, pdm")
-    parser.add_argument("--decision-steps", type=int, default=3, help="steps per action")
-    parser.add_argument("--worlds", type=int, default=1024, help="divided among kinds of traffic")
-    parser.add_argument("--decisions", type=float, default=2e6, help="total, also when resumed")
-    parser.add_argument("--learning-rate", type=float, default=RATE, help="of Adam, initially")
     parser.add_argument(
-        "--noise", type=float, nargs=2, help="initial standard deviations (default: the recipe's)"
+        "--base", default="idm", help="rule that assisted actions change: idm or pdm"
+    )
+    parser.add_argument("--decision-steps", type=int, default=3, help="simulation steps per action")
+    parser.add_argument(
+        "--worlds", type=int, default=1024, help="worlds, divided among kinds of traffic"
+    )
+    parser.add_argument(
+        "--decisions", type=float, default=2e6, help="decisions in total, also when resumed"
+    )
+    parser.add_argument(
+        "--learning-rate", type=float, default=RATE, help="initial learning rate of Adam"
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        nargs=2,
+        help="initial standard deviations of the two actions (default: the recipe's)",
     )
     parser.add_argument(
         "--shown",
         type=int,
         default=100_000,
-        help="logged decisions that it begins with, where it is not assisted",
+        help="logged decisions that the policy first imitates, unless it is assisted",
     )
     parser.add_argument("--threads", type=int, default=2, help="threads of torch and worlds")
     parser.add_argument("--seed", type=int, default=0, help="seed of networks and worlds")
     parser.add_argument(
-        "--start", help="checkpoint (.pt) or policy to begin with (default: a random one)"
+        "--start", help="checkpoint (.pt) or policy to begin with (default: random weights)"
     )
     parser.add_argument("--out", type=Path, default=Path("runs/ego"), help="folder of the run")
     parser.add_argument("--smoke", action="store_true", help="a short test run")

@@ -39,7 +39,7 @@ where
     })
 }
 
-/// A text of a scene. `SceneError` where a `str` of Python holds half a character, which no file can hold.
+/// A text of a scene. `SceneError` where a `str` of Python contains an unpaired surrogate, which no file can hold.
 #[derive(Default)]
 pub(crate) struct Text(pub(crate) String);
 

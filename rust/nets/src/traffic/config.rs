@@ -157,8 +157,8 @@ options! {
         /// Standard deviation of the noise that is denoised, or what logits of tokens are divided by; 1 for other networks.
         /// Below 1 likely plans are drawn more often.
         temperature: f64 = 1.0, range within(0.0, 100.0).open_below();
-        /// Whether the noise of all plans of a vehicle in an episode is correlated (0.5; tokens: the same). Speeds after 3 s are
-        /// then spread as those of the log (docs/results.md#likelihood-of-the-log).
+        /// Correlate the noise of successive plans of a vehicle (0.5; tokens reuse it), so that speeds after 3 s spread as
+        /// those of the log (docs/results.md#likelihood-of-the-log).
         keep_noise: bool = false;
         /// Whether the network gets the routes of its vehicles: the path of the log, then the lanes ahead. It needs
         /// weights trained with routes.
@@ -178,17 +178,17 @@ options! {
         /// The driver of the vehicles that are not guided.
         background_driver: BackgroundDriver = BackgroundDriver::Ccdiff;
         /// Scale of the guidance: 0 is realistic traffic, 1 the guidance as configured; the learning rate grows with its power of 1.5
-        /// (routes: 1.8 times that, so that an ego collides as often). Tokens: guided vehicles take the best of 1 plus its square of
-        /// draws. Worlds can change it at any time.
+        /// (routes: 1.8 times that, so that an ego collides as often). Of tokens, a guided vehicle takes the best of
+        /// 1 + criticality² samples. Worlds can change it at any time.
         criticality: Real = 0.0, range CRITICALITY;
         /// Guidance: a preset (`"rl"`, `"paper"`) or settings.
         guidance: GuidanceChoice = GuidanceChoice::Preset("rl".into());
-        /// Whether unguided plans are moved away from contacts and onto the road, at the cost of the gradients. Tokens:
-        /// whether they are the first of 8 draws without contact or road departure in 1.5 s.
+        /// Push unguided plans away from contacts and back onto the road, which costs the gradients of each plan. Tokens take
+        /// the first of 8 samples without a contact or a step off the road in 1.5 s.
         careful: bool = false;
         /// Agents with which contacts count in the collision objectives.
         collision_targets: CollisionTargets = CollisionTargets::Ego;
-        /// Ids of the agents with which contacts count; empty: those of `collision_targets`.
+        /// Agents that guidance aims at, by id; empty: those of `collision_targets`.
         targets: Vec<String> = Vec::new();
         /// Kinds of conflict: only vehicles in such a position to the nearest target are guided; empty: all.
         conflicts: Vec<Conflict> = Vec::new();
