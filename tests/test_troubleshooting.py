@@ -25,9 +25,8 @@ ELSEWHERE = {
 
 
 def messages() -> list[str]:
-    """Messages of the page: code in the first column."""
-    rows = re.findall(r"^\| (`.*?)\|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    return [row.split("`")[1] for row in rows]
+    """Messages of the page: code at the start of a row."""
+    return re.findall(r"^\* `([^`]*)`", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def begun():
