@@ -430,7 +430,7 @@ def test_misspelt_arguments_are_guessed_and_the_wrong_wrapper_is_named(scenes):
         (SB3VecEnv, AgentVectorEnv(2, scenes=scenes, agents=2)),
         (AgentSB3VecEnv, ccdiff_env.make_vec(2, scenes=scenes)),
     ):
-        with pytest.raises(ConfigError, match="AgentVectorEnv and AgentSB3VecEnv go together"):
+        with pytest.raises(ConfigError, match="AgentVectorEnv needs AgentSB3VecEnv"):
             made(wrong)
 
 

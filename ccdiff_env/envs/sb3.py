@@ -87,7 +87,10 @@ class SB3VecEnv(VecEnv):
     ) -> None:
         wanted = getattr(env, "unwrapped", env)
         if isinstance(wanted, AgentVectorEnv) != isinstance(self, AgentSB3VecEnv):
-            raise ConfigError("AgentVectorEnv and AgentSB3VecEnv go together: its rows may wait")
+            raise ConfigError(
+                "AgentVectorEnv needs AgentSB3VecEnv, and no other environment does: it leaves out "
+                "rows of vehicles that have finished"
+            )
         if not isinstance(wanted, (EgoVectorEnv, AgentVectorEnv, AdversarySelectionVectorEnv)):
             raise ConfigError(
                 f"{type(self).__name__} takes the worlds of make_vec(...), not {env}: give an "
