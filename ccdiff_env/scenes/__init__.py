@@ -255,8 +255,8 @@ def load_nuscenes(
     if without:
         warnings.warn(
             f"{len(without)} of {len(loaded)} scenes have a map without lanes ({without[0]}, ...): "
-            "none lies near their tracks, or the map expansion is older than version 1.3, which has "
-            "their centre lines",
+            "none lies near their tracks, or the map expansion is older than version 1.3 and has "
+            "no centre lines",
             stacklevel=2,
         )
     if scenes is None and names is not None and '"missing":[]' not in report:
