@@ -2,11 +2,9 @@
 
 use crate::batch::{Batch, Targets};
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_tape, on_torch};
+use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_torch};
 use crate::plan_space::PlanSpace;
-use crate::tape::Tape;
-use crate::torch::{Torch, to_vec};
-use crate::trains::Trains;
+use crate::torch::{Torch, tensor, to_vec};
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::ccdiff::Network;
 use ccdiff_nets::networks::ctg::HalfUnet;
@@ -15,11 +13,8 @@ use ccdiff_nets::networks::planner::Denoises;
 use tch::{Kind, Tensor};
 
 /// CCDiff.
-pub(crate) const CCDIFF: TorchKind = TorchKind {
-    name: "ccdiff",
-    build: on_tape::<Denoising<Network<Torch>>, Denoising<Network<Tape>>>,
-    fast: |settings| settings,
-};
+pub(crate) const CCDIFF: TorchKind =
+    TorchKind { name: "ccdiff", build: on_torch::<Denoising<Network<Torch>>>, fast: |settings| settings };
 /// CTG++.
 pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
 /// CTG.
@@ -27,22 +22,17 @@ pub(crate) const CTG: TorchKind =
     TorchKind { name: "ctg", build: on_torch::<Denoising<HalfUnet<Torch>>>, ..CCDIFF };
 
 /// Clean knots of noisy ones [R, knots, 2] at the rows' diffusion steps.
-fn predicted<B: Trains>(
-    network: &impl Denoises<B>,
-    batch: &Batch,
-    noisy: &Tensor,
-    steps: &[usize],
-) -> Tensor {
-    let knots = B::placed(batch, Array::new(network.config().num_knots(), 2, to_vec(noisy)));
-    B::leaf(&network.predict(&network.encode(batch), &knots, steps).0, &noisy.size())
+fn predicted(network: &impl Denoises<Torch>, batch: &Batch, noisy: &Tensor, steps: &[usize]) -> Tensor {
+    let knots = tensor(Array::new(network.config().num_knots(), 2, to_vec(noisy)), batch.device);
+    network.predict(&network.encode(batch), &knots, steps).0.view(noisy.size().as_slice())
 }
 
-impl<B: Trains, N: Denoises<B>> Learns<B> for Denoising<N> {
+impl<N: Denoises<Torch>> Learns for Denoising<N> {
     /// The loss of the plan predicted from the noised log, each scene at a diffusion step of its own, with G replaced by
     /// the identity in some scenes; with a teacher, the distance from its plans.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
         if let Some(taught) = step.taught {
-            return distillation_loss::<B, N>(self, space, step.batch, taught);
+            return distillation_loss(self, space, step.batch, taught);
         }
         let (batch, targets, device) = (step.batch, step.targets, step.batch.device);
         let (of_step, of_drop) = (step.draw(0), step.draw(1));
@@ -61,15 +51,15 @@ impl<B: Trains, N: Denoises<B>> Learns<B> for Denoising<N> {
         };
         let noisy = &clean * of_noise(&f64::sqrt) + noise * of_noise(&|a| (1.0 - a).sqrt());
 
-        let knots = predicted::<B>(&self.network, &batch, &noisy, &k);
+        let knots = predicted(&self.network, &batch, &noisy, &k);
         let share = || of_noise(&f64::sqrt).flatten(0, 2);
         plan_loss(space, &knots, &batch, targets, step.config.collision_weight, share)
     }
 }
 
 /// The distance of the plan made of the first noise in one step from the one that the teacher makes of it.
-fn distillation_loss<B: Trains, N: Denoises<B>>(
-    student: &Denoising<N>,
+fn distillation_loss(
+    student: &Denoising<impl Denoises<Torch>>,
     space: &PlanSpace,
     batch: &Batch,
     taught: &Taught,
@@ -77,7 +67,7 @@ fn distillation_loss<B: Trains, N: Denoises<B>>(
     let last = student.schedule.num_steps();
     let numbers = batch.rows().noise(&taught.seeds, last as u64, 1, space.config().num_knots() * 2);
     let noise = Tensor::from_slice(&numbers).view_as(&taught.knots).to_device(batch.device);
-    let predicted = predicted::<B>(&student.network, batch, &noise, &vec![last - 1; batch.num_rows()]);
+    let predicted = predicted(&student.network, batch, &noise, &vec![last - 1; batch.num_rows()]);
     let speed_mps = batch.speed_mps();
     let states = space.states(&taught.knots, &speed_mps);
     let targets = Targets { valid: states.select(2, 0).ones_like(), states };

@@ -21,12 +21,10 @@ mod perturbation;
 pub mod plan_model;
 pub mod plan_space;
 mod slots;
-pub mod tape;
 pub mod tokens;
 pub mod torch;
 pub mod torch_model;
 pub mod train;
-pub mod trains;
 pub mod unicycle;
 
 pub use ccdiff_nets::inputs::{features, segments};

@@ -6,10 +6,8 @@ use crate::error::Result;
 use crate::guidance::Guide;
 use crate::noise::Noise;
 use crate::plan_space::PlanSpace;
-use crate::tape::{self, Parameters, Tape};
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use crate::trains::Trains;
 use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes};
 use std::fmt::Debug;
 use tch::{Tensor, nn};
@@ -17,8 +15,8 @@ use tch::{Tensor, nn};
 /// Streams of random numbers of one training step; the last one moves agents off their log.
 const STREAMS: u64 = 4;
 
-/// A network that is trained on a backend.
-pub trait Learns<B: Trains>: Proposes<B> {
+/// A network that is trained.
+pub trait Learns: Proposes<Torch> {
     /// Loss of one batch of a training step, with its gradient.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
 
@@ -36,9 +34,6 @@ pub trait PlanModel: Debug + Send {
     /// As [`Learns::loss`].
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor;
 
-    /// The same loss of these numbers of the network, to which its gradient is added; `None` where the tape has no such loss.
-    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64>;
-
     /// As [`Learns::nats`].
     fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)>;
 
@@ -46,47 +41,24 @@ pub trait PlanModel: Debug + Send {
     fn propose(&self, batch: &Batch, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed>;
 }
 
-type Learn = fn(&PlanSpace, &TrainingStep<'_>, &Parameters) -> f64;
-
 #[derive(Debug)]
 struct Model<N> {
     network: N,
     space: PlanSpace,
-    learn: Option<Learn>,
 }
 
-/// A network with fresh weights under a path, which learns on torch alone.
-pub(crate) fn on_torch<N: Learns<Torch> + Send + 'static>(
-    p: &nn::Path,
-    config: &ModelConfig,
-) -> Box<dyn PlanModel> {
-    Box::new(Model { network: N::new(p, config), space: PlanSpace::new(config, p.device()), learn: None })
+/// A network with fresh weights under a path.
+pub(crate) fn on_torch<N: Learns + Send + 'static>(p: &nn::Path, config: &ModelConfig) -> Box<dyn PlanModel> {
+    Box::new(Model { network: N::new(p, config), space: PlanSpace::new(config, p.device()) })
 }
 
-/// One that also learns on the tape, where it is `T`.
-pub(crate) fn on_tape<N: Learns<Torch> + Send + 'static, T: Learns<Tape>>(
-    p: &nn::Path,
-    config: &ModelConfig,
-) -> Box<dyn PlanModel> {
-    let learn: Learn = |space, step, parameters| {
-        let network = T::new(&parameters.root(), space.config());
-        tape::learnt(|| network.loss(space, step))
-    };
-    let (network, space) = (N::new(p, config), PlanSpace::new(config, p.device()));
-    Box::new(Model { network, space, learn: Some(learn) })
-}
-
-impl<N: Learns<Torch> + Send> PlanModel for Model<N> {
+impl<N: Learns + Send> PlanModel for Model<N> {
     fn space(&self) -> &PlanSpace {
         &self.space
     }
 
     fn loss(&self, step: &TrainingStep<'_>) -> Tensor {
         self.network.loss(&self.space, step)
-    }
-
-    fn learn(&self, step: &TrainingStep<'_>, parameters: &Parameters) -> Option<f64> {
-        self.learn.map(|learn| learn(&self.space, step, parameters))
     }
 
     fn nats(&self, batch: &Batch, targets: &Targets) -> Option<(f64, usize)> {

@@ -1,12 +1,10 @@
 //! Training of tokens: cross entropy with labels smoothed by distance, mirrored rows (rivals.md#tokens).
 
 use crate::batch::{Batch, Targets};
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_tape};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
 use crate::plan_space::PlanSpace;
-use crate::tape::Tape;
-use crate::torch::{Torch, to_vec};
+use crate::torch::{Torch, tensor, to_vec};
 use crate::train::config::TrainConfig;
-use crate::trains::Trains;
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{near_columns, own_columns};
@@ -17,7 +15,7 @@ use tch::{Kind, Tensor};
 /// Tokens.
 pub(crate) const TOKENS: TorchKind = TorchKind {
     name: "tokens",
-    build: on_tape::<Network<Torch>, Network<Tape>>,
+    build: on_torch::<Network<Torch>>,
     fast: |settings| TrainConfig {
         batch_scenes: 160,
         learning_rate: 1.5e-3,
@@ -83,10 +81,10 @@ impl Labelled {
     }
 
     /// Logarithms of the probabilities of all tokens [L, tokens].
-    fn log_p<B: Trains>(&self, network: &Network<B>, batch: &Batch) -> Tensor {
-        let [own, near, lines] = self.inputs.each_ref().map(|x| B::placed(batch, x.clone()));
+    fn log_p(&self, network: &Network<Torch>, batch: &Batch) -> Tensor {
+        let [own, near, lines] = self.inputs.each_ref().map(|x| tensor(x.clone(), batch.device));
         let size = [self.bins.size()[0], NUM_TOKENS as i64];
-        B::leaf(&network.logits(&own, &near, &lines), &size).log_softmax(-1, Kind::Float)
+        network.logits(&own, &near, &lines).view(size).log_softmax(-1, Kind::Float)
     }
 
     /// Index [L, 1] of the tokens.
@@ -104,7 +102,7 @@ fn beside(batch: &Batch) -> Tensor {
     &weights / weights.sum_dim_intlist([1i64].as_slice(), true, Kind::Float)
 }
 
-impl<B: Trains> Learns<B> for Network<B> {
+impl Learns for Network<Torch> {
     fn loss(&self, _: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
         let (draw, beside) = (step.draw(2), beside(step.batch));
         let places = self.config().route_points_m.len();

@@ -1,9 +1,8 @@
-//! The backend on libtorch: with gradients, on any device. What trains networks that [`crate::tape`] has not all layers of.
+//! The backend on libtorch: with gradients, on any device.
 
 use crate::batch::Batch;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::slots::{Slots, mix, weights};
-use crate::trains::Trains;
 use ccdiff_nets::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use ccdiff_nets::compute::cpu::Cpu;
 use ccdiff_nets::compute::numbers::{self, Array};
@@ -218,12 +217,6 @@ impl Convolves for Torch {
     }
 }
 
-impl Trains for Torch {
-    fn leaf(x: &Tensor, size: &[i64]) -> Tensor {
-        x.view(size)
-    }
-}
-
 impl Pulls for Torch {
     type Back = ();
 
@@ -246,7 +239,7 @@ impl Pulls for Torch {
     }
 }
 
-fn tensor(x: Array, device: Device) -> Tensor {
+pub(crate) fn tensor(x: Array, device: Device) -> Tensor {
     Tensor::from_slice(&x.numbers).view([-1, x.tokens as i64, x.width as i64]).to_device(device)
 }
 

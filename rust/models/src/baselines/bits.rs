@@ -2,18 +2,16 @@
 
 use crate::batch::Targets;
 use crate::losses::plan_loss;
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_tape};
+use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
 use crate::plan_space::PlanSpace;
-use crate::tape::Tape;
-use crate::torch::{Torch, to_vec};
-use crate::trains::Trains;
+use crate::torch::{Torch, tensor, to_vec};
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 use tch::{Kind, Tensor};
 
 /// BITS.
 pub(crate) const BITS: TorchKind =
-    TorchKind { name: "bits", build: on_tape::<Bits<Torch>, Bits<Tape>>, fast: |settings| settings };
+    TorchKind { name: "bits", build: on_torch::<Bits<Torch>>, fast: |settings| settings };
 
 /// Where vehicles are at the end of their logged plans.
 struct Ends {
@@ -47,7 +45,7 @@ impl Ends {
     }
 }
 
-impl<B: Trains> Learns<B> for Bits<B> {
+impl Learns for Bits<Torch> {
     /// Cross entropy of the cell where the vehicle will be, errors of its place and heading there, and the losses of the plan to that
     /// goal and of the prediction.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
@@ -55,7 +53,7 @@ impl<B: Trains> Learns<B> for Bits<B> {
         let seen = self.encode(batch);
         let Some(cells) = self.cells(&seen) else { return Tensor::new() };
         let (rows, per_token) = (batch.num_rows() as i64, PER_TOKEN as i64);
-        let cells = B::leaf(&cells, &[rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
+        let cells = cells.view([rows, -1, CHANNELS as i64, per_token]).transpose(1, 2).flatten(2, 3);
         let Ends { cell, within, goals } = Ends::new(targets);
         // a cell counts where it is that of the last step of a plan
         let whole = targets.valid.select(1, targets.valid.size()[1] - 1);
@@ -71,11 +69,12 @@ impl<B: Trains> Learns<B> for Bits<B> {
         let turned = 1f64 - (toward(0) + toward(1));
         let share = || Tensor::ones([rows], (Kind::Float, cells.device()));
         let weight = step.config.collision_weight;
-        let to_log = |knots| plan_loss(space, &B::leaf(knots, &[rows, -1, 2]), batch, targets, weight, share);
+        let to_log =
+            |knots: &Tensor| plan_loss(space, &knots.view([rows, -1, 2]), batch, targets, weight, share);
         mean(entropy.squeeze_dim(1))
             + mean(place)
             + mean(turned)
-            + to_log(&self.plans(&seen, &B::placed(batch, Array::new(1, GOAL, goals))))
+            + to_log(&self.plans(&seen, &tensor(Array::new(1, GOAL, goals), batch.device)))
             + to_log(&self.predicted(&seen))
     }
 }

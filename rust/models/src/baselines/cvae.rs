@@ -74,7 +74,7 @@ fn huber(space: &PlanSpace, states: &Tensor, targets: &Targets) -> Tensor {
     (per_step * &targets.valid).sum(Kind::Float) / targets.valid.sum(Kind::Float).clamp_min(1.0)
 }
 
-impl Learns<Torch> for Cvae<Torch> {
+impl Learns for Cvae<Torch> {
     /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and
     /// what a sample of the prior does.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {

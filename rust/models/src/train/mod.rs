@@ -16,8 +16,6 @@ use crate::grad::guarded;
 use crate::kinds::build;
 use crate::plan_model::{self, PlanModel, Taught, TrainingStep};
 use crate::sampler::SampleOptions;
-use crate::tape::{Parameters, Tape};
-use crate::torch::to_vec;
 use crate::torch_model::TorchModel;
 use ccdiff_nets::compute::weights::{self, broken};
 use ccdiff_nets::networks::kinds::described;
@@ -198,7 +196,9 @@ impl Trainer {
                     step: self.step,
                     taught: taught.as_ref(),
                 };
-                let (value, gradient) = self.learnt(&step)?;
+                let loss = self.network.loss(&step);
+                loss.backward();
+                let (value, gradient) = (loss.double_value(&[]), self.adam.parameters.gradient());
                 if !value.is_finite() {
                     return Err(ModelError::Diverged { step: self.step, loss: value });
                 }
@@ -213,21 +213,6 @@ impl Trainer {
             }
             Ok(losses)
         })
-    }
-
-    /// The loss of a step and its gradient: on the tape where the network fits it, else on torch.
-    fn learnt(&self, step: &TrainingStep<'_>) -> Result<(f64, Tensor)> {
-        let device = self.store.device();
-        if device == Device::Cpu && Tape::fits(&self.model) {
-            let flat = &self.adam.parameters;
-            let parameters = Parameters::new(to_vec(&flat.numbers), flat.places());
-            if let Some(loss) = self.network.learn(step, &parameters) {
-                return Ok((loss, Tensor::from_slice(&parameters.gradient())));
-            }
-        }
-        let loss = self.network.loss(step);
-        loss.backward();
-        Ok((loss.double_value(&[]), self.adam.parameters.gradient()))
     }
 
     /// Open-loop errors of the averaged weights on `count` samples of another data set, spread evenly over it.

@@ -1,8 +1,7 @@
 //! The operations that layers are made of, and the inputs of networks. A network is defined once over them; a backend computes them in
 //! its own way.
 //!
-//! Three backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and two of `ccdiff-models` with gradients: on the
-//! kernels, and on libtorch.
+//! Two backends: [`crate::compute::cpu::Cpu`], on the kernels of this crate, and that of `ccdiff-models` on libtorch, with gradients.
 
 use crate::compute::numbers::{Array, Batch};
 use crate::config::ModelConfig;

@@ -1,8 +1,7 @@
 //! The arithmetic of layers. A number is one chain of sums over its inputs in their order, never fused with products, so it has
-//! the same bits whatever the batch, the threads and the instructions are. Training fuses them.
+//! the same bits whatever the batch, the threads and the instructions are.
 
 mod attention;
-mod back;
 mod product;
 mod rows;
 mod shape;
@@ -11,10 +10,8 @@ mod tile;
 mod within;
 
 pub use attention::{Mix, Seen, mix};
-pub use back::{MixBack, add_rows, gate_back, mish, mish_back, mix_back, norm_back, relu_back};
-pub use product::{Packed, Strided, linear, matmul};
+pub use product::{Packed, linear};
 pub use rows::{add_cycle, gate, norm};
 pub(crate) use rows::{add_norm, groups_mish, most};
 pub use shape::PANEL;
-pub use tile::How;
 pub use within::Within;

@@ -1,7 +1,7 @@
 //! Products of rows with packed weights: what linear layers, convolutions and attention come down to.
 
 use super::shape::{PANEL, Product};
-use super::tile::{How, multiply};
+use super::tile::multiply;
 
 /// Weights [columns, inputs] in panels of 16 columns, [columns / 16][inputs][16], zeros beyond the last, with the bias.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,7 +48,7 @@ impl Packed {
 }
 
 /// x [rows, inputs] times weights, plus bias: [rows, columns]. `out` is made as long as it must be.
-pub fn linear(x: &[f32], weights: &Packed, relu: bool, how: How, out: &mut Vec<f32>) {
+pub fn linear(x: &[f32], weights: &Packed, relu: bool, out: &mut Vec<f32>) {
     let (rows, wide) = (x.len() / weights.inputs.max(1), weights.panels() * PANEL);
     let p = Product {
         rows,
@@ -63,7 +63,7 @@ pub fn linear(x: &[f32], weights: &Packed, relu: bool, how: How, out: &mut Vec<f
     };
     out.clear();
     out.resize(rows * wide, 0.0);
-    multiply(&p, x, &weights.weights, Some(&weights.bias), out, how);
+    multiply(&p, x, &weights.weights, Some(&weights.bias), out);
     if wide != weights.columns {
         for row in 0..rows {
             out.copy_within(row * wide..row * wide + weights.columns, row * weights.columns);
@@ -74,22 +74,21 @@ pub fn linear(x: &[f32], weights: &Packed, relu: bool, how: How, out: &mut Vec<f
 
 /// Numbers in memory as one side of a product: row i and step j at i · `row` + j · `step`.
 #[derive(Debug, Clone, Copy)]
-pub struct Strided<'a> {
+pub(super) struct Strided<'a> {
     /// All numbers.
-    pub numbers: &'a [f32],
+    pub(super) numbers: &'a [f32],
     /// From one row to the next.
-    pub row: usize,
+    pub(super) row: usize,
     /// From one step to the next.
-    pub step: usize,
+    pub(super) step: usize,
 }
 
 /// a [rows, length] times b [length, columns], whose steps are `b_step` apart: [rows, `out_row`]. Columns are a multiple of 16.
-pub fn matmul(
+pub(super) fn matmul(
     a: Strided<'_>,
     (rows, length, columns): (usize, usize, usize),
     (b, b_step): (&[f32], usize),
     (out, out_row): (&mut [f32], usize),
-    how: How,
 ) {
     let p = Product {
         rows,
@@ -102,7 +101,7 @@ pub fn matmul(
         to: out_row,
         relu: false,
     };
-    multiply(&p, a.numbers, b, None, out, how);
+    multiply(&p, a.numbers, b, None, out);
 }
 
 #[cfg(test)]
@@ -119,7 +118,7 @@ mod tests {
             let bias = Noise::new(5, 1).normals(columns);
             let packed = Packed::new(&w, &bias, columns, inputs);
             let mut found = vec![9.0; 3];
-            linear(&x, &packed, relu, How::Exact, &mut found);
+            linear(&x, &packed, relu, &mut found);
             for row in 0..rows {
                 for column in 0..columns {
                     let products = (0..inputs).map(|k| f64::from(x[row * inputs + k]) * f64::from(w[column * inputs + k]));
@@ -130,7 +129,7 @@ mod tests {
             }
             // a row alone has the bits that it has among others
             let mut alone = Vec::new();
-            linear(&x[..inputs], &packed, relu, How::Exact, &mut alone);
+            linear(&x[..inputs], &packed, relu, &mut alone);
             prop_assert_eq!(&alone, &found[..columns]);
         }
     }

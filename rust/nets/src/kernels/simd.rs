@@ -1,7 +1,6 @@
 //! Vectors of each instruction set and the dispatch. `unsafe` is here and in [`super::tile`] alone.
 //!
-//! Plans never fuse a product with its addition, so all levels, and processors of other families, compute the same bits;
-//! training does.
+//! No product is fused with its addition, so all levels, and processors of other families, compute the same bits.
 
 #![allow(unsafe_code, reason = "intrinsics")]
 
@@ -28,7 +27,7 @@ impl Level {
         #[cfg(target_arch = "x86_64")]
         {
             use std::arch::is_x86_feature_detected as has;
-            let narrow = has!("avx2") && has!("fma");
+            let narrow = has!("avx2");
             if narrow {
                 levels.push(Self::Avx2);
             }
@@ -59,11 +58,11 @@ pub(super) fn at<W: Work>(level: Level, work: W) {
     #[cfg(target_arch = "x86_64")]
     {
         use std::arch::x86_64::{__m128, __m256, __m512};
-        #[target_feature(enable = "avx2,fma")]
+        #[target_feature(enable = "avx2")]
         fn avx2<W: Work>(work: W) {
             work.run::<__m256, 6>();
         }
-        #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512bw,avx512dq")]
+        #[target_feature(enable = "avx2,avx512f,avx512vl,avx512bw,avx512dq")]
         fn avx512<W: Work>(work: W) {
             work.run::<__m512, 12>();
         }
@@ -104,16 +103,6 @@ pub(super) trait Vector: Copy {
     /// The processor has the instructions.
     unsafe fn plus_product(self, a: Self, b: Self) -> Self;
 
-    /// self + a · b, rounded once where the processor can.
-    ///
-    /// # Safety
-    /// The processor has the instructions, and those of fused products.
-    #[inline(always)]
-    unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
-        // SAFETY: the caller's promise
-        unsafe { self.plus_product(a, b) }
-    }
-
     /// The greater of each number and zero.
     ///
     /// # Safety
@@ -131,7 +120,7 @@ pub(super) trait Vector: Copy {
     allow(unused_macros, reason = "of processors that have intrinsics")
 )]
 macro_rules! vector {
-    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident $(, $more:item)*) => {
+    ($name:ident, $lanes:literal, $load:ident, $store:ident, $splat:ident, $add:ident, $mul:ident, $max:ident, $zero:ident) => {
         // SAFETY of all: the caller's promises are those of the intrinsics
         impl Vector for $name {
             const LANES: usize = $lanes;
@@ -160,8 +149,6 @@ macro_rules! vector {
             unsafe fn or_zero(self) -> Self {
                 unsafe { $max(self, $zero()) }
             }
-
-            $($more)*
         }
     };
 }
@@ -191,11 +178,7 @@ mod x86 {
         _mm256_add_ps,
         _mm256_mul_ps,
         _mm256_max_ps,
-        _mm256_setzero_ps,
-        #[inline(always)]
-        unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
-            unsafe { _mm256_fmadd_ps(a, b, self) }
-        }
+        _mm256_setzero_ps
     );
     vector!(
         __m512,
@@ -206,11 +189,7 @@ mod x86 {
         _mm512_add_ps,
         _mm512_mul_ps,
         _mm512_max_ps,
-        _mm512_setzero_ps,
-        #[inline(always)]
-        unsafe fn plus_fused(self, a: Self, b: Self) -> Self {
-            unsafe { _mm512_fmadd_ps(a, b, self) }
-        }
+        _mm512_setzero_ps
     );
 }
 

@@ -7,27 +7,11 @@
 use super::shape::{PANEL, Product};
 use super::simd::{Vector, Work, at_level};
 
-/// How sums are formed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum How {
-    /// All products, each rounded: the same bits on every processor.
-    Exact,
-    /// All products, rounded with their sum where the processor can: training.
-    Fused,
-}
-
 /// Computes a product.
 ///
 /// # Panics
 /// Where a row of either side or a column of weights lies outside of its slice: a mistake of this crate.
-pub(super) fn multiply(
-    p: &Product,
-    rows: &[f32],
-    columns: &[f32],
-    bias: Option<&[f32]>,
-    out: &mut [f32],
-    how: How,
-) {
+pub(super) fn multiply(p: &Product, rows: &[f32], columns: &[f32], bias: Option<&[f32]>, out: &mut [f32]) {
     if p.rows == 0 || p.panels == 0 {
         return;
     }
@@ -39,20 +23,17 @@ pub(super) fn multiply(
         bias: bias.map_or(std::ptr::null(), <[f32]>::as_ptr),
         c: out.as_mut_ptr(),
     };
-    match how {
-        How::Exact => at_level(Multiply::<false>(p, sides)),
-        How::Fused => at_level(Multiply::<true>(p, sides)),
-    }
+    at_level(Multiply(p, sides));
 }
 
 /// A product that fits its slices.
-struct Multiply<'a, const FUSED: bool>(&'a Product, Sides);
+struct Multiply<'a>(&'a Product, Sides);
 
-impl<const FUSED: bool> Work for Multiply<'_, FUSED> {
+impl Work for Multiply<'_> {
     #[inline(always)]
     fn run<V: Vector, const ROWS: usize>(self) {
         // SAFETY: `fits` has compared the farthest number of each side with its length, and the processor has the level
-        unsafe { product::<V, ROWS, FUSED>(self.0, self.1) }
+        unsafe { product::<V, ROWS>(self.0, self.1) }
     }
 }
 
@@ -70,17 +51,17 @@ struct Sides {
 /// # Safety
 /// The processor has the instructions of `V`; the product fits its slices.
 #[inline(always)]
-unsafe fn product<V: Vector, const ROWS: usize, const FUSED: bool>(p: &Product, s: Sides) {
+unsafe fn product<V: Vector, const ROWS: usize>(p: &Product, s: Sides) {
     let columns = p.panels * PANEL;
     let mut column = 0;
     // SAFETY: columns stay below their number, which is a multiple of every width
     unsafe {
         while column + 2 * V::LANES <= columns {
-            all_rows::<V, ROWS, 2, FUSED>(p, column, s);
+            all_rows::<V, ROWS, 2>(p, column, s);
             column += 2 * V::LANES;
         }
         while column < columns {
-            all_rows::<V, ROWS, 1, FUSED>(p, column, s);
+            all_rows::<V, ROWS, 1>(p, column, s);
             column += V::LANES;
         }
     }
@@ -91,28 +72,24 @@ unsafe fn product<V: Vector, const ROWS: usize, const FUSED: bool>(p: &Product, 
 /// # Safety
 /// As [`product`].
 #[inline(always)]
-unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: bool>(
-    p: &Product,
-    column: usize,
-    s: Sides,
-) {
+unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize>(p: &Product, column: usize, s: Sides) {
     let mut row = 0;
     // SAFETY: rows stay below their number
     unsafe {
         while row + ROWS <= p.rows {
-            tile::<V, ROWS, WIDE, FUSED>(p, row, column, s);
+            tile::<V, ROWS, WIDE>(p, row, column, s);
             row += ROWS;
         }
         while row + 4 <= p.rows {
-            tile::<V, 4, WIDE, FUSED>(p, row, column, s);
+            tile::<V, 4, WIDE>(p, row, column, s);
             row += 4;
         }
         while row + 2 <= p.rows {
-            tile::<V, 2, WIDE, FUSED>(p, row, column, s);
+            tile::<V, 2, WIDE>(p, row, column, s);
             row += 2;
         }
         if row < p.rows {
-            tile::<V, 1, WIDE, FUSED>(p, row, column, s);
+            tile::<V, 1, WIDE>(p, row, column, s);
         }
     }
 }
@@ -122,7 +99,7 @@ unsafe fn all_rows<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED:
 /// # Safety
 /// As [`product`]; rows and columns of the tile are there.
 #[inline(always)]
-unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: bool>(
+unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize>(
     p: &Product,
     row: usize,
     column: usize,
@@ -153,8 +130,7 @@ unsafe fn tile<V: Vector, const ROWS: usize, const WIDE: usize, const FUSED: boo
             for i in 0..ROWS {
                 let x = V::splat(*from[i].add(input * p.input_step));
                 for j in 0..WIDE {
-                    let sum = sums[i][j];
-                    sums[i][j] = if FUSED { sum.plus_fused(x, by[j]) } else { sum.plus_product(x, by[j]) };
+                    sums[i][j] = sums[i][j].plus_product(x, by[j]);
                 }
             }
         }
@@ -181,10 +157,10 @@ mod tests {
         assert!(p.fits(a.len(), b.len(), Some(80), plain.len()));
         let sides = Sides { a: a.as_ptr(), b: b.as_ptr(), bias: bias.as_ptr(), c: plain.as_mut_ptr() };
         // SAFETY: it fits
-        unsafe { product::<Plain, 4, false>(&p, sides) };
+        unsafe { product::<Plain, 4>(&p, sides) };
         for level in Level::available() {
             let mut own = vec![0.0; 7 * 80];
-            at(level, Multiply::<false>(&p, Sides { c: own.as_mut_ptr(), ..sides }));
+            at(level, Multiply(&p, Sides { c: own.as_mut_ptr(), ..sides }));
             assert_eq!(plain, own, "{level:?}");
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::compute::weights::{Weights, broken, field, read};
 use crate::error::Result;
-use crate::kernels::{How, Packed, linear};
+use crate::kernels::{Packed, linear};
 use crate::traffic::CcdiffConfig;
 use ccdiff_sim::drivers::PlanRequest;
 use ccdiff_sim::geom::Real;
@@ -74,15 +74,15 @@ impl AdversaryPolicy {
         let (of, count) = (CANDIDATE_FEATURES.len(), seen.agents.len());
         let mut rows = seen.features[..count * of].to_vec();
         rows.extend([0.0; OWN_FEATURES].iter().chain(&seen.features[OWN_FEATURES..of]));
-        linear(&rows, &self.row[0], true, How::Exact, &mut hidden);
-        linear(&hidden, &self.row[1], true, How::Exact, &mut x);
+        linear(&rows, &self.row[0], true, &mut hidden);
+        linear(&hidden, &self.row[1], true, &mut x);
         let candidates = || x.chunks_exact(WIDTH).take(count);
         let greatest: Vec<Real> =
             (0..WIDTH).map(|i| candidates().map(|f| f[i]).fold(0.0, Real::max)).collect();
         let both: Vec<Real> =
             x.chunks_exact(WIDTH).flat_map(|f| f.iter().chain(&greatest)).copied().collect();
-        linear(&both, &self.head[0], true, How::Exact, &mut hidden);
-        linear(&hidden, &self.head[1], false, How::Exact, &mut x);
+        linear(&both, &self.head[0], true, &mut hidden);
+        linear(&hidden, &self.head[1], false, &mut x);
         let scores: Vec<&[Real]> = x.chunks_exact(self.strengths.len() + 2).collect();
         let mut best = (None, scores[count][self.strengths.len()]);
         for (agent, row) in seen.agents.iter().zip(&scores) {

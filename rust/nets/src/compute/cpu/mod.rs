@@ -7,7 +7,7 @@ pub use parts::{Filter, Groups, Norm, Place};
 
 use crate::compute::backend::{Convolves, Inputs, KeyValue, Ops};
 use crate::config::ModelConfig;
-use crate::kernels::{self, How, Mix, Packed, Within};
+use crate::kernels::{self, Mix, Packed, Within};
 use crate::sampling::plan_space::PlanSpace;
 use std::ops::Range;
 
@@ -53,7 +53,7 @@ impl Ops for Cpu {
 
     fn layer(layer: &Packed, x: &Array, relu: bool) -> Array {
         let mut numbers = Vec::new();
-        kernels::linear(&x.numbers, layer, relu, How::Exact, &mut numbers);
+        kernels::linear(&x.numbers, layer, relu, &mut numbers);
         Array::new(x.tokens, layer.columns, numbers)
     }
 
@@ -129,7 +129,7 @@ impl Ops for Cpu {
         let of = Within { width: q.width, queries: q.tokens, keys: k.tokens, heads: heads as usize };
         let (mut out, mut weights) = (vec![0.0; q.numbers.len()], vec![0.0; of.weights()]);
         for (row, out) in of.rows([&q.numbers, &k.numbers, &v.numbers]).zip(out.chunks_exact_mut(q.row())) {
-            of.forward(row, &mut weights, out, How::Exact);
+            of.forward(row, &mut weights, out);
         }
         q.like(out)
     }
@@ -235,7 +235,7 @@ impl Convolves for Cpu {
         for line in lines.chunks_exact(padded) {
             (0..tokens).for_each(|t| windows.extend_from_slice(&line[t * step..][..length]));
         }
-        kernels::linear(&windows, &filter.weights, false, How::Exact, &mut numbers);
+        kernels::linear(&windows, &filter.weights, false, &mut numbers);
         Array::new(tokens, filter.weights.columns, numbers)
     }
 

@@ -3,7 +3,7 @@
 
 use crate::compute::weights::{Entry, Weights, broken};
 use crate::error::Result;
-use crate::kernels::{How, Packed, linear};
+use crate::kernels::{Packed, linear};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::observe::Layout;
 use std::collections::BTreeMap;
@@ -88,8 +88,8 @@ impl NetworkOfEgo {
             let agents = self.x[self.agents.clone()].chunks_exact(first.inputs);
             let there = agents.zip(&row[self.mask.clone()]).filter(|(_, there)| **there > 0.0);
             let rows: Vec<Real> = there.flat_map(|(agent, _)| agent).copied().collect();
-            linear(&rows, first, true, How::Exact, a);
-            linear(a, second, true, How::Exact, b);
+            linear(&rows, first, true, a);
+            linear(a, second, true, b);
             let mut greatest = vec![0.0 as Real; second.columns];
             for agent in b.chunks_exact(second.columns) {
                 greatest.iter_mut().zip(agent).for_each(|(g, x)| *g = g.max(*x));
@@ -97,9 +97,9 @@ impl NetworkOfEgo {
             features.extend(greatest);
         }
         let [first, second, last] = &self.policy;
-        linear(&features, first, true, How::Exact, a);
-        linear(a, second, true, How::Exact, b);
-        linear(b, last, false, How::Exact, a);
+        linear(&features, first, true, a);
+        linear(a, second, true, b);
+        linear(b, last, false, a);
         a.iter().map(|x| x.clamp(-1.0, 1.0)).collect()
     }
 }

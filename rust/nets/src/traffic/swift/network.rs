@@ -5,7 +5,7 @@ use super::SWIFT;
 use super::seen::{EGO, OTHER, OWN, Rows, WHO};
 use crate::compute::weights::{Entry, Weights, broken, field};
 use crate::error::Result;
-use crate::kernels::{How, Packed, linear};
+use crate::kernels::{Packed, linear};
 use crate::networks::tokens::grid::{BINS, SPEED, YAW_RATE};
 use crate::sampling::noise::Noise;
 use ccdiff_sim::geom::Real;
@@ -101,8 +101,8 @@ impl Network {
             let told = |other: &mut [Real]| other[WHO] = other[WHO].min(0.0);
             others.by_ref().take(*seen).filter(|_| *strength <= 0.0).for_each(told);
         }
-        linear(&rows.others, &self.others[0], true, How::Exact, a);
-        linear(a, &self.others[1], true, How::Exact, b);
+        linear(&rows.others, &self.others[0], true, a);
+        linear(a, &self.others[1], true, b);
         x.clear();
         let mut found = b.chunks_exact(far);
         let mut greatest = vec![0.0; far];
@@ -119,10 +119,10 @@ impl Network {
             x.extend(ego.iter().map(|e| e * strength));
             x.extend_from_slice(&greatest);
         }
-        linear(x, &self.trunk[0], true, How::Exact, a);
-        linear(a, &self.trunk[1], true, How::Exact, b);
-        linear(b, &self.speed, false, How::Exact, speed);
-        linear(b, &self.turning, false, How::Exact, turning);
+        linear(x, &self.trunk[0], true, a);
+        linear(a, &self.trunk[1], true, b);
+        linear(b, &self.speed, false, speed);
+        linear(b, &self.turning, false, turning);
     }
 
     /// A change of speed (m/s in half a second) and a yaw rate (rad/s) of a row, by four random words.
@@ -141,7 +141,7 @@ impl Network {
         let add = |(t, s): (&Real, &Real)| if t + s > 0.0 { t + s } else { 0.0 };
         a.clear();
         a.extend(turning[row * width..][..width].iter().zip(&self.by_speed[bin * width..]).map(add));
-        linear(a, &self.yaw_rate, false, How::Exact, b);
+        linear(a, &self.yaw_rate, false, b);
         let turn = drawn(b, words[2], temperature, cumulative);
         [SPEED.value(bin, words[1]), YAW_RATE.value(turn, words[3])]
     }
