@@ -93,7 +93,7 @@ def playground_html(module: bytes, scenes: Sequence[Scene] | None = None) -> str
     settings = {
         **look(),
         # places of the drivers that every world has; the next is that of the network
-        "policies": ["replay", "constant_velocity", "idm"],
+        "policies": [name for name, kind in KINDS.items() if kind.always],
         "columns": [column["name"] for column in json.loads(_native.schema("columns"))],
         "words": WORDS,
         "most": {
