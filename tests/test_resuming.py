@@ -135,7 +135,7 @@ def test_a_distillation_belongs_to_one_teacher_and_keeps_what_is_finished(
     monkeypatch.setattr(distil, "LOGGED_STARTS", 1)
     monkeypatch.setattr(distil, "fit_dial", lambda *_: ([[0.0, 0.0], [1.0, 1.0]], {}))
     words = ["distil", "--scenes", "embedded/val", "--fit-scenes", "embedded/val", "--rounds", "1"]
-    words += ["--episodes", "4", "--updates", "4", "--seeds", "1", "--out", str(tmp_path)]
+    words += ["--episodes", "4", "--updates", "4", "--out", str(tmp_path)]
     teacher = ["--teacher", '{"denoising_steps": 1}']
     with monkeypatch.context() as patch:
         patch.setattr(distil, "train", lambda *_, **__: signal.raise_signal(signal.SIGTERM))

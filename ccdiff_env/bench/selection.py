@@ -114,11 +114,12 @@ def learned(model: Any, name: str) -> Choice:
 
 
 def rivals(*, forks: bool = True) -> list[Choice]:
-    """Return the rules at their strengths, the ranking of the paper, and the search in forks."""
+    """Return the rules at their strengths, the rankings of the paper and by reach, and forks."""
     found = [_rule("none", 1.0)]
     found += [_rule(rule, c) for rule in RULES[1:] for c in RULE_STRENGTHS]
-    causal = {"num_guided": 1, "ranking": "cliques"}
-    found += [traffics("causal", f"{c:g}", c, **causal) for c in RULE_STRENGTHS]
+    for line, ranking in (("causal", "cliques"), ("reach", "reach")):
+        own = {"num_guided": 1, "ranking": ranking}
+        found += [traffics(line, f"{c:g}", c, **own) for c in RULE_STRENGTHS]
     tries = Choice("forks", "weakest of 1, 2, 4", lambda env: env.chosen(fork_actions(env)))
     return [*found, tries] if forks else found
 

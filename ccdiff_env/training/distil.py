@@ -99,7 +99,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--episodes", type=int, default=960, help="episodes per round")
     parser.add_argument("--updates", type=int, default=16000, help="gradient steps per network")
-    parser.add_argument("--seeds", type=int, default=3, help="networks trained; the best is kept")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -127,7 +126,7 @@ def run(args: argparse.Namespace) -> int:
         **{
             n: sha256(*(scene.hash for scene in of)) for n, of in (("scenes", scenes), ("fit", fit))
         },
-        **{name: getattr(args, name) for name in ("rounds", "episodes", "updates", "seeds")},
+        **{name: getattr(args, name) for name in ("rounds", "episodes", "updates")},
     }
     keep_settings(args.out / "run.json", settings)
     began = time.process_time()
@@ -165,20 +164,19 @@ def run(args: argparse.Namespace) -> int:
     for i in range(1, args.rounds):
         student = trained(f"pilot-{i}", args.updates // 8, i)[1]
         rounds.append(labels(str(i), partial(taught, scenes, args.episodes, i, student)))
-    networks = [trained(f"network-{seed}", args.updates, seed) for seed in range(args.seeds)]
-    best = min(networks)[1]
-    dial, rates = fit_dial(fit, best)
-    say(f"IDM collides at {FITTED} with the teacher, at {TRIED} with {best.name}: {rates}")
+    nats, network = trained("network", args.updates, 0)
+    dial, rates = fit_dial(fit, network)
+    say(f"IDM collides at {FITTED} with the teacher, at {TRIED} with {network.name}: {rates}")
     place = place_from(args)
     notes = {
         "teacher": settings["teacher"],
         "data": title(place, coverage(place, scenes.names)),
         "labels": [len(rows) for rows in rounds],
-        "nats": [nats for nats, _ in networks],
+        "nats": nats,
         "collisions": rates,
         "licence": LICENCE,
     }
-    save(args.out / f"{SWIFT}_fast.safetensors", read_tensors(best)[0], dial, notes)
+    save(args.out / f"{SWIFT}_fast.safetensors", read_tensors(network)[0], dial, notes)
     print(args.out / f"{SWIFT}_fast.safetensors")
     return 0
 
