@@ -4,7 +4,7 @@
     python examples/train_ego_sb3.py --algorithm sac
     python examples/train_ego_sb3.py --traffic swift --criticality 1 --start runs/train_ego --out on
 
-The first takes two and a half minutes of one core, the last continues it. Each draws its curve.
+They take two and a half and four minutes of one core; the last continues the first.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ccdiff_env.bench.planners import Traffic, play
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
+from ccdiff_env.training import sb3
 from ccdiff_env.training.cloning import demonstrations
 from ccdiff_env.training.outcomes import OUTCOMES, play_episodes, red_of_arrivals
 from ccdiff_env.training.recipe import LIGHTS, WORLDS, Priced
-from ccdiff_env.training.sb3 import PPO_SETTINGS, SAC_SETTINGS, SetPolicy, clone
 
-#: Algorithm, its settings, worlds, and decisions that take two to three minutes of one core.
+#: Algorithm, its settings, worlds, and decisions that take two to four minutes of one core.
 ALGORITHMS = {
-    "ppo": (PPO, SetPolicy, PPO_SETTINGS, 512, 700_000),
-    "sac": (SAC, "MlpPolicy", SAC_SETTINGS, 32, 50_000),
+    "ppo": (PPO, sb3.SetPolicy, sb3.PPO_SETTINGS, 512, 850_000),
+    "sac": (SAC, "MlpPolicy", sb3.SAC_SETTINGS, 256, 80_000),
 }
 #: Options of training alone.
 TRAINED = ("ego", "standing_share", "reward", "terminate_at_goal", "observation", "on_red_light")
@@ -48,7 +48,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--criticality", type=float, help="of traffic that can be guided")
     parser.add_argument("--dynamics", help="model of motion (default: the recipe's unicycle)")
     parser.add_argument("--lights", action="store_true", help="scenes have traffic lights")
-    parser.add_argument("--decisions", type=int, help="of the training (default: 2 to 3 minutes)")
+    parser.add_argument("--decisions", type=int, help="of the training (default: 2 to 4 minutes)")
     parser.add_argument("--shown", type=int, default=100_000, help="logged decisions before PPO's")
     parser.add_argument("--start", type=Path, help="folder of a run to continue from")
     parser.add_argument("--seed", type=int, default=0)
@@ -64,18 +64,16 @@ class Curve(BaseCallback):
 
     def __init__(self, worlds, act, decisions: int) -> None:
         super().__init__()
-        self.worlds, self.act, self.decisions = worlds, act, decisions
-        self.every = max(decisions // 10, 1)
-        self.rows, self.evaluating_s, self.begin_s = [], 0.0, time.process_time()
+        self.worlds, self.act, self.rows, self.begin_s = worlds, act, [], time.process_time()
+        self.decisions, self.every = decisions, max(decisions // 10, 1)
 
     def evaluate(self) -> None:
-        before = time.process_time()
-        taken = before - self.begin_s - self.evaluating_s
+        taken = (before := time.process_time()) - self.begin_s
         self.shares = play_episodes(self.worlds, self.act)
         rate = float(self.shares[0])
         self.rows.append((self.num_timesteps, taken, rate))
         print(f"{self.num_timesteps:9,d} {taken:5.0f} s {rate:5.0%}", "█" * round(40 * rate))
-        self.evaluating_s += time.process_time() - before
+        self.begin_s += time.process_time() - before
 
     _on_training_start = _on_training_end = evaluate
 
@@ -94,13 +92,13 @@ def table(title: str, heads, rows) -> None:
 def main() -> None:
     args = arguments()
     algorithm, policy, settings, worlds, decisions = ALGORITHMS[args.algorithm]
+    is_sac = args.algorithm == "sac"
     decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
-    tests, train = 8 * len(held_out), scenes_from(args)
+    tests, train, traffic = 8 * len(held_out), scenes_from(args), {"traffic": args.traffic}
     if args.smoke:
         worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
         args.shown = min(args.shown, 100)
-        settings = settings | ({"n_steps": 2, "batch_size": 8} if args.algorithm == "ppo" else {})
-    traffic = {"traffic": args.traffic}
+        settings = settings | ({} if is_sac else {"n_steps": 2, "batch_size": 8})
     traffic |= {"ccdiff": {"denoising_steps": 1}} if args.traffic == "ccdiff" else {}
     traffic |= (guided := {"criticality": args.criticality} if args.criticality is not None else {})
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
@@ -108,17 +106,16 @@ def main() -> None:
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
     options = WORLDS | (LIGHTS if args.lights else {}) | given
     options |= {"dynamics": args.dynamics} if args.dynamics else {}
-    shown = {"info": "end", "num_threads": 1}
-    env = ccdiff_env.make_vec(worlds, scenes=train, **shown, **traffic, **options)
-    env = SB3VecEnv(Priced(env), clock_ends=True)
+    met = {"scenes": train, "info": "end", "num_threads": 1} | traffic | options
+    env = SB3VecEnv(Priced(ccdiff_env.make_vec(worlds, **met)), clock_ends=True)
     keep_settings(args.out / "run.json", {n: of and str(of) for n, of in vars(args).items()})
     if args.start:
         started = ccdiff_env.planners.load(args.start / "ego.zip").model
         if type(started) is not algorithm:
             raise SystemExit(f"{args.start} is of {type(started).__name__}, not {args.algorithm}")
-    if args.algorithm == "sac":
+    if is_sac:
         kept = args.start and str(args.start / "normalize.pkl")
-        env = VecNormalize.load(kept, env) if kept else VecNormalize(env, norm_reward=False)
+        env = VecNormalize.load(kept, env) if kept else VecNormalize(env, **sb3.NORMALIZED)
     begins = {"scenes": held_out, "scene_order": "sequential", "start_spread_steps": 30}
     begins |= {"autoreset_mode": "same_step", "info": "end"} | traffic
     given = {n: v for n, v in options.items() if n not in TRAINED}
@@ -126,24 +123,26 @@ def main() -> None:
         begins |= {"reward": {"red_light": -1.0}, "observation": LIGHTS["observation"]}
     test = ccdiff_env.make_vec(tests, **begins, **given)
     model = algorithm(policy, env, seed=args.seed, **settings)
-    see = env.normalize_obs if args.algorithm == "sac" else lambda obs: obs
+    see = env.normalize_obs if is_sac else lambda obs: obs
     act = lambda obs: model.predict(see(obs), deterministic=True)[0]  # noqa: E731
     curve = Curve(test, act, decisions)
     if args.start:
         model.set_parameters(started.get_parameters())
-    elif args.algorithm == "ppo" and args.shown and args.dynamics != "assisted":
-        clone(model, *demonstrations(train, args.shown, seed=args.seed, **options))
+    elif args.shown and args.dynamics != "assisted":
+        log = demonstrations(train, args.shown, seed=args.seed, **options)
+        planned = Priced(ccdiff_env.make_vec(worlds, driver="pdm", **met)) if is_sac else None
+        sb3.clone(model, *log, planned)
     save_policy(model, first := args.out / ("start.zip" if args.start else "clone.zip"))
     red = {"before": red_of_arrivals(test, act)} if args.lights else {}
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     model.learn(decisions, callback=curve)
     save_policy(model, args.out / "ego.zip")
-    if args.algorithm == "sac":
+    if is_sac:
         env.save(str(args.out / "normalize.pkl"))
-    rules = {n: ccdiff_env.make_vec(tests, driver=n, **begins) for n in ("idm", "pdm")}
+    rules = {n: ccdiff_env.make_vec(tests, driver=n, **begins) for n in ("replay", "idm", "pdm")}
     found = {"ego": curve.shares} | {n: play_episodes(of) for n, of in rules.items()}
-    shares = {name: [*of] for name, of in found.items()}
-    (args.out / "curve.json").write_text(json.dumps({"curve": curve.rows, "outcomes": shares}))
+    kept = {"curve": curve.rows, "outcomes": {name: [*of] for name, of in found.items()}}
+    (args.out / "curve.json").write_text(json.dumps(kept))
     table(f"of {tests} episodes", OUTCOMES, found.items())
     if args.lights:
         red["ego"] = red_of_arrivals(test, act)

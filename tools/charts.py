@@ -179,7 +179,7 @@ def learning() -> str:
 
 def learning_chart(title: str, ego: Series, rules: Mapping[str, float]) -> str:
     """Return the chart of an ego that learns, in percent over seconds, beside dashed levels: those
-    of IDM and PDM come last, after that of another ego.
+    of IDM and PDM come last, after that of the log.
     """
     series, looks = [ego], (("external", ""), LOOKS["idm"], LOOKS["pdm"])[-len(rules) :]
     for (name, level), (colour, _) in zip(rules.items(), looks, strict=True):

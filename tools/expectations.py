@@ -22,8 +22,6 @@ import numpy as np
 
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.planners import TRAFFIC, play
-from ccdiff_env.envs import make_vec
-from ccdiff_env.planners import load_ego
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -33,13 +31,13 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.table import Cell, Column, Figure, Table
-from ccdiff_env.training.outcomes import OUTCOMES, play_episodes
+from ccdiff_env.training.outcomes import OUTCOMES
 from tools import pages
 from tools.pages import ROOT, keep
 
 PLANNERS = {
     "ego": "PPO of stable-baselines3",
-    "set": "PPO of train-ego",
+    "replay": "the log",
     "idm": "IDM on the log's path",
     "pdm": "PDM-Closed",
 }
@@ -89,30 +87,14 @@ def train(folder: Path, words: str) -> float:
     return float(json.loads(kept.read_text()))
 
 
-def ends(scenes: SceneSet, file: str) -> Any:
-    """Return the shares of OUTCOMES in the test episodes of a policy, as the example has them."""
-    policy = load_ego(file)
-    begins: dict[str, Any] = {"scene_order": "sequential", "start_spread_steps": 30, "info": "end"}
-    begins |= {"autoreset_mode": "same_step", "traffic": "idm", **policy.env_options}
-    return play_episodes(make_vec(8 * len(scenes), scenes=scenes, **begins), policy.act)
-
-
 def learned(args: argparse.Namespace) -> None:
     """Train egos with all seeds, drive the test scenes, and write."""
     folders = [trained(args, seed) for seed in range(args.seeds)]
     runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
     scenes, rows = load(other_place(args)), list[dict[str, Any]]()
-    sets = list[str]()
-    for seed, folder in enumerate(folders):
-        out = folder.with_name(f"{folder.name}-set")
-        words = f"--traffic idm --scenes {place_from(args)} --decisions {args.decisions}"
-        train(out, f"{words} --seed {seed}")
-        sets.append(str(out / "ego.safetensors"))
-    for run, file in zip(runs, sets, strict=True):
-        run["outcomes"]["set"] = ends(scenes, file)
     for planner, title in PLANNERS.items():
         own = planner == "ego"
-        driven = {"ego": [str(f / "ego.zip") for f in folders], "set": sets}.get(planner, [planner])
+        driven = [str(f / "ego.zip") for f in folders] if own else [planner]
         played = [row for p in driven for row in play(scenes, p, TRAFFIC["idm"])]
         row: dict[str, Any] = {"title": title}
         if own:
@@ -122,9 +104,6 @@ def learned(args: argparse.Namespace) -> None:
                       for i in range(len(shown))]  # fmt: skip
             row |= {"decisions": int(shown[-1][0]), "cpu_s": shown[-1][1], "curve": shown}
             row |= {"spread": spread, "seeds": [round(c[-1][2], 4) for c in curves]}
-        if planner == "set":
-            row |= {"decisions": args.decisions}
-            row |= {"seeds": [round(float(run["outcomes"]["set"][0]), 4) for run in runs]}
         shares = np.mean([run["outcomes"][planner] for run in runs], axis=0)
         row |= {name: round(100.0 * share, 1) for name, share in zip(OUTCOMES, shares, strict=True)}
         for figure in ("score", "comfort"):
@@ -224,7 +203,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("study", nargs="?", default="example", choices=("example", *FIGURE))
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
-    parser.add_argument("--decisions", type=int, default=700_000, help="of each training")
+    parser.add_argument("--decisions", type=int, default=850_000, help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")

@@ -17,7 +17,7 @@ Floats: TypeAlias = np.ndarray[Any, Any]
 WIDTH_ROWS, WIDTH = 64, 128
 #: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
 HALF = torch.cpu._is_avx512_bf16_supported()
-CLONE_STEPS, CLONE_BATCH = 1000, 1024  #: Minibatches of :func:`imitate`, and their size.
+CLONE_STEPS, CLONE_BATCH = 500, 1024  #: Minibatches of :func:`imitate`, and their size.
 
 
 class Greatest(torch.autograd.Function):

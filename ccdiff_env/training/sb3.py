@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.policies import ActorCriticPolicy
 
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.ego import one_world
-from ccdiff_env.training.ego_network import Agent
+from ccdiff_env.training.ego_network import Agent, imitate
 from ccdiff_env.training.recipe import EPOCHS, GAMMA, LAMBDA, LAST, MINIBATCH, NOISE, RATE, ROLLOUT
 from ccdiff_env.worlds.fit import ATTRIBUTE, Fit
 
@@ -101,32 +102,85 @@ PPO_SETTINGS: dict[str, Any] = {
     "gae_lambda": LAMBDA,
     "device": "cpu",
 }
-#: Settings of SAC for 32 worlds: one gradient step for every four decisions.
+#: Settings of SAC for 256 worlds: one gradient step for about ten decisions.
 SAC_SETTINGS: dict[str, Any] = {
-    "buffer_size": 200_000,
-    "learning_starts": 4_000,
-    "gradient_steps": 8,
-    "learning_rate": 5e-4,
-    "gamma": 0.96,
-    "ent_coef": "auto_0.02",
+    "buffer_size": 400_000,
+    "learning_starts": 0,
+    "gradient_steps": 24,
+    "learning_rate": falling_rate,
+    "gamma": GAMMA,
+    "ent_coef": "auto_0.002",
+    "target_entropy": -3.0,
     "device": "cpu",
-    "policy_kwargs": {"net_arch": [128, 128]},
+    "policy_kwargs": {"net_arch": [128, 128], "optimizer_kwargs": {"fused": True}},
 }
+#: Options of the ``VecNormalize`` of SAC, whose statistics are those of :func:`clone`.
+NORMALIZED: dict[str, Any] = {"norm_reward": False, "clip_obs": 5.0, "epsilon": 1e-4}
+PLANNED = 60  #: Decisions of a planner in each world, for the replay buffer of SAC.
+CLONE_LOG_STD = -2.0  #: Logarithm of the standard deviations of its clone's actions.
+CRITICS_FIRST = 1500  #: Gradient steps before its actor learns.
 
 
-def clone(model: PPO, obs: np.ndarray[Any, Any], actions: np.ndarray[Any, Any]) -> None:
-    """Let PPO's policy begin with what :func:`~ccdiff_env.training.cloning.demonstrations` show.
+def clone(
+    model: PPO | SAC,
+    obs: np.ndarray[Any, Any],
+    actions: np.ndarray[Any, Any],
+    planned: Any = None,
+) -> None:
+    """Let a policy begin with what :func:`~ccdiff_env.training.cloning.demonstrations` show.
 
-    The means of the actions are fitted by their absolute errors.
+    The means of the actions are fitted by their absolute errors. SAC begins with what a planner
+    does, too, which is in its replay buffer then: its observations are normalised by both from then
+    on, and its actor waits for its critics to learn.
 
     Args:
-        model: PPO of :class:`SetPolicy`.
+        model: PPO of :class:`SetPolicy`, or SAC under ``VecNormalize``.
         obs: Observations [N, D].
         actions: Actions [N, W].
+        planned: For SAC: as many worlds as its own, with a planner as ``driver``.
 
     Raises:
-        ConfigError: If its policy is another one.
+        ConfigError: If the model is another one, or has no such worlds.
     """
+    if isinstance(model, SAC) and planned is not None and (norm := model.get_vec_normalize_env()):
+        _clone_sac(model, norm, obs, actions, SB3VecEnv(planned, clock_ends=True))
+        return
     if not isinstance(model.policy, SetPolicy):
-        raise ConfigError(f"clone: policy is {type(model.policy).__name__}, expected SetPolicy")
+        raise ConfigError(
+            f"clone: policy is {type(model.policy).__name__}, expected SetPolicy, or that of SAC "
+            "under VecNormalize with planned worlds"
+        )
     model.policy.agent.begin(torch.from_numpy(obs), torch.from_numpy(actions), model.seed or 0)
+
+
+def _clone_sac(model: Any, norm: Any, obs: Any, actions: Any, planned: Any) -> None:
+    """Fill the replay buffer, fit the statistics and the actor, and let it wait."""
+    actor: Any = model.actor
+    ego = planned.env.unwrapped.worlds.layout.entries[0]
+    last = [ego.offset + i for i, n in enumerate(ego.columns) if n.startswith("last_action_")]
+    rows, done = [obs], [actions]
+    planned.seed(model.seed)
+    now, idle = planned.reset(), np.zeros((planned.num_envs, len(last)), np.float32)
+    for _ in range(PLANNED):
+        after, rewards, ended, infos = planned.step(idle)
+        met = after.copy()
+        for i in np.flatnonzero(ended):
+            met[i] = infos[i]["terminal_observation"]
+        rows.append(now)
+        done.append(met[:, last])
+        model.replay_buffer.add(now, met, done[-1], rewards, ended, infos)
+        now = after
+    seen, norm.training = np.concatenate(rows), False
+    norm.obs_rms.mean, norm.obs_rms.var = seen.mean(axis=0), seen.var(axis=0)
+    with torch.no_grad():
+        actor.log_std.weight.mul_(0.1)
+        actor.log_std.bias.fill_(CLONE_LOG_STD)
+    imitate(
+        lambda x: torch.tanh(actor.mu(actor.latent_pi(x))),
+        [w for name, w in actor.named_parameters() if not name.startswith("log_std")],
+        torch.from_numpy(norm.normalize_obs(seen)),
+        torch.from_numpy(np.concatenate(done)),
+        model.seed or 0,
+    )
+    step, early = actor.optimizer.step, iter(range(CRITICS_FIRST))
+    actor.optimizer.step = lambda *given: step(*given) if next(early, None) is None else None
