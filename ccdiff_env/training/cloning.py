@@ -48,8 +48,7 @@ def demonstrations(
     goes_on = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
     given = options | goes_on | {"traffic": "replay", "driver": "replay"}
     env = make_vec(WORLDS, scenes=scenes, autoreset_mode="same_step", info="none", **given)
-    ego = env.worlds.layout.entries[0]
-    last = [ego.offset + i for i, n in enumerate(ego.columns) if n.startswith("last_action_")]
+    last = last_action_columns(env)
     obs, _ = env.reset(seed=seed)
     shape, k, found, have = (STEPS, *(env.action_space.shape or ())), decision_steps, [], 0
     idle, begins = np.zeros(shape[1:], np.float32), np.ones(WORLDS, np.int64)
@@ -71,6 +70,12 @@ def demonstrations(
             have += len(row)
     rows, actions = (np.concatenate(parts)[:number] for parts in zip(*found, strict=True))
     return rows, actions
+
+
+def last_action_columns(env: Any) -> list[int]:
+    """Return where flat observations of worlds have the action before."""
+    ego = env.worlds.layout.entries[0]
+    return [ego.offset + i for i, n in enumerate(ego.columns) if n.startswith("last_action_")]
 
 
 def export_demonstrations(

@@ -13,6 +13,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.ego import one_world
+from ccdiff_env.training.cloning import last_action_columns
 from ccdiff_env.training.ego_network import Agent, imitate
 from ccdiff_env.training.recipe import EPOCHS, GAMMA, LAMBDA, LAST, MINIBATCH, NOISE, RATE, ROLLOUT
 from ccdiff_env.worlds.fit import ATTRIBUTE, Fit
@@ -156,8 +157,7 @@ def clone(
 def _clone_sac(model: Any, norm: Any, obs: Any, actions: Any, planned: Any) -> None:
     """Fill the replay buffer, fit the statistics and the actor, and let it wait."""
     actor: Any = model.actor
-    ego = planned.env.unwrapped.worlds.layout.entries[0]
-    last = [ego.offset + i for i, n in enumerate(ego.columns) if n.startswith("last_action_")]
+    last = last_action_columns(planned.env.unwrapped)
     rows, done = [obs], [actions]
     planned.seed(model.seed)
     now, idle = planned.reset(), np.zeros((planned.num_envs, len(last)), np.float32)
