@@ -253,7 +253,7 @@ TABLES: dict[str, Made] = {
     ),
     "ablation": _ABLATION,
     "rankings": _RANKINGS,
-    "rankings_dense": replace(_RANKINGS, part="@v1.0-mini/all"),
+    "rankings_dense": replace(_RANKINGS, part="@v1.0-mini/val"),
     "training": Made(
         "train",
         ("method",),
