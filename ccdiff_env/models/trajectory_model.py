@@ -32,7 +32,7 @@ class ScenePlan:
     samples: npt.NDArray[np.float32]
     speed_mps: npt.NDArray[np.float32]  #: Speeds along the heading after each step, ``[N, M, T]``.
     graph: npt.NDArray[np.bool_]  #: Decision causal graph: (i, j): j may influence i, ``[M, M]``.
-    ttc: npt.NDArray[np.float32]  #: Times to contact, seconds, ``[M, M]``.
+    ttc_s: npt.NDArray[np.float32]  #: Times to contact, seconds, ``[M, M]``.
     #: Attention of vehicle i to vehicle j, zero outside of the graph, ``[M, M]``, if asked for.
     attention: npt.NDArray[np.float32] | None
     #: Sample that guidance selected for each vehicle, ``[M]``; 0 without guidance.
@@ -45,7 +45,12 @@ class ScenePlan:
 
     @classmethod
     def of(
-        cls, *, states: npt.NDArray[np.float32], poses: npt.NDArray[np.float32], **fields: Any
+        cls,
+        *,
+        states: npt.NDArray[np.float32],
+        poses: npt.NDArray[np.float32],
+        ttc: npt.NDArray[np.float32],
+        **fields: Any,
     ) -> ScenePlan:
         """Return a plan from states [N, M, T, 6] in the vehicles' frames, which ``poses`` [M, 3]
         place in the scene.
@@ -55,7 +60,7 @@ class ScenePlan:
         cos, sin = np.cos(turned), np.sin(turned)
         parts = x0 + cos * x - sin * y, y0 + sin * x + cos * y, turned + yaw
         samples = np.stack(parts, axis=-1).astype(np.float32)
-        return cls(samples=samples, speed_mps=speed_mps.astype(np.float32), **fields)
+        return cls(samples=samples, speed_mps=speed_mps.astype(np.float32), ttc_s=ttc, **fields)
 
 
 def guidance_preset(name: str) -> dict[str, Any]:

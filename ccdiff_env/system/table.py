@@ -138,7 +138,9 @@ class Table:
         title = self.title or caption
         above = [rf"\caption{{{_latex(escaped(title))}}}"] if title else []
         above += [rf"\label{{{label}}}"] if label else []
-        below = [rf"\par\footnotesize {_latex(note)}" for note in notes]
+        marked = any(r"\textdagger" in line for line in lines)
+        told = [note for note in notes if marked or not note.startswith("†")]
+        below = [rf"\par\footnotesize {_latex(note)}" for note in told]
         return "\n".join(
             [r"\begin{table}", r"\centering", *above, *parts, *below, r"\end{table}", ""]
         )
