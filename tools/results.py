@@ -26,7 +26,6 @@ from ccdiff_env.bench.methods import METHODS, label_of
 from ccdiff_env.bench.planner_report import short_name
 from ccdiff_env.bench.planners import TRAFFIC, is_privileged
 from ccdiff_env.bench.protocol import PROTOCOL
-from ccdiff_env.metrics import generational_distance
 from ccdiff_env.scenes.sources import parse
 from ccdiff_env.system.table import Cell, Column, Table, TableRows, document
 from tools import charts, pages
@@ -263,12 +262,9 @@ TABLES: dict[str, Made] = {
         },
     ),
     "seeds": Made(
-        "bench traffic --k 5 and bench realism --samples 16, with --weights of tools.train_all",
+        "bench realism --samples 16, with --weights of tools.train_all",
         ("method",),
-        {
-            **{f"SCR {k}": Column(f"scr_{k}", interval=False) for k in range(3)},
-            **{f"realism {k}": Column(f"realism_{k}", digits=3, interval=False) for k in range(3)},
-        },
+        {f"realism {k}": Column(f"realism_{k}", digits=3, interval=False) for k in range(3)},
     ),
     "interventional": Made(
         "bench traffic --k 5 --methods ccdiff_unguided,ccdiff_cfg-1.3_unguided,"
@@ -329,25 +325,23 @@ def _run(
 
 
 def _seeds(folder: Path, source: str, workers: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """SCR and realism of the networks that were trained with three seeds, the first one shipped.
+    """Realism of the networks that were trained with three seeds, the first one shipped.
 
     Weights of the others are in folders beside the run's, named as in tools/trainings.json.
     """
     about, found = dict[str, Any](), list[dict[str, Any]]()
+    command = TABLES["realism_rivals"].command.partition("--methods")[0]
     for method in ("bits", "ctgpp", "ccdiff_equal"):
         network = method.removesuffix("_equal")
-        row: dict[str, Any] = {"method": method}
-        for figure, table, end in (("scr", "rivals", ""), ("realism", "realism_rivals", _ONE)):
-            command = TABLES[table].command.partition("--methods")[0]
-            shipped = [r for r in kept(table)["rows"] if r["method"] == method + end]
-            row[f"{figure}_0"] = shipped[0][figure]
-            for seed in (1, 2):
-                weights = folder.parent / f"{method}_{seed}" / "weights.safetensors"
-                given = ["--methods", network + end, "--weights", f"{network}={weights}"]
-                own = [*shlex.split(command), *given, "--scenes", source]
-                about, rows = _run(own, folder / f"{method}_{seed}{end}", workers)
-                rows = [r for r in rows if r["method"] == network + end]
-                row[f"{figure}_{seed}"] = _figure(rows, figure)
+        (shipped,) = (r for r in kept("realism_rivals")["rows"] if r["method"] == method + _ONE)
+        row: dict[str, Any] = {"method": method, "realism_0": shipped["realism"]}
+        for seed in (1, 2):
+            weights = folder.parent / f"{method}_{seed}" / "weights.safetensors"
+            given = ["--methods", network + _ONE, "--weights", f"{network}={weights}"]
+            own = [*shlex.split(command), *given, "--scenes", source]
+            about, rows = _run(own, folder / f"{method}_{seed}", workers)
+            rows = [r for r in rows if r["method"] == network + _ONE]
+            row[f"realism_{seed}"] = _figure(rows, "realism")
         found.append(row)
     return about, found
 
@@ -450,34 +444,23 @@ def _grid(run: dict[str, Any], column: Column) -> str:
 
 
 def _scores(run: dict[str, Any]) -> str:
-    """SCR at K = 5, CS, RS, GD and IGD over the K of the grid, and those of the paper."""
+    """SCR of the grid at its three K, and the paper's at these; RS and CS have other bounds."""
     paper = json.loads((pages.ROOT / "ccdiff_env/data/paper_tables.json").read_text())
-    numbers = ("2", "5", "Full")  # of the paper's 2, 3, 4, 5, 10, Full
-    of = {
-        (label_of(row["method"]), row["K"]): [row[name][0] for name in ("scr", "cs", "rs")]
-        for row in run["rows"]
-        if row["K"] != "0" and row["replan_s"] == run["rows"][0]["replan_s"]  # 0 is the log
+    numbers = {"2": 0, "5": 3, "Full": 5}  # columns of the paper's 2, 3, 4, 5, 10, Full
+    theirs = {
+        method: [row[at] for at in numbers.values()]
+        for method, row in zip(paper["methods"], paper["scr"], strict=True)
     }
-    methods = [*dict.fromkeys(method for method, _ in of)]
-    ours = np.array([[of[method, k] for k in numbers] for method in methods])
-    printed = np.stack([paper[n] for n in ("scr", "cs", "rs")], axis=-1)[:, [0, 3, 5]]
-    figures = [
-        np.column_stack(
-            [
-                p[:, numbers.index("5"), 0],
-                *p[..., 1:].mean(axis=1).T,
-                *generational_distance(cs=p[..., 1], rs=p[..., 2]),
-            ]
-        ).tolist()
-        for p in (ours, printed)
-    ]
-    theirs = dict(zip(paper["methods"], figures[1], strict=True))
+    found = {(row["method"], row["K"]): row["scr"][0] for row in run["rows"] if row["K"] != "0"}
     table: TableRows = [
-        [method, *mine, *theirs.get(method.partition(",")[0], [None] * 5)]
-        for method, mine in zip(methods, figures[0], strict=True)
+        [
+            label_of(method),
+            *(found[method, k] for k in numbers),
+            *theirs.get(label_of(method).partition(",")[0], [None] * len(numbers)),
+        ]
+        for method in dict.fromkeys(method for method, _ in found)
     ]
-    heads = ("SCR", "CS", "RS", "GD", "IGD")
-    columns = [Column(f"{of}{head}") for of in ("", "paper: ") for head in heads]
+    columns = [Column(f"{of}K = {k}") for of in ("", "paper: ") for k in numbers]
     return document(Table(["method", *columns], table), f"{run['scenes']}, {run['date']}.").rstrip()
 
 
