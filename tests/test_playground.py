@@ -43,11 +43,14 @@ def test_criticality_decides_for_who_only_steers(name):
     assert found[1].text
 
 
-def test_the_first_drive_meets_an_attacker_who_is_to_blame():
-    config = world_config("ccdiff", 1.0)
-    rolled = play_keys(embedded_scenes()[SCENES[0]], (), config, goes_on=True)
+@pytest.mark.parametrize("keys", [[], [0] * 150], ids=["steers along the way", "touches no key"])
+def test_the_first_drive_meets_an_attacker_who_is_to_blame(keys):
+    scene = embedded_scenes()[SCENES[0]]
+    rolled = play_keys(scene, keys, world_config("ccdiff", 1.0), goes_on=True)
     assert rolled.collisions("ego")[0].partner_id in guided_agents(rolled)
     assert outcome(rolled).fault == "not at fault"
+    keys = keys[: rolled.position.shape[1] - 1]  # then along the way, as the page says
+    assert outcome(play_keys(scene, keys, world_config("ccdiff"), goes_on=True)).tone == "good"
 
 
 def test_a_car_without_pedals_has_the_speed_of_its_log_at_each_place():
