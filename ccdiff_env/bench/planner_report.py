@@ -124,7 +124,7 @@ def comparison(
             same = "not significant" if p >= level else ""
             rows.append([short_name(planner), short_name(other), figure, p, same])
         title = "" if name == "score" else name.replace("_", " ")
-        tables.append(Table(["planner", "against", *columns, ""], rows, title))
+        tables.append(Table(["planner", "against", *columns, "verdict"], rows, title))
     count = len(scene_means(found[planners[0], traffic[0]], "score"))
     return [
         f"Scores, means over traffic and seeds, {count} scenes: 95 % intervals of the paired "

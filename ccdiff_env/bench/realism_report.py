@@ -148,7 +148,7 @@ def comparison(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
     return [
         "Realism, same scenes: 95 % intervals of the paired bootstrap over scenes, p of the "
         "permutation test of signs.",
-        Table(["method", "against", *columns, ""], rows),
+        Table(["method", "against", *columns, "verdict"], rows),
     ]
 
 
