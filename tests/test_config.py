@@ -210,8 +210,8 @@ def test_every_number_has_a_range_with_two_ends():
         ({"guidance": "hard"}, "preset"),
         ({"guidance": {"discont": 1.0}}, "ccdiff.guidance.discont is no option"),
         (
-            {"guidance": {"objectives": [{"kind": "approach", "reach_m": 0.0}]}},
-            "ccdiff.guidance.objectives[0].reach_m is 0.0, expected a number in (0, 1000]",
+            {"guidance": {"objectives": [{"kind": "agent_collision", "buffer_m": -1.0}]}},
+            "ccdiff.guidance.objectives[0].buffer_m is -1.0, expected a number in [0, 100]",
         ),
     ],
 )

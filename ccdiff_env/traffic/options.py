@@ -167,8 +167,6 @@ class BevConfig(Options):
 
     size_px: int = 84  #: Rows and columns S (in [8, 1024]).
     metres_per_px: float = 0.6  #: Side of a pixel (m, in [0.05, 10]).
-    #: Share of the rows that lies behind the observing agent's centre (in [0, 1]).
-    behind_share: float = 0.25
     lights: bool = False  #: Whether there is a channel of traffic lights.
 
 

@@ -29,7 +29,7 @@ fn collision(weight: f32) -> Objective {
 }
 
 fn approach(weight: f32) -> Objective {
-    Objective::Approach(Approach { weight, ..Approach::default() })
+    Objective::Approach(Approach { weight })
 }
 
 /// Guides a toy for a number of denoising steps; returns knots.

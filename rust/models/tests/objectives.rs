@@ -108,7 +108,7 @@ fn the_knots_adjoint_is_the_transpose_of_their_spread() {
 fn smooth_objectives() -> Vec<Objective> {
     vec![
         Objective::AgentCollision(AgentCollision { buffer_m: 4.0, ..AgentCollision::default() }),
-        Objective::AgentCollision(AgentCollision { num_disks: 3, buffer_m: 9.0, weight: 1.0 }),
+        Objective::AgentCollision(AgentCollision { buffer_m: 9.0, weight: 1.0 }),
         Objective::Approach(Approach::default()),
         Objective::OverSpeed(OverSpeed { weight: -1.0, limit_mps: Some(5.0) }),
     ]

@@ -8,7 +8,7 @@ use ccdiff_sim::scene::AgentKind;
 use ccdiff_sim::world::{Autoreset, WorldConfig};
 use common::{Batch, actions, city};
 
-const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, behind_share: 0.3, lights: false };
+const BEV: BevConfig = BevConfig { size_px: 60, metres_per_px: 0.5, lights: false };
 
 fn config() -> WorldConfig {
     WorldConfig {
@@ -21,7 +21,7 @@ fn config() -> WorldConfig {
 
 /// The centre of a pixel in the scene frame.
 fn centre(ego: &Pose2, row: usize, column: usize) -> Point2 {
-    let ahead = 42.0 - (row as f32 + 0.5);
+    let ahead = 45.0 - (row as f32 + 0.5);
     let left = 30.0 - (column as f32 + 0.5);
     ego.to_outer(Point2::new(ahead * 0.5, left * 0.5))
 }
@@ -66,7 +66,7 @@ fn channels_show_what_is_at_the_centres_of_their_pixels() {
                 }
             }
         }
-        let ahead_of_ego = batch.bev[2 * plane + 38 * 60 + 30];
+        let ahead_of_ego = batch.bev[2 * plane + 41 * 60 + 30];
         assert!(status.elapsed_steps > 5 || ahead_of_ego == 255, "the route begins at the agent");
         // the channels of lines and of the route hold no other bytes than theirs
         assert!(batch.bev[plane..3 * plane].iter().all(|b| [0, 128, 255].contains(b)));

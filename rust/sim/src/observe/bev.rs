@@ -19,8 +19,6 @@ options! {
         size_px: usize = 84, range within(8.0, 1024.0);
         /// Side of a pixel.
         metres_per_px: Real = 0.6, unit "m", range within(0.05, 10.0);
-        /// Share of the rows that lies behind the observing agent's centre.
-        behind_share: Real = 0.25, range within(0.0, 1.0);
         /// Whether there is a channel of traffic lights.
         lights: bool = false;
     }
@@ -52,6 +50,8 @@ pub const BEV_CHANNELS: [BevChannel; 6] = [
     channel("lights", "with `lights`, stop lines; 255: red, 170: yellow, 85: green"),
 ];
 
+/// Share of the rows that lies behind the observing agent's centre.
+const BEHIND_SHARE: Real = 0.25;
 /// Flags of the bitmap of a scene.
 const DRIVABLE: u8 = 1;
 const LANE: u8 = 2;
@@ -86,7 +86,7 @@ impl BevConfig {
 
     /// Row of the observing agent's centre, in pixels from the top.
     fn ego_row(&self) -> Real {
-        self.size_px as Real * (1.0 - self.behind_share)
+        self.size_px as Real * (1.0 - BEHIND_SHARE)
     }
 
     /// Column and row of a point in the frame of the observing agent.

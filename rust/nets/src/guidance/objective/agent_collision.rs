@@ -19,8 +19,6 @@ options! {
     pub struct AgentCollision {
         /// Signed weight; negative seeks collisions.
         weight: f32 = -50.0, range WEIGHT;
-        /// Disks per vehicle.
-        num_disks: usize = 2, range within(1.0, 64.0);
         /// Added to the distance at which disks touch.
         buffer_m: f32 = 0.2, unit "m", range within(0.0, 100.0);
     }
@@ -28,7 +26,7 @@ options! {
 
 impl AgentCollision {
     pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let disks = Disks::new(context, plan, self.num_disks);
+        let disks = Disks::new(context, plan);
         let share = 1.0 / context.num_agents().max(1) as f32;
         let wanted = out.wanted;
         for_pairs(context, wanted, |(i, j), moves| {

@@ -4,15 +4,18 @@
 //! touching, so with a negative weight it can only deepen a contact that a sample already has (reference.md#guidance).
 //!
 //! With c_ij(t) the distances of the disks' centres (all pairs of disks, not the nearest alone, so that it is smooth):
-//! loss_i = (1/M) Σ_j Σ_t w_t mean over disk pairs of max(0, 1 - c_ij(t) / reach)³, w_t = γ^t / Σ γ^t; 0 for agents that
+//! loss_i = (1/M) Σ_j Σ_t w_t mean over disk pairs of max(0, 1 - c_ij(t) / 20 m)³, w_t = γ^t / Σ γ^t; 0 for agents that
 //! stand now. Between 0 (all beyond the reach) and 1; the gradient grows towards contact, and is continuous.
 
 use super::Evaluation;
-use super::disks::{Disks, for_pairs};
+use super::disks::{Disks, PER_VEHICLE, for_pairs};
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 use ccdiff_sim::options;
-use ccdiff_sim::options::{WEIGHT, within};
+use ccdiff_sim::options::WEIGHT;
+
+/// Distance of the centres of disks beyond which there is no pull, metres.
+const REACH_M: f32 = 20.0;
 
 options! {
     /// Settings of the closeness loss.
@@ -21,20 +24,16 @@ options! {
     pub struct Approach {
         /// Signed weight; negative draws vehicles together.
         weight: f32 = -10.0, range WEIGHT;
-        /// Distance beyond which there is no pull.
-        reach_m: f32 = 20.0, unit "m", range within(0.0, 1000.0).open_below();
-        /// Disks per vehicle.
-        num_disks: usize = 2, range within(1.0, 64.0);
     }
 }
 
 impl Approach {
     pub(super) fn evaluate(&self, context: &GuidanceContext<'_>, plan: &Rollout, out: &mut Evaluation<'_>) {
-        let disks = Disks::new(context, plan, self.num_disks);
-        let share = 1.0 / (context.num_agents().max(1) * self.num_disks * self.num_disks) as f32;
+        let disks = Disks::new(context, plan);
+        let share = 1.0 / (context.num_agents().max(1) * PER_VEHICLE * PER_VEHICLE) as f32;
         let wanted = out.wanted;
         for_pairs(context, wanted, |(i, j), moves| {
-            let reach_m = self.reach_m + disks.reach_m[i] + disks.reach_m[j];
+            let reach_m = REACH_M + disks.reach_m[i] + disks.reach_m[j];
             if !disks.may_meet(i, j, reach_m) {
                 return;
             }
@@ -43,10 +42,10 @@ impl Approach {
             for t in (0..plan.num_steps).filter(|t| context.counts(self.weight, &plan.speed_mps, (i, j), *t))
             {
                 let weight = share * context.step_weights[t];
-                for pair in disks.pairs(plan, (i, j), t).filter(|p| p.distance_m < self.reach_m) {
-                    let near = 1.0 - pair.distance_m / self.reach_m;
+                for pair in disks.pairs(plan, (i, j), t).filter(|p| p.distance_m < REACH_M) {
+                    let near = 1.0 - pair.distance_m / REACH_M;
                     closeness += weight * near * near * near;
-                    let derivative = -3.0 * out.scale * both * weight * near * near / self.reach_m;
+                    let derivative = -3.0 * out.scale * both * weight * near * near / REACH_M;
                     pair.add_gradient(plan, (i, j), t, derivative, moves, out);
                 }
             }

@@ -1,15 +1,15 @@
-//! Vehicles as rows of disks: radius W/2, centres evenly spaced on [-(L/2 - W/2), L/2 - W/2] along the body axis.
+//! Vehicles as two disks each: radius W/2, centres at -(L/2 - W/2) and L/2 - W/2 along the body axis.
 
 use super::Evaluation;
 use crate::guidance::context::GuidanceContext;
 use crate::guidance::rollout::Rollout;
 
+/// Disks of a vehicle.
+pub(super) const PER_VEHICLE: usize = 2;
+
 /// Disks of all agents of a world and where their plans go.
 pub(super) struct Disks {
-    /// Centres along the body axis, metres, [M, disks].
-    offsets_m: Vec<f32>,
-    num_disks: usize,
-    /// Largest offset of each agent, [M].
+    /// Offset of the foremost disk of each agent along the body axis, metres, [M]; the other one is as far behind.
     pub(super) reach_m: Vec<f32>,
     /// Least and largest x and y of each plan, [M].
     bounds: Vec<[f32; 4]>,
@@ -26,25 +26,16 @@ pub(super) struct DiskPair {
 }
 
 impl Disks {
-    pub(super) fn new(context: &GuidanceContext<'_>, plan: &Rollout, num_disks: usize) -> Self {
+    pub(super) fn new(context: &GuidanceContext<'_>, plan: &Rollout) -> Self {
         let m = context.num_agents();
         let reach = |a: usize| (0.5 * (context.length_m[a] - context.width_m[a])).max(0.0);
-        let place = |k: usize| match num_disks {
-            1 => 0.0,
-            n => 2.0 * k as f32 / (n - 1) as f32 - 1.0,
-        };
         let bounds = (0..m).map(|a| {
             let steps = a * plan.num_steps..(a + 1) * plan.num_steps;
             let range = |v: &[f32]| v.iter().fold((f32::MAX, f32::MIN), |(l, h), p| (l.min(*p), h.max(*p)));
             let (x, y) = (range(&plan.x_m[steps.clone()]), range(&plan.y_m[steps]));
             [x.0, x.1, y.0, y.1]
         });
-        Self {
-            offsets_m: (0..m).flat_map(|a| (0..num_disks).map(move |k| place(k) * reach(a))).collect(),
-            num_disks,
-            reach_m: (0..m).map(reach).collect(),
-            bounds: bounds.collect(),
-        }
+        Self { reach_m: (0..m).map(reach).collect(), bounds: bounds.collect() }
     }
 
     /// Whether the centres of two plans can come nearer than this at all.
@@ -62,9 +53,9 @@ impl Disks {
     ) -> impl Iterator<Item = DiskPair> + 'p {
         let (at_i, at_j) = (i * plan.num_steps + t, j * plan.num_steps + t);
         let (dx, dy) = (plan.x_m[at_j] - plan.x_m[at_i], plan.y_m[at_j] - plan.y_m[at_i]);
-        let of = |agent: usize| &self.offsets_m[agent * self.num_disks..(agent + 1) * self.num_disks];
-        of(i).iter().flat_map(move |&a| {
-            of(j).iter().map(move |&b| {
+        let of = |agent: usize| [-self.reach_m[agent], self.reach_m[agent]];
+        of(i).into_iter().flat_map(move |a| {
+            of(j).into_iter().map(move |b| {
                 let x = dx + b * plan.cos[at_j] - a * plan.cos[at_i];
                 let y = dy + b * plan.sin[at_j] - a * plan.sin[at_i];
                 let distance_m = (x * x + y * y).sqrt();
