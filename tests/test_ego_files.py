@@ -1,5 +1,8 @@
 """Ego policies of files: what they say, what they refuse, what they drive, in traffic, too."""
 
+import hashlib
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -16,6 +19,7 @@ from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.system.tensors import read_tensors, write_tensors
 from ccdiff_env.training import ego_network
 from ccdiff_env.worlds import Worlds
+from ccdiff_env.worlds.fit import schema_digest
 
 OPTIONS = {"dynamics": "assisted", "decision_steps": 3}
 
@@ -75,6 +79,17 @@ def test_the_gradient_is_that_of_the_greatest_over_all_rows(agent, scenes):
         torch.testing.assert_close(one, other)
 
 
+def test_descriptions_of_columns_are_no_part_of_a_digest():
+    columns = [{"name": "speed", "unit": "m/s", "scale": 20.0, "doc": "how fast"}]
+
+    def digest(**change):
+        return schema_digest(json.dumps({"entries": [{"columns": [columns[0] | change]}]}))
+
+    assert digest(doc="speed of the centre") == digest()
+    others = [digest(**change) for change in ({"name": "v"}, {"unit": "km/h"}, {"scale": 30.0})]
+    assert len({digest(), *others}) == 4
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -91,6 +106,15 @@ def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, 
         Seat(policy, "policy").begin(worlds)
     assert "\n" not in str(caught.value)
     assert "env_options" in str(caught.value)
+
+
+def test_policies_of_before_hold_a_digest_with_descriptions(path, scenes):
+    tensors, metadata = read_tensors(path)
+    worlds = Worlds(scenes, planners.load(path).config, num_worlds=1)
+    old = hashlib.blake2b(worlds.native.layout_json.encode(), digest_size=8).hexdigest()
+    assert old != metadata["schema"]
+    write_tensors(path, tensors, metadata | {"schema": old})
+    Seat(planners.load(path), "policy").begin(worlds)
 
 
 def test_limits_of_ones_own_are_kept(agent, tmp_path):

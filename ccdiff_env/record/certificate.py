@@ -31,7 +31,7 @@ MOST_EPISODES = 100_000  #: Episodes since the seed that a replay goes through.
 
 def schema_digest(worlds: Worlds) -> str:
     """Digest of what observations and info columns mean."""
-    return fit.schema_digest(worlds.native.layout_json + _native.schema("columns"))
+    return fit.schema_digest(worlds.native.layout_json, _native.schema("columns"))
 
 
 def _state_digest(worlds: Worlds) -> str:

@@ -28,9 +28,21 @@ STATISTICS = "ccdiff_env_statistics"
 FIELDS = ("action", "observation", "decision_steps", "dt_s")
 
 
-def schema_digest(layout_json: str) -> str:
-    """Return the digest of what the numbers of an observation row mean."""
-    return hashlib.blake2b(layout_json.encode(), digest_size=8).hexdigest()
+def schema_digest(*tables: str) -> str:
+    """Return the digest of what the numbers of rows mean, JSON tables of their columns.
+
+    How a column is described is left out: a better sentence makes no policy useless.
+    """
+
+    def without_doc(entry: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in entry.items() if name != "doc"}
+
+    meant = [json.loads(table, object_hook=without_doc) for table in tables]
+    return _digest(json.dumps(meant))
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def fitting_fields(config: WorldConfig) -> dict[str, Any]:
@@ -90,7 +102,8 @@ class Fit:
                     f"{who} was trained with {part} = {_short(wanted)}, the worlds have "
                     f"{_short(given)}: make them with its env_options"
                 )
-        if self.schema != schema_digest(layout_json):
+        # policies of version 0.3.0 and before hold the digest with descriptions
+        if self.schema not in (schema_digest(layout_json), _digest(layout_json)):
             raise ConfigError(f"{who} was trained on observations that this version does not have")
 
 
