@@ -2,24 +2,13 @@
 
 use crate::batch::{Batch, Targets};
 use crate::losses::{logged_actions, plan_loss, trajectory_loss};
-use crate::plan_model::{Learns, Taught, TorchKind, TrainingStep, on_torch};
+use crate::plan_model::{Learns, Taught, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::torch::{Torch, tensor, to_vec};
 use ccdiff_nets::compute::numbers::Array;
-use ccdiff_nets::networks::ccdiff::Network;
-use ccdiff_nets::networks::ctg::HalfUnet;
 use ccdiff_nets::networks::denoising::Denoising;
 use ccdiff_nets::networks::planner::Denoises;
 use tch::{Kind, Tensor};
-
-/// CCDiff.
-pub(crate) const CCDIFF: TorchKind =
-    TorchKind { name: "ccdiff", build: on_torch::<Denoising<Network<Torch>>>, fast: |settings| settings };
-/// CTG++.
-pub(crate) const CTGPP: TorchKind = TorchKind { name: "ctgpp", ..CCDIFF };
-/// CTG.
-pub(crate) const CTG: TorchKind =
-    TorchKind { name: "ctg", build: on_torch::<Denoising<HalfUnet<Torch>>>, ..CCDIFF };
 
 /// Clean knots of noisy ones [R, knots, 2] at the rows' diffusion steps.
 fn predicted(network: &impl Denoises<Torch>, batch: &Batch, noisy: &Tensor, steps: &[usize]) -> Tensor {

@@ -3,21 +3,27 @@
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::plan_model::{PlanModel, TorchKind};
+use crate::torch::Torch;
 use crate::train::config::TrainConfig;
-use crate::{baselines, diffusion, tokens};
+use ccdiff_nets::networks::bits::Bits;
+use ccdiff_nets::networks::ctg::HalfUnet;
+use ccdiff_nets::networks::denoising::Denoising;
 use ccdiff_nets::networks::kinds::named;
+use ccdiff_nets::networks::latents::Cvae;
+use ccdiff_nets::networks::simnet::Simnet;
+use ccdiff_nets::networks::{ccdiff, tokens};
 use tch::nn;
 
 /// All of [`ccdiff_nets::networks::NETWORKS`]; a new one is a line here.
 static NETWORKS: &[TorchKind] = &[
-    diffusion::CCDIFF,
-    baselines::SIMNET,
-    baselines::TRAFFICSIM,
-    baselines::STRIVE,
-    baselines::BITS,
-    diffusion::CTG,
-    diffusion::CTGPP,
-    tokens::TOKENS,
+    TorchKind::of::<Denoising<ccdiff::Network<Torch>>>("ccdiff"),
+    TorchKind::of::<Simnet<Torch>>("simnet"),
+    TorchKind::of::<Cvae<Torch>>("trafficsim"),
+    TorchKind::of::<Cvae<Torch>>("strive"),
+    TorchKind::of::<Bits<Torch>>("bits"),
+    TorchKind::of::<Denoising<HalfUnet<Torch>>>("ctg"),
+    TorchKind::of::<Denoising<ccdiff::Network<Torch>>>("ctgpp"),
+    TorchKind::of::<tokens::Network<Torch>>("tokens"),
 ];
 
 fn of(name: &str) -> Result<&'static TorchKind> {

@@ -17,6 +17,11 @@ const STREAMS: u64 = 4;
 
 /// A network that is trained.
 pub trait Learns: Proposes<Torch> {
+    /// Settings of its training in the preset `fast`, from those of most networks.
+    fn fast(settings: TrainConfig) -> TrainConfig {
+        settings
+    }
+
     /// Loss of one batch of a training step, with its gradient.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor;
 
@@ -48,7 +53,7 @@ struct Model<N> {
 }
 
 /// A network with fresh weights under a path.
-pub(crate) fn on_torch<N: Learns + Send + 'static>(p: &nn::Path, config: &ModelConfig) -> Box<dyn PlanModel> {
+fn on_torch<N: Learns + Send + 'static>(p: &nn::Path, config: &ModelConfig) -> Box<dyn PlanModel> {
     Box::new(Model { network: N::new(p, config), space: PlanSpace::new(config, p.device()) })
 }
 
@@ -70,15 +75,22 @@ impl<N: Learns + Send> PlanModel for Model<N> {
     }
 }
 
-/// A network on torch: its file declares one, `kinds.rs` lists it.
+/// A network on torch, without its type.
 #[derive(Debug, Clone, Copy)]
 pub struct TorchKind {
     /// Name of its [`ccdiff_nets::NetworkKind`].
     pub name: &'static str,
     /// Makes it with fresh weights under a path.
     pub build: fn(&nn::Path, &ModelConfig) -> Box<dyn PlanModel>,
-    /// Its settings of training in the preset `fast`, from those of most networks.
+    /// As [`Learns::fast`].
     pub fast: fn(TrainConfig) -> TrainConfig,
+}
+
+impl TorchKind {
+    /// The kind of a name that is a network of this type.
+    pub(crate) const fn of<N: Learns + Send + 'static>(name: &'static str) -> Self {
+        Self { name, build: on_torch::<N>, fast: N::fast }
+    }
 }
 
 /// What a teacher plans for a batch in several denoising steps.

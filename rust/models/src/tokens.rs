@@ -1,29 +1,16 @@
 //! Training of tokens: cross entropy with labels smoothed by distance, mirrored rows (rivals.md#tokens).
 
 use crate::batch::{Batch, Targets};
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
+use crate::plan_model::{Learns, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::torch::{Torch, tensor, to_vec};
 use crate::train::config::TrainConfig;
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::inputs::segments::SEGMENT_ODD;
 use ccdiff_nets::inputs::tokens::{near_columns, own_columns};
-use ccdiff_nets::networks::planner::Weighted;
+use ccdiff_nets::networks::planner::Proposes;
 use ccdiff_nets::networks::tokens::{BINS, NUM_TOKENS, Network, TOKEN_STEPS, token_of};
 use tch::{Kind, Tensor};
-
-/// Tokens.
-pub(crate) const TOKENS: TorchKind = TorchKind {
-    name: "tokens",
-    build: on_torch::<Network<Torch>>,
-    fast: |settings| TrainConfig {
-        batch_scenes: 160,
-        learning_rate: 1.5e-3,
-        drop_route: 0.5,
-        collision_weight: 0.0,
-        ..settings
-    },
-};
 
 /// Share of a label that is spread over the tokens beside it, by a Gaussian of one bin on each axis.
 const SMOOTHED: f64 = 0.1;
@@ -103,6 +90,16 @@ fn beside(batch: &Batch) -> Tensor {
 }
 
 impl Learns for Network<Torch> {
+    fn fast(settings: TrainConfig) -> TrainConfig {
+        TrainConfig {
+            batch_scenes: 160,
+            learning_rate: 1.5e-3,
+            drop_route: 0.5,
+            collision_weight: 0.0,
+            ..settings
+        }
+    }
+
     fn loss(&self, _: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {
         let (draw, beside) = (step.draw(2), beside(step.batch));
         let places = self.config().route_points_m.len();

@@ -3,7 +3,7 @@
 use crate::batch::Batch;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::slots::{Slots, mix, weights};
-use ccdiff_nets::compute::backend::{Convolves, Inputs, KeyValue, Ops};
+use ccdiff_nets::compute::backend::{Backend, KeyValue};
 use ccdiff_nets::compute::cpu::Cpu;
 use ccdiff_nets::compute::numbers::{self, Array};
 use ccdiff_nets::networks::latents::{Decoder, Pulls};
@@ -26,7 +26,7 @@ fn split(x: &Tensor, heads: i64) -> Tensor {
     x.view([size[0], size[1], heads, -1]).transpose(1, 2)
 }
 
-impl Ops for Torch {
+impl Backend for Torch {
     type Tensor = Tensor;
     type Linear = nn::Linear;
     type Joint = Joint;
@@ -34,6 +34,9 @@ impl Ops for Torch {
     type Slots = Slots;
     type Attention = Tensor;
     type Path<'a> = nn::Path<'a>;
+    type Filter = nn::Conv1D;
+    type Groups = nn::GroupNorm;
+    type Batch<'a> = Batch;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
         p / name
@@ -165,10 +168,6 @@ impl Ops for Torch {
         let plan = Tensor::stack(samples, 0).narrow(3, tokens.start as i64, tokens.len() as i64);
         to_vec(&plan.mean_dim([0i64, 3, 4].as_slice(), false, Kind::Float))
     }
-}
-
-impl Inputs for Torch {
-    type Batch<'a> = Batch;
 
     fn plain(batch: &Batch) -> numbers::Batch<'_> {
         batch.numbers()
@@ -193,11 +192,6 @@ impl Inputs for Torch {
         let tokens = Tensor::cat(&[past, future], 1).unsqueeze(1).unsqueeze(1);
         (edges, Slots { tokens: Some(tokens), ..slots })
     }
-}
-
-impl Convolves for Torch {
-    type Filter = nn::Conv1D;
-    type Groups = nn::GroupNorm;
 
     fn filter(p: &nn::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> nn::Conv1D {
         let config = nn::ConvConfig { stride, padding: kernel / 2, ..Default::default() };

@@ -18,7 +18,7 @@ use ccdiff_models::trajectory_model::{Plan, PlanInput, PlanOptions, TrajectoryMo
 use ccdiff_models::{ModelError, segments::MapLines};
 use ccdiff_nets::networks::NETWORKS;
 use ccdiff_nets::networks::kinds::named;
-use ccdiff_nets::networks::planner::{Denoises, Weighted};
+use ccdiff_nets::networks::planner::Denoises;
 use ccdiff_sim::geom::Point2;
 use ccdiff_sim::scene::{Map, Scene};
 use common::runs::{exported, loaded, quick, run_on, temporary};

@@ -13,7 +13,7 @@ mod cruise {
     use ccdiff_nets::compute::cpu::Cpu;
     use ccdiff_nets::guidance::Guide;
     use ccdiff_nets::networks::cpu_planner::on_cpu;
-    use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes, Weighted};
+    use ccdiff_nets::networks::planner::{Asked, Proposed, Proposes};
     use ccdiff_nets::{ModelConfig, NetworkKind, Result};
 
     pub(crate) const CRUISE: NetworkKind =
@@ -23,7 +23,7 @@ mod cruise {
     #[derive(Debug)]
     struct Cruise<B: Backend>(B::Linear, ModelConfig);
 
-    impl<B: Backend> Weighted<B> for Cruise<B> {
+    impl<B: Backend> Proposes<B> for Cruise<B> {
         fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
             Self(B::linear(&B::sub(p, "head"), 1, 2 * config.num_knots() as i64), config.clone())
         }
@@ -31,9 +31,7 @@ mod cruise {
         fn config(&self) -> &ModelConfig {
             &self.1
         }
-    }
 
-    impl<B: Backend> Proposes<B> for Cruise<B> {
         fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, _: Guide<'_, '_>) -> Result<Proposed> {
             let knots = B::apply(&self.0, &B::placed(batch, B::plain(batch).standard_speed(&self.1)));
             Ok((B::numbers(&knots).repeat(asked.options.num_samples), None))

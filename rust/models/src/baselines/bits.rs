@@ -2,16 +2,12 @@
 
 use crate::batch::Targets;
 use crate::losses::plan_loss;
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
+use crate::plan_model::{Learns, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::torch::{Torch, tensor, to_vec};
 use ccdiff_nets::compute::numbers::Array;
 use ccdiff_nets::networks::bits::{Bits, CHANNELS, GOAL, Grid, PER_TOKEN, by_token};
 use tch::{Kind, Tensor};
-
-/// BITS.
-pub(crate) const BITS: TorchKind =
-    TorchKind { name: "bits", build: on_torch::<Bits<Torch>>, fast: |settings| settings };
 
 /// Where vehicles are at the end of their logged plans.
 struct Ends {

@@ -6,7 +6,7 @@ use super::distributions::Gaussian;
 use crate::batch::Targets;
 use crate::guidance::MOVING_MPS;
 use crate::losses::{logged_actions, trajectory_loss};
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
+use crate::plan_model::{Learns, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
 use crate::train::config::TrainConfig;
@@ -20,17 +20,6 @@ const DIVERGENCE: f64 = 2e-3;
 const CONTACT: f64 = 0.05;
 /// Weight of sampled plans' departures from the road.
 const OFF_ROAD: f64 = 0.1;
-
-/// TrafficSim.
-pub(crate) const TRAFFICSIM: TorchKind =
-    TorchKind { name: "trafficsim", build: on_torch::<Cvae<Torch>>, fast: with_own_contact };
-/// STRIVE.
-pub(crate) const STRIVE: TorchKind = TorchKind { name: "strive", ..TRAFFICSIM };
-
-/// Contact has a loss of its own.
-fn with_own_contact(settings: TrainConfig) -> TrainConfig {
-    TrainConfig { collision_weight: 0.0, ..settings }
-}
 
 /// The posterior given logged futures.
 fn posterior(network: &Cvae<Torch>, space: &PlanSpace, seen: &Encoded<Torch>, targets: &Targets) -> Gaussian {
@@ -75,6 +64,11 @@ fn huber(space: &PlanSpace, states: &Tensor, targets: &Targets) -> Tensor {
 }
 
 impl Learns for Cvae<Torch> {
+    /// Contact has a loss of its own.
+    fn fast(settings: TrainConfig) -> TrainConfig {
+        TrainConfig { collision_weight: 0.0, ..settings }
+    }
+
     /// Imitation by a sample of the posterior, its divergence from the prior (its weight rises over the warm-up), and
     /// what a sample of the prior does.
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {

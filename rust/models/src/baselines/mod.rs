@@ -6,7 +6,3 @@ mod contact;
 mod cvae;
 mod distributions;
 mod simnet;
-
-pub(crate) use bits::BITS;
-pub(crate) use cvae::{STRIVE, TRAFFICSIM};
-pub(crate) use simnet::SIMNET;

@@ -1,15 +1,11 @@
 //! The loss of SimNet.
 
 use crate::losses::plan_loss;
-use crate::plan_model::{Learns, TorchKind, TrainingStep, on_torch};
+use crate::plan_model::{Learns, TrainingStep};
 use crate::plan_space::PlanSpace;
 use crate::torch::Torch;
 use ccdiff_nets::networks::simnet::Simnet;
 use tch::{Kind, Tensor};
-
-/// SimNet.
-pub(crate) const SIMNET: TorchKind =
-    TorchKind { name: "simnet", build: on_torch::<Simnet<Torch>>, fast: |settings| settings };
 
 impl Learns for Simnet<Torch> {
     fn loss(&self, space: &PlanSpace, step: &TrainingStep<'_>) -> Tensor {

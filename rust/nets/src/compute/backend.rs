@@ -10,10 +10,11 @@ use std::fmt::Debug;
 use std::ops::Range;
 
 /// Keys and values.
-pub type KeyValue<B> = (<B as Ops>::Tensor, <B as Ops>::Tensor);
+pub type KeyValue<B> = (<B as Backend>::Tensor, <B as Backend>::Tensor);
 
-/// What computes layers. Tensors are [rows, tokens, width] unless a shape is given.
-pub trait Ops: Debug + Sized {
+/// What computes a network: the layers, operations and inputs that it is defined over. Tensors are [rows, tokens, width] unless a shape
+/// is given.
+pub trait Backend: Debug + Sized {
     /// Numbers.
     type Tensor: Debug;
     /// A linear layer.
@@ -28,6 +29,12 @@ pub trait Ops: Debug + Sized {
     type Attention: Debug;
     /// Where the numbers of a layer come from.
     type Path<'a>;
+    /// Inputs of all rows.
+    type Batch<'a>;
+    /// A convolution over the tokens of a row.
+    type Filter: Debug;
+    /// A group norm.
+    type Groups: Debug;
 
     /// The place of a part within a place.
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a>;
@@ -135,12 +142,6 @@ pub trait Ops: Debug + Sized {
     fn mean_attention(_: &[Self::Attention], _: &Self::Slots, _: Range<usize>) -> Vec<f32> {
         Vec::new()
     }
-}
-
-/// What networks read of their rows.
-pub trait Inputs: Ops {
-    /// Inputs of all rows.
-    type Batch<'a>;
 
     /// The same in plain numbers.
     fn plain<'a>(batch: &'a Self::Batch<'_>) -> Batch<'a>;
@@ -153,19 +154,6 @@ pub trait Inputs: Ops {
 
     /// Edges of the slots, normalised, [.., 8], at every token or, if they are not moved on, now alone; and the slots.
     fn edges(batch: &Self::Batch<'_>, config: &ModelConfig, moved: bool) -> (Self::Tensor, Self::Slots);
-}
-
-/// What a network is defined over.
-pub trait Backend: Inputs {}
-
-impl<B: Inputs> Backend for B {}
-
-/// Convolutions over time, for networks that have them.
-pub trait Convolves: Backend {
-    /// A convolution over the tokens of a row.
-    type Filter: Debug;
-    /// A group norm.
-    type Groups: Debug;
 
     /// A convolution of so many tokens, an odd number, every `stride` of them.
     fn filter(p: &Self::Path<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Self::Filter;

@@ -8,7 +8,7 @@
 //! Differs from the paper: knots stand 0.4 s apart, which is where the U-Net's second halving ends, so the way back up
 //! is left out; the condition is the trunk's.
 
-use crate::compute::backend::Convolves;
+use crate::compute::backend::Backend;
 use crate::compute::cpu::Cpu;
 use crate::compute::layers::embed::StepEmbedding;
 use crate::config::ModelConfig;
@@ -16,7 +16,7 @@ use crate::error::{Result, require};
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::denoising::Denoising;
 use crate::networks::kind::NetworkKind;
-use crate::networks::planner::{Denoises, Weighted};
+use crate::networks::planner::Denoises;
 use crate::networks::trunk::Trunk;
 use crate::sampling::plan_space::PlanSpace;
 
@@ -46,9 +46,9 @@ fn fits(config: &ModelConfig) -> Result<()> {
 
 /// Convolution over time, group normalisation, Mish.
 #[derive(Debug)]
-struct ConvBlock<B: Convolves>(B::Filter, B::Groups);
+struct ConvBlock<B: Backend>(B::Filter, B::Groups);
 
-impl<B: Convolves> ConvBlock<B> {
+impl<B: Backend> ConvBlock<B> {
     fn new(p: &B::Path<'_>, inputs: i64, outputs: i64) -> Self {
         let filter = B::filter(&B::sub(p, "conv"), inputs, outputs, KERNEL, 1);
         Self(filter, B::groups(&B::sub(p, "norm"), GROUPS, outputs))
@@ -61,14 +61,14 @@ impl<B: Convolves> ConvBlock<B> {
 
 /// Two such blocks with the condition between them, and a shortcut.
 #[derive(Debug)]
-struct Residual<B: Convolves> {
+struct Residual<B: Backend> {
     first: ConvBlock<B>,
     condition: B::Joint,
     second: ConvBlock<B>,
     shortcut: Option<B::Filter>,
 }
 
-impl<B: Convolves> Residual<B> {
+impl<B: Backend> Residual<B> {
     fn new(p: &B::Path<'_>, inputs: i64, outputs: i64, width: i64) -> Self {
         let at = |name| B::sub(p, name);
         Self {
@@ -93,7 +93,7 @@ impl<B: Convolves> Residual<B> {
 
 /// The denoiser.
 #[derive(Debug)]
-pub struct HalfUnet<B: Convolves> {
+pub struct HalfUnet<B: Backend> {
     space: PlanSpace,
     trunk: Trunk<B>,
     step: StepEmbedding<B>,
@@ -105,14 +105,16 @@ pub struct HalfUnet<B: Convolves> {
 
 /// What is known of the agents.
 #[derive(Debug)]
-pub struct Condition<B: Convolves> {
+pub struct Condition<B: Backend> {
     /// Mish of their tokens [R, 1, d].
     pub token: B::Tensor,
     /// Speeds [R].
     pub speed: B::Tensor,
 }
 
-impl<B: Convolves> Weighted<B> for HalfUnet<B> {
+impl<B: Backend> Denoises<B> for HalfUnet<B> {
+    type Context = Condition<B>;
+
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let numbered = |name, i: usize| B::sub(&B::sub(p, name), &i.to_string());
         let residual =
@@ -136,10 +138,6 @@ impl<B: Convolves> Weighted<B> for HalfUnet<B> {
     fn config(&self) -> &ModelConfig {
         self.trunk.config()
     }
-}
-
-impl<B: Convolves> Denoises<B> for HalfUnet<B> {
-    type Context = Condition<B>;
 
     fn encode(&self, batch: &B::Batch<'_>) -> Condition<B> {
         let token = B::mish(&self.trunk.forward(batch).token);

@@ -5,7 +5,7 @@ use crate::compute::numbers::Array;
 use crate::config::ModelConfig;
 use crate::error::Result;
 use crate::guidance::Guide;
-use crate::networks::planner::{Denoises, Proposed, Proposes, Weighted};
+use crate::networks::planner::{Denoises, Proposed, Proposes};
 use crate::sampling::sampler::{Asked, sample};
 use crate::sampling::schedule::Schedule;
 
@@ -18,7 +18,7 @@ pub struct Denoising<N> {
     pub schedule: Schedule,
 }
 
-impl<B: Backend, N: Denoises<B>> Weighted<B> for Denoising<N> {
+impl<B: Backend, N: Denoises<B>> Proposes<B> for Denoising<N> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         Self { network: N::new(p, config), schedule: Schedule::cosine(config.diffusion_steps) }
     }
@@ -26,9 +26,7 @@ impl<B: Backend, N: Denoises<B>> Weighted<B> for Denoising<N> {
     fn config(&self) -> &ModelConfig {
         self.network.config()
     }
-}
 
-impl<B: Backend, N: Denoises<B>> Proposes<B> for Denoising<N> {
     /// The attention is that of the last pass with the graph.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let (network, config) = (&self.network, self.network.config());

@@ -81,28 +81,31 @@ pub trait PlanSampler: Debug + Send {
     ) -> Result<Drawn>;
 }
 
-/// A network on any backend.
-pub trait Weighted<B: Backend>: Debug + Sized {
+/// Normalised knots [N · R, knots, 2], sample by sample, and attention [R, K] between the agents, if it is asked for and there is any.
+pub type Proposed = (Vec<f32>, Option<Vec<f32>>);
+
+/// A network that plans, on any backend.
+pub trait Proposes<B: Backend>: Debug + Sized {
     /// The network with its weights under a path.
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self;
 
     /// The configuration.
     fn config(&self) -> &ModelConfig;
-}
 
-/// Normalised knots [N · R, knots, 2], sample by sample, and attention [R, K] between the agents, if it is asked for and there is any.
-pub type Proposed = (Vec<f32>, Option<Vec<f32>>);
-
-/// A network that plans.
-pub trait Proposes<B: Backend>: Weighted<B> {
     /// Draws plans; `guide` moves them, or has agents choose.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed>;
 }
 
-/// A network from noisy plans to clean ones.
-pub trait Denoises<B: Backend>: Weighted<B> {
+/// A network from noisy plans to clean ones, which plans within a `Denoising`.
+pub trait Denoises<B: Backend>: Debug + Sized {
     /// What does not depend on the noisy plan: computed once per plan, used in every denoising step.
     type Context;
+
+    /// The network with its weights under a path.
+    fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self;
+
+    /// The configuration.
+    fn config(&self) -> &ModelConfig;
 
     /// Encodes a batch.
     fn encode(&self, batch: &B::Batch<'_>) -> Self::Context;

@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
-use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes};
 use crate::networks::trunk::Trunk;
 
 /// One plan per agent by regression.
@@ -35,7 +35,7 @@ impl<B: Backend> Simnet<B> {
     }
 }
 
-impl<B: Backend> Weighted<B> for Simnet<B> {
+impl<B: Backend> Proposes<B> for Simnet<B> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let widths = [config.width + 1, HIDDEN, 2 * config.num_knots() as i64];
         Self {
@@ -47,9 +47,7 @@ impl<B: Backend> Weighted<B> for Simnet<B> {
     fn config(&self) -> &ModelConfig {
         self.trunk.config()
     }
-}
 
-impl<B: Backend> Proposes<B> for Simnet<B> {
     /// The one plan, N times.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let mut knots = B::numbers(&self.plan(batch)).repeat(asked.options.num_samples);

@@ -5,7 +5,7 @@ mod parts;
 pub use crate::compute::numbers::{Array, Batch, Pairs};
 pub use parts::{Filter, Groups, Norm, Place};
 
-use crate::compute::backend::{Convolves, Inputs, KeyValue, Ops};
+use crate::compute::backend::{Backend, KeyValue};
 use crate::config::ModelConfig;
 use crate::kernels::{self, Mix, Packed, Within};
 use crate::sampling::plan_space::PlanSpace;
@@ -15,7 +15,7 @@ use std::ops::Range;
 #[derive(Debug)]
 pub struct Cpu;
 
-impl Ops for Cpu {
+impl Backend for Cpu {
     type Tensor = Array;
     type Linear = Packed;
     type Joint = [Packed; 2];
@@ -23,6 +23,9 @@ impl Ops for Cpu {
     type Slots = Pairs;
     type Attention = Vec<f32>;
     type Path<'a> = Place<'a>;
+    type Filter = Filter;
+    type Groups = Groups;
+    type Batch<'a> = Batch<'a>;
 
     fn sub<'a>(p: &Self::Path<'a>, name: &str) -> Self::Path<'a> {
         p.sub(name)
@@ -184,10 +187,6 @@ impl Ops for Cpu {
     fn mean_attention(samples: &[Vec<f32>], slots: &Pairs, tokens: Range<usize>) -> Vec<f32> {
         slots.mean(samples, tokens)
     }
-}
-
-impl Inputs for Cpu {
-    type Batch<'a> = Batch<'a>;
 
     fn plain<'a>(batch: &'a Batch<'_>) -> Batch<'a> {
         *batch
@@ -204,11 +203,6 @@ impl Inputs for Cpu {
     fn edges(batch: &Batch<'_>, config: &ModelConfig, moved: bool) -> (Array, Pairs) {
         batch.edges(config, moved)
     }
-}
-
-impl Convolves for Cpu {
-    type Filter = Filter;
-    type Groups = Groups;
 
     fn filter(p: &Place<'_>, inputs: i64, outputs: i64, kernel: i64, stride: i64) -> Filter {
         let stored = p.take("weight", &[outputs, inputs, kernel]).unwrap_or_default();

@@ -1,11 +1,11 @@
 //! Attention and transformer encoder layers over the tokens of each agent, post-norm as in PyTorch.
 
 use super::perceptron::Perceptron;
-use crate::compute::backend::{KeyValue, Ops};
+use crate::compute::backend::{Backend, KeyValue};
 
 /// Multi-head attention with separate projections.
 #[derive(Debug)]
-pub struct Attention<B: Ops> {
+pub struct Attention<B: Backend> {
     query: B::Linear,
     key: B::Linear,
     value: B::Linear,
@@ -13,7 +13,7 @@ pub struct Attention<B: Ops> {
     heads: i64,
 }
 
-impl<B: Ops> Attention<B> {
+impl<B: Backend> Attention<B> {
     /// Queries of `width`, keys and values from `memory_width`.
     pub fn new(p: &B::Path<'_>, width: i64, memory_width: i64, heads: i64) -> Self {
         let linear = |name, inputs| B::linear(&B::sub(p, name), inputs, width);
@@ -39,14 +39,14 @@ impl<B: Ops> Attention<B> {
 
 /// An encoder layer: x ← LN(x + attention(x)), x ← LN(x + W2 ReLU(W1 x)).
 #[derive(Debug)]
-pub struct EncoderLayer<B: Ops> {
+pub struct EncoderLayer<B: Backend> {
     attention: Attention<B>,
     norm: B::Norm,
     feed: Perceptron<B>,
     feed_norm: B::Norm,
 }
 
-impl<B: Ops> EncoderLayer<B> {
+impl<B: Backend> EncoderLayer<B> {
     /// A layer with so many heads and hidden numbers, its attention at a place of its own.
     pub fn new(p: &B::Path<'_>, attention: &B::Path<'_>, width: i64, heads: i64, hidden: i64) -> Self {
         Self {

@@ -1,17 +1,17 @@
 //! Encoder of pairwise features (reference.md#pairwise-features): four groups of two, summed.
 
-use crate::compute::backend::Ops;
+use crate::compute::backend::Backend;
 
 /// Edge features [.., 8] → [.., edge width].
 #[derive(Debug)]
-pub struct EdgeEncoder<B: Ops> {
+pub struct EdgeEncoder<B: Backend> {
     groups: [(B::Linear, B::Norm, B::Linear); 4],
     norm: B::Norm,
     out: B::Linear,
     out_norm: B::Norm,
 }
 
-impl<B: Ops> EdgeEncoder<B> {
+impl<B: Backend> EdgeEncoder<B> {
     /// An encoder to this width.
     pub fn new(p: &B::Path<'_>, width: i64) -> Self {
         let norm = |p: &B::Path<'_>, name| B::norm(&B::sub(p, name), width);

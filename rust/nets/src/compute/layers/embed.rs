@@ -1,7 +1,7 @@
 //! Embeddings of positions, diffusion steps, histories and routes.
 
 use super::perceptron::Perceptron;
-use crate::compute::backend::Ops;
+use crate::compute::backend::Backend;
 use crate::config::{HistoryTokens, ModelConfig};
 use crate::inputs::features::HISTORY_FEATURES;
 
@@ -28,13 +28,13 @@ pub fn diffusion_steps(steps: usize, width: i64) -> Vec<f32> {
 
 /// Diffusion step → width: sinusoid, Linear, Mish, Linear.
 #[derive(Debug)]
-pub struct StepEmbedding<B: Ops> {
+pub struct StepEmbedding<B: Backend> {
     table: B::Tensor,
     up: B::Linear,
     down: B::Linear,
 }
 
-impl<B: Ops> StepEmbedding<B> {
+impl<B: Backend> StepEmbedding<B> {
     /// An embedding of so many steps.
     pub fn new(p: &B::Path<'_>, steps: usize, d: i64) -> Self {
         Self {
@@ -52,14 +52,14 @@ impl<B: Ops> StepEmbedding<B> {
 
 /// Histories → tokens.
 #[derive(Debug)]
-pub enum HistoryEmbedding<B: Ops> {
+pub enum HistoryEmbedding<B: Backend> {
     /// A token per step.
     PerStep(B::Linear),
     /// One token of so many numbers.
     Summary(i64, Perceptron<B>),
 }
 
-impl<B: Ops> HistoryEmbedding<B> {
+impl<B: Backend> HistoryEmbedding<B> {
     /// As the configuration says.
     pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let d = config.width;
@@ -85,9 +85,9 @@ impl<B: Ops> HistoryEmbedding<B> {
 
 /// Routes ahead → a part of the history's tokens, at first none.
 #[derive(Debug)]
-pub struct RouteEmbedding<B: Ops>(Perceptron<B>);
+pub struct RouteEmbedding<B: Backend>(Perceptron<B>);
 
-impl<B: Ops> RouteEmbedding<B> {
+impl<B: Backend> RouteEmbedding<B> {
     /// An embedding of the places that the configuration names.
     pub fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (inputs, d) = (1 + 2 * config.route_points_m.len() as i64, config.width);

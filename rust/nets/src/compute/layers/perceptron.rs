@@ -1,12 +1,12 @@
 //! Linear layers with ReLUs between them.
 
-use crate::compute::backend::Ops;
+use crate::compute::backend::Backend;
 
 /// A multi-layer perceptron without an activation at its end.
 #[derive(Debug)]
-pub struct Perceptron<B: Ops>(pub(crate) Vec<B::Linear>);
+pub struct Perceptron<B: Backend>(pub(crate) Vec<B::Linear>);
 
-impl<B: Ops> Perceptron<B> {
+impl<B: Backend> Perceptron<B> {
     /// Layers by number between these widths.
     pub fn new(p: &B::Path<'_>, widths: &[i64]) -> Self {
         let names: Vec<String> = (1..widths.len()).map(|i| (i - 1).to_string()).collect();

@@ -4,11 +4,11 @@
 //! before the softmax (reference.md#causal-mask).
 
 use super::perceptron::Perceptron;
-use crate::compute::backend::Ops;
+use crate::compute::backend::Backend;
 
 /// Gated attention over neighbours' tokens joined with the edge to them; self excluded unless alone.
 #[derive(Debug)]
-pub struct EdgeAwareLayer<B: Ops> {
+pub struct EdgeAwareLayer<B: Backend> {
     /// Queries.
     pub query: B::Linear,
     /// Keys.
@@ -27,7 +27,7 @@ pub struct EdgeAwareLayer<B: Ops> {
     pub(crate) heads: i64,
 }
 
-impl<B: Ops> EdgeAwareLayer<B> {
+impl<B: Backend> EdgeAwareLayer<B> {
     /// A layer with so many heads and hidden numbers.
     pub fn new(p: &B::Path<'_>, width: i64, edge_width: i64, heads: i64, hidden: i64) -> Self {
         let linear = |name| B::linear(&B::sub(p, name), width, width);

@@ -21,7 +21,7 @@ use crate::error::{ModelError, Result, require};
 use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
-use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes};
 use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use grid::{CELLS_PER_TOKEN, SIDE};
@@ -77,7 +77,7 @@ impl<B: Backend> Bits<B> {
     }
 }
 
-impl<B: Backend> Weighted<B> for Bits<B> {
+impl<B: Backend> Proposes<B> for Bits<B> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (d, out) = (config.width, 2 * config.num_knots() as i64);
         let feature_width = config.map.as_ref().map_or(0, |map| map.feature_width);
@@ -97,9 +97,7 @@ impl<B: Backend> Weighted<B> for Bits<B> {
     fn config(&self) -> &ModelConfig {
         self.trunk.config()
     }
-}
 
-impl<B: Backend> Proposes<B> for Bits<B> {
     /// Plans to N goals drawn from the grid. Each agent's sample is chosen against the predicted plans of the others.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let (config, seen) = (self.config(), self.encode(batch));

@@ -13,7 +13,7 @@ use crate::compute::layers::embed::{self, HistoryEmbedding, RouteEmbedding, Step
 use crate::compute::layers::map::LineEncoder;
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::config::{HistoryTokens, ModelConfig};
-use crate::networks::planner::{Denoises, Weighted};
+use crate::networks::planner::Denoises;
 use crate::sampling::plan_space::PlanSpace;
 
 /// Decoder rounds: the first ends in the edge-aware social layers, the second in a plain one.
@@ -60,7 +60,9 @@ pub struct Context<B: Backend> {
     pub speed: B::Tensor,
 }
 
-impl<B: Backend> Weighted<B> for Network<B> {
+impl<B: Backend> Denoises<B> for Network<B> {
+    type Context = Context<B>;
+
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (d, heads) = (config.width, config.heads);
         let at = |name: &str| B::sub(p, name);
@@ -105,10 +107,6 @@ impl<B: Backend> Weighted<B> for Network<B> {
     fn config(&self) -> &ModelConfig {
         &self.config
     }
-}
-
-impl<B: Backend> Denoises<B> for Network<B> {
-    type Context = Context<B>;
 
     fn slots(context: &Context<B>) -> Option<&B::Slots> {
         Some(&context.slots)

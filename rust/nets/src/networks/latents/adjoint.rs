@@ -1,7 +1,7 @@
 //! Gradients through decoders on the kernels of this crate.
 
 use super::{Decoder, Pulls};
-use crate::compute::backend::Ops;
+use crate::compute::backend::Backend;
 use crate::compute::cpu::{Array, Cpu, Norm};
 use crate::compute::layers::social::EdgeAwareLayer;
 use crate::kernels::{Packed, Seen};

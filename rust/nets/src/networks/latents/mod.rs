@@ -21,7 +21,7 @@ use crate::error::Result;
 use crate::guidance::Guide;
 use crate::networks::cpu_planner::on_cpu;
 use crate::networks::kind::NetworkKind;
-use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes};
 use crate::networks::simnet::HIDDEN;
 use crate::networks::trunk::{Encoded, Trunk};
 use descent::{Gaussian, descended};
@@ -142,7 +142,7 @@ impl<B: Pulls> Cvae<B> {
     }
 }
 
-impl<B: Pulls> Weighted<B> for Cvae<B> {
+impl<B: Pulls> Proposes<B> for Cvae<B> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let form = Form::of(config);
         let (d, knots, latent) = (config.width, config.num_knots() as i64, form.latent() as i64);
@@ -168,9 +168,7 @@ impl<B: Pulls> Weighted<B> for Cvae<B> {
     fn config(&self) -> &ModelConfig {
         self.trunk.config()
     }
-}
 
-impl<B: Pulls> Proposes<B> for Cvae<B> {
     /// Plans of samples of the prior; the first of STRIVE is its mean. Guidance moves the latents, those of STRIVE
     /// under the prior.
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {

@@ -8,7 +8,7 @@ use crate::error::{ModelError, Result};
 use crate::guidance::Guide;
 use crate::inputs::segments::SEGMENT_FEATURES;
 use crate::inputs::tokens::{NEAR_NUMBERS, own_columns};
-use crate::networks::planner::{Asked, Proposed, Proposes, Weighted};
+use crate::networks::planner::{Asked, Proposed, Proposes};
 
 /// Attention of the query to elements, which are their own keys and values.
 #[derive(Debug)]
@@ -59,7 +59,22 @@ pub struct Network<B: Backend> {
     config: ModelConfig,
 }
 
-impl<B: Backend> Weighted<B> for Network<B> {
+impl<B: Backend> Network<B> {
+    /// Logits [R, 1, [`NUM_TOKENS`]] from own numbers [R, 1, own], neighbours [R, [`crate::inputs::tokens::NEAR`],
+    /// [`NEAR_NUMBERS`]] and lines of the map [R, lines, 20].
+    pub fn logits(&self, own: &B::Tensor, near: &B::Tensor, lines: &B::Tensor) -> B::Tensor {
+        let (near, lines) = (self.near.forward(near), self.lines.forward(lines));
+        let mut x = self.own.forward(own);
+        for round in &self.rounds {
+            let seen = B::sum(round.lines.forward(&x, &lines), &round.near.forward(&x, &near));
+            let y = B::sum(seen, &x);
+            x = B::sum(round.feed.forward(&B::normed(&round.norm, &y, false)), &y);
+        }
+        self.head.forward(&B::normed(&self.norm, &x, false))
+    }
+}
+
+impl<B: Backend> Proposes<B> for Network<B> {
     fn new(p: &B::Path<'_>, config: &ModelConfig) -> Self {
         let (d, inner) = (config.width, config.edge_width);
         let at = |name: &str| B::sub(p, name);
@@ -88,24 +103,7 @@ impl<B: Backend> Weighted<B> for Network<B> {
     fn config(&self) -> &ModelConfig {
         &self.config
     }
-}
 
-impl<B: Backend> Network<B> {
-    /// Logits [R, 1, [`NUM_TOKENS`]] from own numbers [R, 1, own], neighbours [R, [`crate::inputs::tokens::NEAR`],
-    /// [`NEAR_NUMBERS`]] and lines of the map [R, lines, 20].
-    pub fn logits(&self, own: &B::Tensor, near: &B::Tensor, lines: &B::Tensor) -> B::Tensor {
-        let (near, lines) = (self.near.forward(near), self.lines.forward(lines));
-        let mut x = self.own.forward(own);
-        for round in &self.rounds {
-            let seen = B::sum(round.lines.forward(&x, &lines), &round.near.forward(&x, &near));
-            let y = B::sum(seen, &x);
-            x = B::sum(round.feed.forward(&B::normed(&round.norm, &y, false)), &y);
-        }
-        self.head.forward(&B::normed(&self.norm, &x, false))
-    }
-}
-
-impl<B: Backend> Proposes<B> for Network<B> {
     fn propose(&self, batch: &B::Batch<'_>, asked: &Asked<'_>, guide: Guide<'_, '_>) -> Result<Proposed> {
         let plain = B::plain(batch);
         let Some(lines) = plain.lines() else {
