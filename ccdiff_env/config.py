@@ -24,6 +24,7 @@ from ccdiff_env.traffic import (
     NamedDriver,
     PythonTraffic,
     driver_names,
+    read_driver,
 )
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import (
@@ -327,6 +328,17 @@ def _with_named_drivers(
 ) -> dict[str, Any]:
     """Options in which drivers that are objects, or paths to import, are named drivers."""
     found: dict[str, Any] = {}
+    for field_name in ("traffic", "driver"):
+        value = options.get(field_name)
+        if not isinstance(value, str) or "?" not in value or ":" in value.partition("?")[0]:
+            continue
+        name, own = read_driver(value, field_name)
+        if own and (name not in KINDS or KINDS[name].options is None):
+            takes = ", ".join(n for n, kind in KINDS.items() if kind.options)
+            raise ConfigError(f"{field_name} {value!r}: options are for {takes}")
+        if own and name in options:
+            raise ConfigError(f"{field_name} {value!r}: {name} has options of its own beside it")
+        options |= {field_name: name, **({name: own} if own else {})}
     for kind in KINDS:
         if kind in options and kind not in _fields_of(WorldConfig):
             found[kind] = {kind: options.pop(kind)}

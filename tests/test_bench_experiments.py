@@ -8,9 +8,10 @@ import pytest
 
 from ccdiff_env import cli, models
 from ccdiff_env.bench.methods import METHODS
+from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import episodes
-from ccdiff_env.errors import UnknownNameError
+from ccdiff_env.errors import ConfigError, UnknownNameError
 
 
 def test_plans_say_how_gradients_agree_where_asked_and_are_the_same_plans():
@@ -107,3 +108,31 @@ def test_a_method_is_put_together_from_a_network_a_form_and_a_mode():
     assert "ctg_carefull" not in METHODS
     with pytest.raises(UnknownNameError, match="did you mean 'ccdiff_careful'"):
         METHODS["ccdif_careful"]
+
+
+def test_options_follow_names_of_methods_and_of_traffic():
+    for table in (METHODS, TRAFFIC):
+        made = table["ccdiff?criticality=0.5&follow_route=true"]
+        assert made.ccdiff == {
+            **table["ccdiff"].ccdiff,
+            "criticality": 0.5,
+            "follow_route": True,
+        }
+        assert made.label == "CCDiff, criticality=0.5, follow_route=true"
+        assert table["idm?headway_s=2"].driver == "idm?headway_s=2"
+        assert table["idm?headway_s=2&title=Timid"].label == "Timid"
+        assert "idm?headway_s=2" in table
+        assert "idmm?headway_s=2" not in table
+        with pytest.raises(ConfigError, match="unknown option 'ccdiff"):
+            table["ccdiff?headway_s=2"]
+
+
+def test_benches_play_drivers_with_options(tmp_path, capsys):
+    text = "idm?headway_s=4"
+    scene = ["--scenes", "embedded/val", "--limit", "1", "--workers", "1", "--out"]
+    assert (
+        cli.main(["bench", "traffic", "--methods", f"{text},idm", *scene, str(tmp_path / "a")]) == 0
+    )
+    words = ["bench", "planners", "--planners", "idm", "--traffic", f"{text},idm", "--seeds", "0"]
+    assert cli.main([*words, *scene, str(tmp_path / "b")]) == 0
+    assert "IDM, headway_s=4" in capsys.readouterr().out

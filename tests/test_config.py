@@ -64,6 +64,42 @@ def test_json_keeps_every_field(options):
 
 
 @pytest.mark.parametrize(
+    ("text", "options"),
+    [
+        ("idm?headway_s=2", {"idm": {"headway_s": 2.0}}),
+        ("ctg?criticality=1&weights=own", {"ctg": {"criticality": 1.0, "weights": "own"}}),
+        (
+            "ccdiff?follow_route=true&guidance.gradient_steps=0",
+            {"ccdiff": {"follow_route": True, "guidance": {"gradient_steps": 0}}},
+        ),
+        ("swift?title=Ours", {}),
+    ],
+)
+def test_options_may_follow_the_name_of_a_driver(text, options):
+    name = text.partition("?")[0]
+    for role in ("traffic", "driver"):
+        found = WorldConfig().with_options(**{role: text})
+        assert found == WorldConfig().with_options(**{role: name}, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ccdiff?criticalty=1", "unknown option 'ccdiff.criticalty'; did you mean"),
+        ("ccdiff?criticality", "expected option=value, each option once"),
+        ("ccdiff?careful=true&careful.x=1", "careful.x"),
+        ("replay?headway_s=1", "options are for idm, "),
+        ("nobody?headway_s=1", "options are for idm, "),
+    ],
+)
+def test_options_that_a_driver_does_not_have_are_refused(text, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        WorldConfig().with_options(traffic=text)
+    with pytest.raises(ConfigError, match="options of its own beside it"):
+        WorldConfig().with_options(traffic="idm?headway_s=2", idm={"headway_s": 1.0})
+
+
+@pytest.mark.parametrize(
     ("options", "fields"),
     [
         ({"reward": {"goal": 5}}, {"reward": RewardConfig(goal=5.0)}),

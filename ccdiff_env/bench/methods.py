@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 from urllib.parse import quote
 
+from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant
 from ccdiff_env.interop.nuplan import PREFIX
 from ccdiff_env.models import guidance_preset, shipped_weights
@@ -16,7 +17,7 @@ from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.system.files import parse_object, reading
 from ccdiff_env.system.named_objects import named_object, strip_title, title_of
 from ccdiff_env.system.tensors import read_tensors
-from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig
+from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig, read_driver
 from ccdiff_env.view.captions import is_taken
 
 _T = TypeVar("_T")
@@ -96,7 +97,8 @@ OWN_RANKINGS = ("greedy", "gradient", "reach")  #: Rankings that only a planning
 
 
 class NamedDrivers(dict[str, _T]):
-    """Entries by name; a custom model by its path, ``module:Class?option=value``.
+    """Entries by name, with options as ``name?option=value``; a custom model by its path,
+    ``module:Class?option=value``.
 
     ``kind`` makes the entry of such a path from its label and the path; ``what`` is what errors
     call an entry.
@@ -109,15 +111,31 @@ class NamedDrivers(dict[str, _T]):
         self._what, self._kind = what, kind
 
     def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or ":" in str(name)
+        stem, _, options = str(name).partition("?")
+        return super().__contains__(name) or ":" in stem or (bool(options) and stem in self)
 
     def __missing__(self, name: str) -> _T:
-        if ":" not in name:
+        stem, _, given = name.partition("?")
+        if ":" not in stem and given:
+            return self._with_options(name, self[stem])
+        if ":" not in stem:
             near = meant(name, self) or f"--help lists them, {', '.join([*self][:5])} and more"
             raise UnknownNameError(f"no {self._what} {name!r}; {near}")
         own = title_of(name) or name.partition(":")[2]
         taken = {getattr(entry, "label", "") for entry in self.values()}
         return self._kind(name if own in taken else own, name)
+
+    def _with_options(self, name: str, entry: Any) -> _T:
+        """Return an entry with the options that follow its name, ``name?option=value``."""
+        options, given = read_driver(name, self._what)[1], name.partition("?")[2]
+        driver = f"{entry.driver}?{given}"
+        WorldConfig().with_options(traffic=driver)  # refuses options that it does not have
+        stem = name.partition("?")[0]
+        named = KINDS[stem].title if stem in KINDS else entry.label
+        label = title_of(name) or f"{named}, {given.replace('&', ', ')}"
+        if entry.driver in NETWORKS:
+            return cast("_T", replace(entry, label=label, ccdiff={**entry.ccdiff, **options}))
+        return cast("_T", replace(entry, label=label, driver=driver))
 
     def add(self, weights: Mapping[str, str]) -> None:
         """Add, under each name of weights that is no network's, what there is of their network:
@@ -270,6 +288,7 @@ def _composed(name: str) -> Method | None:
 
 #: What a name may be put together from, for the help.
 GRAMMAR = (
+    "NAME or NAME?option=value&option=value, where NAME is one of "
     f"replay, constant_velocity, idm, {SWIFT}, module:name of yours, and NETWORK[_FORM][_MODE]"
     f"[-CRITICALITY]: a network ({', '.join(n for n in NETWORKS if n != SWIFT)}), a form "
     f"({', '.join(filter(None, _FORMS))}), a mode ({', '.join(filter(None, _ENDS))}; guided "

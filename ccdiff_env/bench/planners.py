@@ -53,7 +53,6 @@ _TITLES = driver_titles()
 
 #: Options of CCDiff that have names of their own, and their titles.
 _FORMS: dict[str, tuple[str, dict[str, Any]]] = {
-    "avoidable": (", avoidable only", {"avoidable_only": True}),
     "one-step": (", one step", {"denoising_steps": 1}),
     "routes": (", routes", {"follow_route": True}),
     "routes-one-step": (", routes, one step", {"follow_route": True, "denoising_steps": 1}),
@@ -108,8 +107,9 @@ for _name, _own in PROTOCOL.fields["traffic"].items():
 #: Traffic by name, for the help.
 TRAFFIC_HELP = (
     f"replay, idm-calm, idm, idm-hasty, {EGOS}, a network ({', '.join(NETWORKS)}), which -1 or -2 "
-    "make critical; ccdiff also at -0.25, -0.5, -1.5, with -avoidable, -one-step, -routes after -1 "
-    "or -2, and as ccdiff-1-learned; module:name of yours (docs/own_traffic.md)"
+    "make critical; ccdiff also at -0.25, -0.5, -1.5, with -one-step, -routes after -1 "
+    "or -2, and as ccdiff-1-learned; module:name of yours (docs/own_traffic.md); each with options "
+    "as NAME?option=value&option=value"
 )
 
 

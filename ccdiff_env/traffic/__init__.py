@@ -12,6 +12,7 @@ from ccdiff_env.traffic.kinds import (
     NamedDriver,
     driver_names,
     driver_titles,
+    read_driver,
 )
 from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
@@ -19,5 +20,5 @@ from ccdiff_env.traffic.python import LoggedFuture, PythonTraffic, TrafficBatch
 __all__ = [
     "EGOS", "KINDS", "NETWORKS", "PAPER_PROTOCOL", "SWIFT", "CcdiffConfig", "EgosConfig",
     "IdmConfig", "Kind", "LoggedFuture", "NamedDriver", "PythonTraffic", "TrafficBatch",
-    "TrafficPlan", "driver_names", "driver_titles",
+    "TrafficPlan", "driver_names", "driver_titles", "read_driver",
 ]  # fmt: skip

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from ccdiff_env import _native
+from ccdiff_env.errors import ConfigError
+from ccdiff_env.system.named_objects import option_values, strip_title
 from ccdiff_env.traffic import options as tables
 from ccdiff_env.traffic.options import CcdiffConfig, EgosConfig, IdmConfig
 from ccdiff_env.traffic.python import PythonTraffic
@@ -44,6 +46,25 @@ EGOS = next(name for name, kind in KINDS.items() if kind.options is EgosConfig)
 SWIFT = next(name for name, kind in KINDS.items() if kind.distilled)
 #: Networks whose plans traffic may follow: names of drivers, and of the kinds of their weights.
 NETWORKS: tuple[str, ...] = tuple(name for name, kind in KINDS.items() if kind.weights)
+
+
+def read_driver(text: str, what: str = "traffic") -> tuple[str, dict[str, Any]]:
+    """Return name and options of ``name?option=value&option=value``; a title is left out.
+
+    Options of parts, ``guidance.gradient_steps=0``, are dictionaries. A :class:`ConfigError` says
+    what is no option.
+    """
+    name, _, given = strip_title(text).partition("?")
+    options: dict[str, Any] = {}
+    for path, value in option_values(given, what, text).items() if given else ():
+        *parts, last = path.split(".")
+        place = options
+        for part in parts:
+            place = place.setdefault(part, {})
+            if not isinstance(place, dict):
+                raise ConfigError(f"{what} {text!r}: {path}, but {part} is {place!r}")
+        place[last] = value
+    return name, options
 
 
 @dataclass(frozen=True)

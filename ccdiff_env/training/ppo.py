@@ -26,7 +26,7 @@ from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import place_from, scenes_from
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
-from ccdiff_env.traffic import EGOS, SWIFT
+from ccdiff_env.traffic import SWIFT
 from ccdiff_env.training.cloning import demonstrations
 from ccdiff_env.training.ego_network import Agent
 from ccdiff_env.training.networks import LICENCE
@@ -80,7 +80,6 @@ class Worlds:
                 **critical,
             },
             SWIFT: {"traffic": SWIFT, **critical},
-            EGOS: {"traffic": EGOS, EGOS: {"policy": args.opponent}},
         }
         self.envs: list[Any] = [
             Priced(

@@ -30,16 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--traffic",
         nargs="+",
         default=["replay"],
-        help=f"traffic to train in, of: {', '.join(TRAFFIC)}",
+        help=f"traffic to train in, of: {', '.join(TRAFFIC)}; options as NAME?option=value",
     )
     parser.add_argument(
         "--criticality",
         type=float,
         default=1.0,
         help="maximum criticality of guided traffic; each episode samples one from 0 to it",
-    )
-    parser.add_argument(
-        "--opponent", default="ego", help=f"policy that drives the vehicles of {EGOS} traffic"
     )
     parser.add_argument(
         "--any-ego",
@@ -91,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train; print where the policy is."""
-    unknown = [name for name in args.traffic if name not in TRAFFIC]
+    unknown = [text for text in args.traffic if text.partition("?")[0] not in TRAFFIC]
     if unknown:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
     args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
