@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
+from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, reset_options
 from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import Scenes, StepArrays
 from ccdiff_env.worlds.curriculum import Criticality
@@ -63,14 +63,12 @@ class AgentVectorEnv(OnWorlds, AsVector):
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
-        shared = Shared(
-            scenes, config, observation, info, render_mode, render_options, criticality,
-            num_worlds, num_threads, "same_step",
-        )  # fmt: skip
-        self._take_agents(
-            shared, options, adversary_shaping,
+        options = self._take(options, observation, info, render_mode, render_options)
+        chosen, config = self._select_agents(
+            scenes, config, options, adversary_shaping,
             agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
+        self._play(chosen, config, criticality, num_worlds, num_threads, "same_step")
         self.num_worlds, self.num_slots = num_worlds, self.worlds.num_slots
         self._offer_spaces(num_worlds * self.num_slots)
         self._active = np.zeros((num_worlds, self.num_slots), np.bool_)

@@ -15,7 +15,7 @@ from pettingzoo import ParallelEnv
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.agent_selection import Adversaries, Agents, Names
 from ccdiff_env.envs.drawing import RENDER_MODES, DrawnWorld, Image
-from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
+from ccdiff_env.envs.parts import AGENT_OPTIONS, InfoLevel, OnWorlds, reset_options
 from ccdiff_env.errors import ActionError, ResetNeededError, UnknownNameError
 from ccdiff_env.traffic.options import VehicleRanking
 from ccdiff_env.worlds import Scenes, normalize_seed
@@ -74,11 +74,12 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
-        shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
-        self._take_agents(
-            shared, options, adversary_shaping,
+        options = self._take(options, observation, info, render_mode, render_options)
+        chosen, config = self._select_agents(
+            scenes, config, options, adversary_shaping,
             agents=agents, ranking=ranking, adversaries=adversaries,
         )  # fmt: skip
+        self._play(chosen, config, criticality)
         self._by_token = names == "token"
         self.possible_agents: list[str] = list(self._selection.names(names))
         self.agents: list[str] = []

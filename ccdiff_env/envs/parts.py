@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.drawing import check_render_options
 from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seat_driver
+from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
 from ccdiff_env.worlds.curriculum import Criticality
@@ -38,21 +39,6 @@ def reset_options(given: Any, known: Sequence[str]) -> Mapping[str, Any]:
     return given
 
 
-class Shared(NamedTuple):
-    """Arguments that all environments take."""
-
-    scenes: Scenes
-    config: WorldConfig | None
-    observation: Form | Mapping[str, Any]
-    info: InfoLevel
-    render_mode: str | None
-    render_options: Mapping[str, Any] | None
-    criticality: Criticality | None
-    num_worlds: int = 1
-    num_threads: int | None = 1
-    autoreset: Autoreset = "disabled"
-
-
 class OnWorlds(Attributes):
     """How environments are made, and what can be changed in them while an ego learns."""
 
@@ -61,72 +47,95 @@ class OnWorlds(Attributes):
     _seat: Seat | None
     _selection: AgentSelection
 
-    def _take(self, shared: Shared, options: Mapping[str, Any]) -> dict[str, Any]:
+    def _take(
+        self,
+        options: Mapping[str, Any],
+        form: Form | Mapping[str, Any],
+        info: InfoLevel,
+        render_mode: str | None,
+        render_options: Mapping[str, Any] | None,
+    ) -> dict[str, Any]:
         """Refuse choices that do not exist; return the options, columns of observations among them.
 
-        ``observation`` is a form, or a dictionary of :class:`~ccdiff_env.config.ObservationConfig`
-        in which ``form`` names it.
+        ``form`` is that of observations, or a dictionary of
+        :class:`~ccdiff_env.config.ObservationConfig` in which ``form`` names it.
         """
         for name in options:
             check_option(name, inspect.signature(type(self)).parameters)
-        form, given = shared.observation, dict(options)
+        given = dict(options)
         if isinstance(form, Mapping):
             given["observation"] = {**form}
             form = given["observation"].pop("form", "flat")
         if form not in FORMS:
             raise unknown("observation form", str(form), FORMS)
-        if shared.info not in ("full", "end", "none"):
-            raise unknown("info level", str(shared.info), ("full", "end", "none"))
+        if info not in ("full", "end", "none"):
+            raise unknown("info level", str(info), ("full", "end", "none"))
         modes = self.metadata["render_modes"]
-        if shared.render_mode not in (None, *modes):
+        if render_mode not in (None, *modes):
             raise ConfigError(
-                f"render_mode is {shared.render_mode!r}, expected None or one of {', '.join(modes)}"
-                + ' ("human" needs pygame)' * (shared.render_mode == "human")
+                f"render_mode is {render_mode!r}, expected None or one of {', '.join(modes)}"
+                + ' ("human" needs pygame)' * (render_mode == "human")
             )
-        self._render_options = check_render_options(shared.render_options)
-        self.render_mode = shared.render_mode
+        self._render_options = check_render_options(render_options)
+        self.render_mode = render_mode
         self._form: Form = form
-        self._info: str = shared.info
+        self._info: str = info
         return given
 
-    def _play(self, shared: Shared, scenes: Scenes, config: WorldConfig) -> None:
+    def _play(
+        self,
+        scenes: SceneSet,
+        config: WorldConfig,
+        criticality: Criticality | None,
+        num_worlds: int = 1,
+        num_threads: int | None = 1,
+        autoreset: Autoreset = "disabled",
+    ) -> None:
         """Make the worlds of a configuration."""
         self.worlds = Worlds(
-            scene_set(scenes),
-            config.with_options(autoreset=shared.autoreset),
-            num_worlds=shared.num_worlds,
-            num_threads=shared.num_threads,
-            criticality=shared.criticality,
+            scenes,
+            config.with_options(autoreset=autoreset),
+            num_worlds=num_worlds,
+            num_threads=num_threads,
+            criticality=criticality,
         )
         self._pace(config)
 
-    def _take_ego(self, shared: Shared, options: Mapping[str, Any]) -> None:
-        """Make worlds of one ego each, and its planner."""
-        options = self._take(shared, options)
+    def _seat_ego(
+        self, scenes: Scenes, config: WorldConfig | None, options: Mapping[str, Any]
+    ) -> tuple[SceneSet, WorldConfig]:
+        """Make the planner of one ego per world; return scenes and configuration of its worlds."""
         for name in ("controlled", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not supported with one ego: use AgentVectorEnv")
-        config = shared.config
         if config and (config.controlled not in ("ego", "any") or config.num_slots != 1):
             raise ConfigError(
                 f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'"
             )
-        chosen = scene_set(shared.scenes)
+        chosen = scene_set(scenes)
         self._seat, config, given = seat_driver(options, config, chosen[0].dt)
-        self._play(shared, chosen, world_config(chosen, config, given, self._form))
+        return chosen, world_config(chosen, config, given, self._form)
 
-    def _take_agents(
-        self, shared: Shared, options: Mapping[str, Any], shaping: float, /, **choice: Any
-    ) -> None:
-        """Make worlds of several agents each; ``choice`` is that of :class:`AgentSelection`."""
-        options = self._take(shared, options)
+    def _select_agents(
+        self,
+        scenes: Scenes,
+        config: WorldConfig | None,
+        options: Mapping[str, Any],
+        shaping: float,
+        /,
+        **choice: Any,
+    ) -> tuple[SceneSet, WorldConfig]:
+        """Select several agents per world; return scenes and configuration of their worlds.
+
+        ``choice`` is that of :class:`AgentSelection`.
+        """
         for name in ("controlled", "ego", "num_slots", "autoreset"):
             if name in options:
                 raise ConfigError(f"{name} is not supported with several agents: pass agents=")
-        chosen = scene_set(shared.scenes)
-        resolved = world_config(chosen, shared.config, options, self._form)
+        chosen = scene_set(scenes)
+        resolved = world_config(chosen, config, options, self._form)
         self._selection = AgentSelection.of(chosen, resolved, **choice)
-        self._play(shared, chosen, self._selection.config(chosen, resolved, shaping))
+        return chosen, self._selection.config(chosen, resolved, shaping)
 
     def _in_slots(self, world_idx: int) -> tuple[list[str | None], Bool]:
         """Return the ids in the slots of a world [C], and which of them are adversaries [C]."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.drawing import RENDER_MODES, DrawnWorld
-from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
+from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, reset_options
 from ccdiff_env.errors import ResetNeededError, SnapshotError
 from ccdiff_env.record.certificate import Certificate
 from ccdiff_env.scenes import SceneSet
@@ -95,8 +95,9 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         criticality: Criticality | None = None,
         **options: Any,
     ) -> None:
-        shared = Shared(scenes, config, observation, info, render_mode, render_options, criticality)
-        self._take_ego(shared, options)
+        options = self._take(options, observation, info, render_mode, render_options)
+        chosen, config = self._seat_ego(scenes, config, options)
+        self._play(chosen, config, criticality)
         self.observation_space: gymnasium.Space[Any] = self.worlds.observation_space(self._form)
         self.action_space: gymnasium.Space[Any] = self.worlds.action_space
         self._actions: bytearray | None = bytearray()

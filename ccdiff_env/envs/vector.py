@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.as_vector import AsVector
-from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, Shared, reset_options
+from ccdiff_env.envs.parts import EGO_OPTIONS, InfoLevel, OnWorlds, reset_options
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
@@ -85,11 +85,9 @@ class EgoVectorEnv(OnWorlds, AsVector):
         **options: Any,
     ) -> None:
         mode = _mode(autoreset_mode)
-        shared = Shared(
-            scenes, config, observation, info, render_mode, render_options, criticality,
-            num_envs, num_threads, _name(mode),
-        )  # fmt: skip
-        self._take_ego(shared, options)
+        options = self._take(options, observation, info, render_mode, render_options)
+        chosen, config = self._seat_ego(scenes, config, options)
+        self._play(chosen, config, criticality, num_envs, num_threads, _name(mode))
         self._offer_spaces(num_envs)
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self._copy = copy
