@@ -45,14 +45,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--dataroot", required=True)
     parser.add_argument("--version", default="v1.0-trainval")
-    parser.add_argument("--repeats", type=int, default=3)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         cache = str(Path(folder) / "cache")
         # in turns, so that other load on the machine affects all alike
         rounds = [
-            {way: run(way, args.dataroot, args.version, cache) for way in WAYS}
-            for _ in range(args.repeats)
+            {way: run(way, args.dataroot, args.version, cache) for way in WAYS} for _ in range(3)
         ]
     print(f"{'':<22}{'seconds':>9}{'cpu s':>9}{'scenes':>9}{'peak MiB':>10}")
     for way in WAYS:

@@ -41,12 +41,10 @@ def arguments() -> argparse.Namespace:
     add("--counts", default="all", help="collisions that count, see docs/tasks.md")
     add("--adversaries", type=int, default=1, help="vehicles guided at a time")
     add("--avoidable", action="store_true", help="only plans that the ego can evade")
-    add("--denoising-steps", type=int, default=1, help="of the traffic in tests")
     add("--steps", type=int, default=12_800, help="decisions per stage")
     add("--worlds", type=int, default=128)
     add("--seeds", type=int, default=1, help="policies to train")
     add("--test-seeds", type=int, default=1, help="episodes per test scene")
-    add("--policies", type=Path, help="folder of trained policies")
     add("--out", type=Path, default=Path("runs/adversary_selection"))
     add("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
@@ -97,12 +95,12 @@ def main() -> None:
     if args.smoke:
         args.steps, args.worlds, scenes, unseen = 16, 4, scenes[:2], unseen[:1]
     args.out.mkdir(parents=True, exist_ok=True)
-    paths = [(args.policies or args.out) / f"policy-{seed}.zip" for seed in range(args.seeds)]
+    paths = [args.out / f"policy-{seed}.zip" for seed in range(args.seeds)]
     for seed, path in enumerate(paths):
         if not path.exists():
             ccdiff = {"plan_radius_m": 40.0, **avoidable}
             train(args, scenes, {**options, "ccdiff": ccdiff}, path, seed)
-    options["ccdiff"] = {"denoising_steps": args.denoising_steps, **avoidable}
+    options["ccdiff"] = {"denoising_steps": 1, **avoidable}
     file, seeds = args.out / "played.json", range(args.test_seeds)
     played = json.loads(file.read_text()) if file.exists() else {}
     choices = selection.rivals(forks=args.adversaries == 1) + selection.gated(scenes, **options)
