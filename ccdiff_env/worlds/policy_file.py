@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env import _native
 from ccdiff_env.config import EgosConfig, WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, DatasetNotFoundError, unknown
 from ccdiff_env.system.files import parse_object, reading
@@ -73,8 +72,9 @@ def read_policy(name: str | os.PathLike[str]) -> PolicyFile:
         return PolicyFile(path, tensors, options, metadata["schema"], about)
 
 
-def egos_policy(asked: EgosConfig, dt_s: float) -> object:
-    """Return traffic of native worlds with steps of ``dt_s`` that a policy drives.
+def egos_parts(asked: EgosConfig, dt_s: float) -> tuple[str, str, int, dict[str, F32]]:
+    """Return what native worlds with steps of ``dt_s`` make traffic of that a policy drives:
+    observation, action (JSON), steps of a decision, tensors.
 
     Raises :class:`DatasetError` where there is no such file or it is damaged, :class:`ConfigError`
     where it fits neither the step nor this version.
@@ -87,4 +87,4 @@ def egos_policy(asked: EgosConfig, dt_s: float) -> object:
         whole = json.loads(config.to_json())
         observation, action = (json.dumps(whole[name]) for name in ("observation", "action"))
         tensors = {name: np.ascontiguousarray(array) for name, array in found.tensors.items()}
-        return _native.egos_driver(observation, action, config.decision_steps, tensors)
+        return observation, action, config.decision_steps, tensors

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import operator
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium
@@ -16,21 +16,20 @@ from ccdiff_env import _native
 from ccdiff_env.config import EgosConfig, WorldConfig
 from ccdiff_env.errors import (
     ActionError,
-    CheckpointError,
     ConfigError,
     ShapeError,
     UnknownNameError,
     meant,
 )
 from ccdiff_env.models import needs_torch, require_networks, weights_path
-from ccdiff_env.scenes import Scene, SceneSet
-from ccdiff_env.traffic import EGOS, PythonTraffic, TrafficPlan
+from ccdiff_env.scenes import SceneSet
+from ccdiff_env.traffic import EGOS, KINDS, PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
 from ccdiff_env.worlds.configured import SceneChoice
 from ccdiff_env.worlds.curriculum import Criticality, Curriculum
 from ccdiff_env.worlds.fit import Fit
-from ccdiff_env.worlds.policy_file import adversary_policy_path, egos_policy
+from ccdiff_env.worlds.policy_file import adversary_policy_path, egos_parts
 from ccdiff_env.worlds.spaces import F32, U8, Form, Layout, StepArrays, read_columns
 
 PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
@@ -43,21 +42,22 @@ def _num_processors() -> int:
     return os.cpu_count() or 1
 
 
-def network_drivers(
-    config: WorldConfig, scenes: Sequence[Scene], num_threads: int
-) -> dict[str, object]:
-    """Return the policies of a configuration that need a network, by name, for the native worlds.
+def _hander(config: WorldConfig, scenes: SceneSet) -> Callable[[str, str, str, int], object]:
+    """Return what hands native worlds what a driver of a configuration is made of: a model of the
+    user's own, the parts of an ego, a file of weights and options, or a network of torch.
 
-    They plan on ``num_threads`` threads; plans do not depend on their number. Raises
-    :class:`MissingFeatureError` where a network needs torch, :class:`UnknownNameError` where no
-    scene has an agent that contacts shall be aimed at, and errors that name settings, weights or
-    scenes that do not fit.
+    It raises :class:`MissingFeatureError` where a network needs torch, :class:`UnknownNameError`
+    where no scene has an agent that contacts shall be aimed at, and errors that name settings that
+    do not fit.
     """
 
-    def made(name: str, kind: str, options: str) -> object:
+    def hand(name: str, kind: str, options: str, num_threads: int) -> object:
+        if KINDS[kind].options is PythonTraffic:
+            own: Any = config.named_drivers[name].options
+            return BoundTraffic(name, own, scenes, config.dt_s)
         settings = json.loads(options)
         if kind == EGOS:
-            return egos_policy(EgosConfig(**settings), config.dt_s)
+            return egos_parts(EgosConfig(**settings), config.dt_s)
         if targets := set(settings.get("targets", ())):
             for nobody in sorted(targets.difference(*(scene.agent_ids for scene in scenes))):
                 raise UnknownNameError(f"{name}.targets: no scene has an agent {nobody!r}")
@@ -67,28 +67,16 @@ def network_drivers(
         if settings.get("adversary_policy") is not None:
             policy = adversary_policy_path(settings["adversary_policy"])
             options = json.dumps({**settings, "adversary_policy": str(policy)})
-        make = _native.network_driver
-        if needs_torch(weights, settings["device"]):
-            require_networks()
-            from ccdiff_env import _models
+        if not needs_torch(weights, settings["device"]):
+            return weights, options
+        require_networks()
+        from ccdiff_env import _models
 
-            make = _models.network_driver
-        try:
-            return make(name, kind, options, weights, config.dt_s, num_threads, list(scenes))
-        except OSError as error:
-            raise CheckpointError(str(error)) from None
+        return _models.network_driver(
+            name, kind, options, weights, config.dt_s, num_threads, list(scenes)
+        )
 
-    wanted = _native.networks_wanted(config.to_json())
-    return {name: made(name, kind, options) for name, kind, options in wanted}
-
-
-def _models(config: WorldConfig, scenes: SceneSet) -> dict[str, BoundTraffic]:
-    """Models of the user's own, by the names of their drivers."""
-    return {
-        name: BoundTraffic(name, policy.options, scenes, config.dt_s)
-        for name, policy in config.named_drivers.items()
-        if isinstance(policy.options, PythonTraffic)
-    }
+    return hand
 
 
 def _integer(name: str, value: Any, expected: str) -> int:
@@ -167,14 +155,12 @@ class Worlds:
 
     def _made(self) -> _native.VecWorld:
         """Return native worlds that have not begun."""
-        threads = min(self._num_threads, _num_processors())
         return _native.VecWorld(
             list(self.scenes),
             self.config.to_json(),
             self.num_worlds,
             self._num_threads,
-            network_drivers(self.config, self.scenes, threads),
-            _models(self.config, self.scenes),
+            _hander(self.config, self.scenes),
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -354,7 +340,8 @@ class Worlds:
         Raises:
             ConfigError: If nobody can be guided, or for what :class:`Curriculum` does not take.
         """
-        if not _models(self.config, self.scenes):
+        own = (driver.options for driver in self.config.named_drivers.values())
+        if not any(isinstance(options, PythonTraffic) for options in own):
             self.config.guided_traffic("criticality")
         progress = self.curriculum.progress if self.curriculum else 0.0
         self.curriculum = Curriculum(criticality)

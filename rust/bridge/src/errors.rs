@@ -51,6 +51,14 @@ pub fn from_model(error: ModelError) -> PyErr {
     }
 }
 
+/// The Python exception for weights that a driver cannot be made of.
+pub fn from_weights(error: ModelError) -> PyErr {
+    match error {
+        ModelError::Io { .. } => py::CheckpointError::new_err(error.to_string()),
+        error => from_model(error),
+    }
+}
+
 /// The Python exception for what libtorch refuses: that of the Python code which torch called (a dispatch mode, a hook),
 /// where it raised one.
 pub fn driver_failed(message: String) -> PyErr {

@@ -1,8 +1,8 @@
 //! Networks as both modules hand them to Python: plans of scenes, and drivers of worlds.
 
 use crate::contained;
-use crate::errors::{from_model, from_sim, py};
-use crate::handed::{Handed, driver_capsule};
+use crate::errors::{from_model, from_sim, from_weights, py};
+use crate::handed::{BoxedDriver, Handed};
 use ccdiff_nets::guidance::GuidanceReport;
 use ccdiff_nets::inputs::features::vehicles;
 use ccdiff_nets::networks::logged::Logged;
@@ -13,8 +13,8 @@ use ccdiff_sim::options::read;
 use ccdiff_sim::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{PyCapsule, PyDict};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use pyo3::types::PyDict;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A driver of worlds that is asked for: its name and kind, options as JSON, step of the worlds, their scenes.
 pub struct AskedDriver<'a> {
@@ -27,7 +27,7 @@ pub struct AskedDriver<'a> {
     /// Step of the worlds, seconds.
     pub dt_s: f32,
     /// Their scenes.
-    pub scenes: Vec<Handed>,
+    pub scenes: &'a [Arc<Scene>],
 }
 
 /// Where the options of a driver stand, as the user has written it.
@@ -36,23 +36,22 @@ pub fn path_of(name: &str, kind: &str) -> String {
 }
 
 impl AskedDriver<'_> {
-    /// The driver, of a network that `load` makes, in a capsule.
+    /// The driver, of a network that `load` makes.
     ///
     /// # Errors
     /// What options, weights and scenes do not fit.
-    pub fn driver<'py>(
+    pub fn driver(
         self,
-        py: Python<'py>,
+        py: Python<'_>,
         load: impl FnOnce(CcdiffConfig) -> ccdiff_nets::Result<PlannedTraffic> + Send,
-    ) -> PyResult<Bound<'py, PyCapsule>> {
+    ) -> PyResult<BoxedDriver> {
         let Self { name, kind, options, dt_s, scenes } = self;
         let config: CcdiffConfig = read(&path_of(name, kind), options).map_err(from_sim)?;
-        let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
         let driver = py.detach(|| {
             let driver = load(config)?;
-            driver.check(dt_s, &scenes).map(|()| driver)
+            driver.check(dt_s, scenes).map(|()| driver)
         });
-        let driver = driver.map_err(from_model)?;
+        let driver = driver.map_err(from_weights)?;
         if driver.kind() != kind {
             let message = format!(
                 "config: named_drivers: {name}: weights of {:?}, expected those of {kind:?}",
@@ -60,7 +59,7 @@ impl AskedDriver<'_> {
             );
             return Err(py::ConfigError::new_err(message));
         }
-        driver_capsule(py, contained(Box::new(driver)))
+        Ok(contained(Box::new(driver)))
     }
 }
 

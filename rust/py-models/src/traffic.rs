@@ -1,7 +1,7 @@
 //! Networks as drivers of traffic, made here and handed to the worlds of `_native`.
 
 use ccdiff_bridge::errors::py;
-use ccdiff_bridge::{AskedDriver, Handed};
+use ccdiff_bridge::{AskedDriver, Handed, driver_capsule};
 use ccdiff_models::sampler::SampleOptions;
 use ccdiff_models::torch_model::planned_traffic;
 use ccdiff_models::traffic::CcdiffConfig;
@@ -39,6 +39,7 @@ fn network_driver<'py>(
     num_threads: usize,
     scenes: Vec<Handed>,
 ) -> PyResult<Bound<'py, PyCapsule>> {
-    let asked = AskedDriver { name, kind, options, dt_s, scenes };
-    asked.driver(py, |config| planned_traffic(config, &weights, num_threads))
+    let scenes: Vec<_> = scenes.into_iter().map(|handed| handed.0).collect();
+    let asked = AskedDriver { name, kind, options, dt_s, scenes: &scenes };
+    driver_capsule(py, asked.driver(py, |config| planned_traffic(config, &weights, num_threads))?)
 }

@@ -1,22 +1,27 @@
 //! The kinds of drivers, and the drivers of a batch of worlds.
 
 use crate::python_driver::{self, PythonDriver};
+use crate::{egos, swift};
 use ccdiff_bridge::errors::{from_sim, py};
-use ccdiff_bridge::{BoxedDriver, path_of};
+use ccdiff_bridge::{AskedDriver, BoxedDriver, path_of, take_driver};
 use ccdiff_nets::NetworkKind;
 use ccdiff_nets::networks::NETWORKS;
 use ccdiff_nets::networks::ccdiff::CCDIFF;
-use ccdiff_nets::traffic::DRIVERS;
 use ccdiff_nets::traffic::egos::EGOS;
 use ccdiff_nets::traffic::swift::SWIFT;
+use ccdiff_nets::traffic::{DRIVERS, PlannedTraffic};
 use ccdiff_render::DrawStyle;
 use ccdiff_sim::drivers::{KINDS, Kind};
 use ccdiff_sim::options;
+use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::WorldConfig;
 use pyo3::prelude::*;
 use pyo3::types::{PyCapsule, PyDict};
 use serde_json::Value;
-use std::collections::BTreeMap;
+use std::num::NonZero;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::available_parallelism;
 
 /// All kinds: the simulator's, Python's, the networks, egos, swift traffic.
 pub(crate) fn kinds() -> impl Iterator<Item = &'static Kind> {
@@ -30,11 +35,6 @@ const SHARED: &str = CCDIFF.kind.name;
 /// Whether a driver takes the options that networks share.
 fn is_network(kind: &Kind) -> bool {
     kind.name == SWIFT.name || NETWORKS.iter().any(|network| network.kind.name == kind.name)
-}
-
-/// Whether a driver is made of a file.
-fn has_file(kind: &Kind) -> bool {
-    is_network(kind) || kind.name == EGOS.name
 }
 
 fn find_kind(name: &str) -> Option<&'static Kind> {
@@ -127,38 +127,42 @@ fn list_recipes(config: &WorldConfig) -> PyResult<Vec<(&'static Kind, &str, Stri
     Ok(found)
 }
 
-/// Drivers of a configuration (JSON) that are made of files: name, kind, options as JSON.
-#[pyfunction]
-pub(crate) fn networks_wanted(config: &str) -> PyResult<Vec<(String, &'static str, String)>> {
-    let config = WorldConfig::from_json(config).map_err(from_sim)?;
-    let wanted = list_recipes(&config)?.into_iter().filter(|(kind, ..)| has_file(kind));
-    Ok(wanted.map(|(kind, name, options)| (name.to_owned(), kind.name, options)).collect())
-}
-
-/// The drivers in capsules of the module of networks, by name.
-pub(crate) fn take_drivers(
-    capsules: BTreeMap<String, Bound<'_, PyCapsule>>,
-) -> PyResult<BTreeMap<String, BoxedDriver>> {
-    capsules.iter().map(|(name, capsule)| Ok((name.clone(), ccdiff_bridge::take_driver(capsule)?))).collect()
-}
-
-/// The drivers of a configuration beside those that every batch has.
+/// The drivers of a configuration beside those that every batch has. `hand`, called with name, kind, options (JSON) and number of
+/// threads, hands in what a driver is made of that is not known here: the model of Python; the file of weights and the options of a
+/// network, or the driver itself where torch computes it; the parts of an ego ([`egos::driver`]).
 pub(crate) fn make_drivers(
     config: &WorldConfig,
-    mut networks: BTreeMap<String, BoxedDriver>,
-    models: &BTreeMap<String, Py<PyAny>>,
+    scenes: &[Arc<Scene>],
+    num_threads: usize,
+    hand: Option<&Bound<'_, PyAny>>,
 ) -> PyResult<Vec<(String, BoxedDriver)>> {
+    let num_threads = num_threads.min(available_parallelism().map_or(1, NonZero::get));
     let mut made = Vec::new();
     for (kind, name, options) in list_recipes(config)? {
         let path = path_of(name, kind.name);
-        let driver: BoxedDriver = match (kind.make, networks.remove(name), models.get(name)) {
-            (Some(make), ..) => make(&path, &options).map_err(from_sim)?,
-            (None, Some(driver), _) => driver,
-            (None, None, Some(model)) if kind.name == python_driver::KIND.name => {
-                let options = options::read(&path, &options).map_err(from_sim)?;
-                Box::new(PythonDriver::new(name, options, Python::attach(|py| model.clone_ref(py))))
+        let driver = match (kind.make, hand) {
+            (Some(make), _) => make(&path, &options).map_err(from_sim)?,
+            (None, Some(hand)) => {
+                let handed = hand.call1((name, kind.name, &options, num_threads))?;
+                if kind.name == python_driver::KIND.name {
+                    let options = options::read(&path, &options).map_err(from_sim)?;
+                    Box::new(PythonDriver::new(name, options, handed.unbind()))
+                } else if kind.name == EGOS.name {
+                    egos::driver(&handed)?
+                } else if let Ok(capsule) = handed.cast::<PyCapsule>() {
+                    take_driver(capsule)?
+                } else {
+                    let (weights, options): (PathBuf, String) = handed.extract()?;
+                    let (py, dt_s) = (handed.py(), config.dt_s);
+                    let asked = AskedDriver { name, kind: kind.name, options: &options, dt_s, scenes };
+                    if kind.name == SWIFT.name {
+                        swift::driver(py, name, &options, &weights, dt_s, num_threads)?
+                    } else {
+                        asked.driver(py, |config| PlannedTraffic::new(config, &weights, num_threads))?
+                    }
+                }
             }
-            _ => {
+            (None, None) => {
                 let message =
                     format!("config: named_drivers: {name}: the driver has no network or Python model");
                 return Err(py::ConfigError::new_err(message));

@@ -2,7 +2,7 @@
 
 use crate::enter::enter;
 use ccdiff_bridge::errors::{from_model, from_sim, py};
-use ccdiff_bridge::{contained, driver_capsule};
+use ccdiff_bridge::{BoxedDriver, contained};
 use ccdiff_nets::ModelError;
 use ccdiff_nets::compute::weights::Entry;
 use ccdiff_nets::traffic::egos::{EgoParts, Egos, NetworkOfEgo};
@@ -13,7 +13,6 @@ use numpy::{
     PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
-use pyo3::types::PyCapsule;
 use std::collections::BTreeMap;
 
 /// Weights by name.
@@ -27,22 +26,17 @@ fn read_arrays(arrays: Arrays<'_>) -> PyResult<BTreeMap<String, Entry>> {
     arrays.into_iter().map(whole).collect()
 }
 
-/// Traffic that a trained ego drives: `observation` and `action` are configurations as JSON, `tensors` weights by name.
-#[pyfunction]
-pub(crate) fn egos_driver<'py>(
-    py: Python<'py>,
-    observation: &str,
-    action: &str,
-    decision_steps: usize,
-    tensors: Arrays<'_>,
-) -> PyResult<Bound<'py, PyCapsule>> {
+/// Traffic that a trained ego drives, of its observation and action (configurations as JSON), steps of a decision and weights by name.
+pub(crate) fn driver(parts: &Bound<'_, PyAny>) -> PyResult<BoxedDriver> {
+    let (observation, action, decision_steps, tensors): (String, String, usize, Arrays<'_>) =
+        parts.extract()?;
     let parts = EgoParts {
-        observation: options::read("observation", observation).map_err(from_sim)?,
-        action: options::read("action", action).map_err(from_sim)?,
+        observation: options::read("observation", &observation).map_err(from_sim)?,
+        action: options::read("action", &action).map_err(from_sim)?,
         decision_steps,
         tensors: read_arrays(tensors)?,
     };
-    driver_capsule(py, contained(Box::new(Egos::new(parts).map_err(misfit)?)))
+    Ok(contained(Box::new(Egos::new(parts).map_err(misfit)?)))
 }
 
 /// The error of weights that do not fit; whoever read their file names it.
@@ -55,7 +49,7 @@ fn misfit(error: ModelError) -> PyErr {
     }
 }
 
-/// The network of an ego: actions for observations. Configurations and weights as in `egos_driver`.
+/// The network of an ego: actions for observations. Configurations and weights as in [`driver`].
 #[pyclass(module = "ccdiff_env._native")]
 pub(crate) struct EgoNetwork(NetworkOfEgo);
 

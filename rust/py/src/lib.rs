@@ -26,9 +26,9 @@ mod _native {
     #[pymodule_export]
     use crate::causal::{causal_pairs, causal_rank};
     #[pymodule_export]
-    use crate::drivers::{driver_kinds, drivers, networks_wanted};
+    use crate::drivers::{driver_kinds, drivers};
     #[pymodule_export]
-    use crate::egos::{EgoNetwork, egos_driver};
+    use crate::egos::EgoNetwork;
     #[pymodule_export]
     use crate::logged_batch::traffic_batch_from_log;
     #[pymodule_export]
@@ -36,7 +36,7 @@ mod _native {
     #[pymodule_export]
     use crate::metrics::NativeMotion;
     #[pymodule_export]
-    use crate::networks::{guidance_preset, load_network, needs_torch, network_driver};
+    use crate::networks::{guidance_preset, load_network, needs_torch};
     #[pymodule_export]
     use crate::planner::PyPlanner;
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! Swift traffic: the driver, and what it sees as rows, for training.
 
-use ccdiff_bridge::errors::{from_model, from_sim, py};
-use ccdiff_bridge::{contained, driver_capsule, path_of};
+use ccdiff_bridge::errors::{from_sim, from_weights, py};
+use ccdiff_bridge::{BoxedDriver, contained, path_of};
 use ccdiff_nets::compute::weights::read;
 use ccdiff_nets::networks::tokens::token_of;
 use ccdiff_nets::traffic::swift::{EGO, NEIGHBOURS, OTHER, OWN, Rows, STATES, SWIFT, Swift, egos_of};
@@ -9,7 +9,6 @@ use ccdiff_sim::drivers::WorldView;
 use ccdiff_sim::options;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyCapsule;
 use std::path::Path;
 
 /// Bins [n, 2] of changes of speed (m/s in half a second) and yaw rates (rad/s).
@@ -19,17 +18,17 @@ pub(crate) fn swift_bins(changes: Vec<(f32, f32)>) -> Vec<[usize; 2]> {
 }
 
 /// The driver of a name; `settings` is a `CcdiffConfig` as JSON.
-pub(crate) fn driver<'py>(
-    py: Python<'py>,
+pub(crate) fn driver(
+    py: Python<'_>,
     name: &str,
     settings: &str,
     weights: &Path,
     dt_s: f32,
     num_threads: usize,
-) -> PyResult<Bound<'py, PyCapsule>> {
+) -> PyResult<BoxedDriver> {
     let config = options::read(&path_of(name, SWIFT.name), settings).map_err(from_sim)?;
     let made = py.detach(|| Swift::new(config, weights, read(weights)?, dt_s, num_threads));
-    driver_capsule(py, contained(Box::new(made.map_err(from_model)?)))
+    Ok(contained(Box::new(made.map_err(from_weights)?)))
 }
 
 /// What it would see of some vehicles, a row of each: itself and its route, the ego, [`NEIGHBOURS`] others, and how many they are.

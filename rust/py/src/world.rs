@@ -17,7 +17,7 @@ use ccdiff_sim::world::{
 };
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::{IntoPyDict, PyBytes, PyCapsule, PyDict, PyTuple};
+use pyo3::types::{IntoPyDict, PyBytes, PyDict, PyTuple};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
@@ -95,24 +95,21 @@ impl PyVecWorld {
 
 #[pymethods]
 impl PyVecWorld {
-    /// Worlds over scenes; `networks` are drivers by name ([`drivers::networks_wanted`]), `models` the objects behind
-    /// Python models.
+    /// Worlds over scenes; `hand` as [`drivers::make_drivers`] calls it.
     #[new]
-    #[pyo3(signature = (scenes, config, num_worlds, num_threads, networks=None, models=None))]
+    #[pyo3(signature = (scenes, config, num_worlds, num_threads, hand=None))]
     fn new(
         py: Python<'_>,
         scenes: Vec<PyRef<'_, PyScene>>,
         config: &str,
         num_worlds: usize,
         num_threads: usize,
-        networks: Option<BTreeMap<String, Bound<'_, PyCapsule>>>,
-        models: Option<BTreeMap<String, Py<PyAny>>>,
+        hand: Option<Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         let scenes: Vec<_> = scenes.iter().map(|s| Arc::clone(&s.scene)).collect();
         let config = WorldConfig::from_json(config).map_err(from_sim)?;
-        let networks = drivers::take_drivers(networks.unwrap_or_default())?;
+        let made = drivers::make_drivers(&config, &scenes, num_threads, hand.as_ref())?;
         let world = enter(py, || {
-            let made = drivers::make_drivers(&config, networks, &models.unwrap_or_default())?;
             VecWorld::new(scenes, drivers::without_defaults(config), num_worlds, num_threads, made)
                 .map_err(from_sim)
         })?;
