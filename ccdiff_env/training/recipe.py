@@ -13,14 +13,15 @@ from ccdiff_env.errors import ConfigError
 #: Weights of its reward. Arriving is worth most; a speed too low to arrive in time costs, so that
 #: standing still does not pay.
 REWARD = {"goal": 5.0, "lagging": -0.002, "comfort": -0.02, "lane_keeping": -0.02}
-#: Its motion: what changes no faster is comfortable, and nothing turns where it stands.
+#: Its motion: it speeds up comfortably (nuPlan's limit of 2.4 m/s² counts smoothed values, which
+#: overshoot), can brake at once, and does not turn where it stands.
 DYNAMICS: dict[str, Any] = {
     "unicycle": {
-        "acceleration_mps2": (-8.0, 2.4),
+        "acceleration_mps2": (-8.0, 2.2),
         "min_yaw_rate_radps": 0.001,
         "max_curvature_1pm": 0.3,
         "max_lateral_acceleration_mps2": 4.5,
-        "max_jerk_mps3": 9.0,
+        "max_jerk_mps3": 25.0,
         "max_yaw_acceleration_radps2": 1.9,
     }
 }
@@ -34,9 +35,9 @@ NOISE, ASSISTED_NOISE = (0.18, 0.12), (0.4, 0.2)
 #: Share of a decision's noise that stays in the next: it tries to brake, not to tremble.
 CORRELATION = 0.7
 #: What a collision costs more where it is the ego's fault, an episode with the ego in a lane of the
-#: other way, a decision after which contact is a second away (grows from 0 at 1.6 s), and one
-#: with a jerk of 6 m/s³ (grows from 0 at 3).
-AT_FAULT, WRONG_WAY, CLOSE, ROUGH = -2.0, -2.0, -0.3, -0.1
+#: other way, and a decision after which contact is a second away (grows from 0 at 1.6 s), one with
+#: a jerk of 6 m/s³ (from 3), and one after which it brakes with 4 m/s² (from 3).
+AT_FAULT, WRONG_WAY, CLOSE, ROUGH, HARD = -6.0, -2.0, -0.3, -0.1, -0.1
 #: Options of its worlds: any vehicle of a scene may be the ego, in a tenth of the episodes also one
 #: whose log stands; an action is held for three steps; driving goes on after the goal, as in the
 #: benchmark.
@@ -103,7 +104,8 @@ class Priced(VectorWrapper):
         ttc_s = 10.0 * np.where(obs[:, self._mask] > 0, obs[:, self._ttc], 1.0).min(axis=1)
         close = CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0)
         rough = ROUGH * np.clip(change_mps2 / self._decision_s / 3.0 - 1.0, 0.0, 1.0)
-        reward = reward + close * ~end + rough * ~end
+        hard = HARD * np.clip(-10.0 * obs[:, self._acceleration] - 3.0, 0.0, 1.0)
+        reward = reward + (close + rough + hard) * ~end
         if end.any():
             metrics = infos["final_info"]["metrics"]
             for name, price in (("at_fault", AT_FAULT), ("wrong_way", WRONG_WAY)):
