@@ -17,6 +17,7 @@ from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, write_page
+from ccdiff_env.view.captions import planner_title
 from ccdiff_env.view.pack import contacts
 from ccdiff_env.view.video import Video
 
@@ -147,6 +148,14 @@ def test_runs_are_shown_beside_each_other_by_what_differs(options, titles, tmp_p
     assert cli.main([*words, "-o", str(tmp_path / "page.html")]) == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert [unpacked(e)[0]["run"]["title"] for e in elements(text)] == titles
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("a/ego.zip", "ego.zip"), ("a/mine.zip", "mine"), ("ego", "trained ego")],
+)
+def test_a_file_that_is_named_as_a_planner_of_the_package_keeps_its_suffix(name, title):
+    assert planner_title(name) == title
 
 
 def test_pages_need_nothing_from_outside():

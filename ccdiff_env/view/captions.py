@@ -48,7 +48,7 @@ def planner_title(name: str) -> str:
     """Return in words who drives the ego: a title that it was given (``?title=Ours``), else of a
     file its name without folder and suffix.
 
-    A file keeps its path where its name is one of the package.
+    A file keeps its suffix where its name is one of the package.
     """
     if (title := title_of(name)) is not None:
         return title
@@ -58,7 +58,7 @@ def planner_title(name: str) -> str:
     file = path.rpartition("/")[2]
     stem = file.rpartition(".")[0] if file.endswith((".zip", ".safetensors")) else path
     if stem != path and is_taken(stem):
-        stem = path
+        stem = file
     return (PLANNER_TITLES.get(path) or DRIVER_TITLES.get(path, stem)) + asked + options
 
 
