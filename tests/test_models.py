@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -35,6 +36,17 @@ def road(num_steps=110):
 def rows(path):
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.reader(file))
+
+
+def test_training_without_a_terminal_says_a_line_now_and_then(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(networks, "EVERY_S", 0.0)
+    train([road()], out=tmp_path / "said", steps=4, settings=QUICK)
+    *_, last = lines = capsys.readouterr().err.splitlines()
+    assert all(re.fullmatch(r"step \d+, loss [\d.]+", line) for line in lines)
+    assert last.startswith("step 4,")
+    monkeypatch.setattr(networks, "EVERY_S", 1e9)
+    train([road()], out=tmp_path / "silent", steps=4, settings=QUICK)
+    assert capsys.readouterr().err == ""
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from typing import TypeVar
 
 T = TypeVar("T")
+EVERY_S = 10.0  #: Seconds between two lines of what takes long and has no bar.
 
 
 def shown(steps: Iterable[T], *, what: str, total: int | None = None, done: int = 0) -> Iterator[T]:

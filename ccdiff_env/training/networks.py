@@ -17,6 +17,7 @@ from ccdiff_env.models.trajectory_model import TrajectoryModel, own_generator
 from ccdiff_env.models.weights import require_networks
 from ccdiff_env.scenes import Scene
 from ccdiff_env.system.files import read_bytes, read_text, reading, write_aside
+from ccdiff_env.system.progress import EVERY_S
 from ccdiff_env.system.settings import keep_settings, kept_settings, refuse_others, sha256
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def train(
             ``network`` adds to them begin fresh.
         notes: Kept in the weight file's header.
         checkpoint_minutes: Time between checkpoints and validations.
-        progress: Whether to print step and loss on a terminal.
+        progress: Whether to print step and loss; without a terminal, a line every ten seconds.
 
     Returns:
         Path: The weight file.
@@ -159,7 +160,7 @@ def train(
     begin = last = time.monotonic()
     first = run.step
     total = float(minutes or 0) * 60.0 if steps is None else float(max(steps - first, 0))
-    told = progress and sys.stderr.isatty()
+    told, live = begin, sys.stderr.isatty()
     try:
         while steps is None or run.step < steps:
             elapsed = time.monotonic() - begin
@@ -175,8 +176,9 @@ def train(
             losses = run.run(count)
             now = time.monotonic()
             loss = sum(losses) / len(losses)
-            if told:
-                print(f"\rstep {run.step:,}, loss {loss:.3f}{said}", end="", file=sys.stderr)
+            if progress and (live or now - told >= EVERY_S):
+                line, told = f"step {run.step:,}, loss {loss:.3f}{said}", now
+                print("\r" * live + line, end="" if live else "\n", file=sys.stderr, flush=True)
             curves.write("loss", run.step, {"loss": loss, "seconds": now - begin})
             if now - last > checkpoint_minutes * 60.0:
                 checkpoint()
@@ -187,7 +189,7 @@ def train(
             checkpoint()
         raise
     finally:
-        if told:
+        if progress and live:
             print(file=sys.stderr)
     checkpoint()
     return weights

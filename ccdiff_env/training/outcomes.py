@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.system.progress import EVERY_S
 from ccdiff_env.worlds.spaces import F32
 
 #: A collision that counts against the ego, another one, a corner off the road; else the goal was
@@ -24,7 +25,6 @@ STANDS_MPS = 0.5
 #: What tells how far the next light and the goal are, and how fast the ego is.
 SEEN = ("light_distance", "route_remaining", "speed")
 BRAKING_MPS2 = 2.5  #: Braking by which one may ask an ego to stop at a light.
-EVERY_S = 10.0  #: Seconds between two lines of :class:`Learning`.
 
 
 class Learning:
