@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 
-from ccdiff_env.bench.planners import TRAFFIC, play
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.scenes.arguments import add_scene_arguments, scenes_from
 
 
@@ -138,7 +138,8 @@ def main() -> None:
         program()
         return
     scenes = scenes_from(args)
-    for row in play(scenes[:2] if args.smoke else scenes, Piped, TRAFFIC[args.traffic]):
+    rows, _ = drive(scenes[:2] if args.smoke else scenes, Piped, TRAFFIC[args.traffic])
+    for row in rows:
         print(f"{row['scene']:24s} score {row['score']:.2f}")
 
 

@@ -103,7 +103,7 @@ def main() -> None:
     options["ccdiff"] = {"denoising_steps": 1, **avoidable}
     file, seeds = args.out / "played.json", range(args.test_seeds)
     played = json.loads(file.read_text()) if file.exists() else {}
-    choices = selection.rivals(forks=args.adversaries == 1) + selection.gated(scenes, **options)
+    choices = selection.rivals() + selection.gated(scenes, **options)
     models = [selection.learned(MaskablePPO.load(path, device="cpu"), path.stem) for path in paths]
     for choice in [*choices[:: 8 if args.smoke else 1], *models]:
         points = played.setdefault(choice.line, {})

@@ -20,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
@@ -150,7 +150,7 @@ def main() -> None:
         table("lights", ("arrivals", "that ran red"), red.items())
     seen = Traffic("", args.traffic, traffic.get("ccdiff", {}) | guided)
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")
-    driven = {Path(p).stem: play(held_out, p, seen) for p in planners}
+    driven = {Path(p).stem: drive(held_out, p, seen)[0] for p in planners}
     means = {p: [np.mean([row[f] for row in of]) for f in FIGURES] for p, of in driven.items()}
     table("in the benchmark", FIGURES, means.items())
 

@@ -10,7 +10,7 @@ from array_scenes import agent, array_scene, outline, wide_road
 import ccdiff_env
 from ccdiff_env import _native, cli
 from ccdiff_env.bench.methods import METHODS
-from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.run import episodes_table
 from ccdiff_env.bench.scenes import scene_names
@@ -195,7 +195,7 @@ def test_a_corner_may_leave_the_road_by_less_than_0_3_m(first_m, last_m, on_road
     y = np.interp(np.arange(150), [30, 125], [first_m, last_m])
     ego = agent("ego", np.linspace(0.0, 100.0, 150), y, size=(4.0, 2.0, 1.5))
     scene = array_scene(ego, layers=wide_road(4.0))
-    (row,) = play(SceneSet([scene]), "replay", Traffic("", "replay"))
+    ((row,), _) = drive(SceneSet([scene]), "replay", Traffic("", "replay"))
     assert row["on_road"] == on_road
 
 
@@ -226,7 +226,7 @@ def test_the_way_off_the_road_is_that_of_shapely():
             gates[i] = max(gates[i], expected)
             seen.append(expected)
     assert 0.2 < np.mean(np.array(seen) > 0.0) < 0.95
-    rows = play(scenes, steers, Traffic("", "replay"))
+    rows, _ = drive(scenes, steers, Traffic("", "replay"))
     assert [row["on_road"] for row in rows] == [float(off < 0.3) for off in gates]
 
 

@@ -11,7 +11,7 @@ from view_rollouts import planned_rollout
 
 from ccdiff_env import cli
 from ccdiff_env.bench import scenarios
-from ccdiff_env.bench.planners import TRAFFIC, drive, play
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.scenarios import (
     cross_jobs,
     evaluate_in_set,
@@ -50,7 +50,7 @@ def test_recording_changes_nothing_and_gives_the_scenes_that_were_asked_for():
     scenes = scenes_of(VAL, NAMES)
     rows, rollouts = drive(scenes, "idm", TRAFFIC["ccdiff-1"], record=NAMES[:1])
     assert list(rollouts) == NAMES[:1]
-    assert rows == play(scenes, "idm", TRAFFIC["ccdiff-1"])
+    assert rows == drive(scenes, "idm", TRAFFIC["ccdiff-1"])[0]
 
 
 def test_a_planner_meets_in_its_own_set_what_it_met_when_the_set_was_made(tmp_path):

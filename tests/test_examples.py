@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import ccdiff_env
-from ccdiff_env.bench.planners import TRAFFIC, play
+from ccdiff_env.bench.planners import TRAFFIC, drive
 
 HERE = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((HERE / "examples").glob("*.py"))
@@ -83,7 +83,7 @@ for line in sys.stdin:
     planner = f"planner_over_a_pipe:Piped?command={command}&limit_s={limit_s}"
     scenes = ccdiff_env.load("embedded/val", limit=2)
     with pytest.raises(ccdiff_env.errors.CcdiffError, match=says) if says else nullcontext():
-        assert len(play(scenes, planner, TRAFFIC["replay"])) == 2
+        assert len(drive(scenes, planner, TRAFFIC["replay"])[0]) == 2
 
 
 def test_torchrl_takes_single_vector_and_several_vehicles():

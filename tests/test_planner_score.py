@@ -20,7 +20,7 @@ from ccdiff_env.bench.planner_score import (
     savitzky_golay,
     score_of,
 )
-from ccdiff_env.bench.planners import TRAFFIC, drive, play
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
@@ -136,7 +136,7 @@ def street(*others, steps=150, ego_mps=None):
 
 
 def row_of(scene, planner="constant_velocity"):
-    (row,) = play(SceneSet([scene]), planner, REPLAY)
+    ((row,), _) = drive(SceneSet([scene]), planner, REPLAY)
     return row
 
 
@@ -193,9 +193,9 @@ def test_wider_limits_of_motion_than_the_default_ones_are_refused():
     ):
         planner.env_options = {"dynamics": dynamics}
         with pytest.raises(ConfigError, match=words):
-            play(ccdiff_env.embedded_scenes("val")[:1], planner, REPLAY)
+            drive(ccdiff_env.embedded_scenes("val")[:1], planner, REPLAY)
     planner.env_options = {"dynamics": {"delta_pose": {"dx_m": [-0.5, 2.0]}}}
-    assert play(ccdiff_env.embedded_scenes("val")[:1], planner, REPLAY)
+    assert drive(ccdiff_env.embedded_scenes("val")[:1], planner, REPLAY)[0]
 
 
 @pytest.mark.skipif(

@@ -6,7 +6,7 @@ from array_scenes import outline
 from traffic_play import Play
 
 import ccdiff_env
-from ccdiff_env.bench.planners import Traffic, play
+from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.config import ActionConfig, AssistedLimits, BicycleLimits
 from ccdiff_env.errors import ActionError, ConfigError, PolicyError, ShapeError
 from ccdiff_env.planners.built_in import Seat, ego_driver
@@ -50,7 +50,7 @@ def test_a_batch_drives_as_each_world_alone(val, name):
 
 
 def test_pdm_drives_better_than_constant_velocity_and_keeps_to_its_lanes(val):
-    rows = {name: play(val, name, REPLAY) for name in ("pdm", "constant_velocity")}
+    rows = {name: drive(val, name, REPLAY)[0] for name in ("pdm", "constant_velocity")}
     mean = {name: np.mean([row["score"] for row in found]) for name, found in rows.items()}
     assert mean["pdm"] > 0.85 > mean["constant_velocity"]
     assert all(row["on_road"] == row["right_way"] == 1.0 for row in rows["pdm"])

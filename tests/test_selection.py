@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import ccdiff_env
 from ccdiff_env import AdversarySelectionEnv, AdversarySelectionVectorEnv, errors
 from ccdiff_env.bench import selection
-from ccdiff_env.bench.selection import fork_actions, rule_actions
+from ccdiff_env.bench.selection import rule_actions
 from ccdiff_env.envs.sb3 import SelectionSB3VecEnv
 from ccdiff_env.envs.selection import FEATURES, SCALES
 from ccdiff_env.system.tensors import read_tensors, write_tensors
@@ -188,23 +188,6 @@ def test_rules_choose_what_their_names_say(vector):
     assert draws[0] == draws[1] != draws[2]
     with pytest.raises(errors.ConfigError, match="nearest"):
         rule_actions(env, "crystal ball")
-
-
-def test_forks_choose_the_weakest_that_makes_contact_and_change_nothing(vector, scenes):
-    few = {"max_candidates": 3, "strengths": (0.1, 6.0), "ccdiff": {}, "horizon_steps": 100}
-    env = vector(len(scenes), ego="constant_velocity", **few)
-    env.reset(seed=0, options={"scene": list(range(len(scenes)))})
-    hits = 0
-    while not env.ended.all():
-        before = [env.ego.snapshot(e) for e in range(len(scenes))]
-        found = fork_actions(env, 1)
-        assert [env.ego.snapshot(e) for e in range(len(scenes))] == before
-        chose = (found != env.nobody) & ~env.ended
-        _, figures = env.decide(env.chosen(found))
-        # a fork that made contact is what happens where it is chosen
-        assert (figures["collisions"][chose] == 1.0).all()
-        hits += chose.sum()
-    assert hits > 0
 
 
 @pytest.fixture

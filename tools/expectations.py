@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
-from ccdiff_env.bench.planners import TRAFFIC, play
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -95,7 +95,7 @@ def learned(args: argparse.Namespace) -> None:
     for planner, title in PLANNERS.items():
         own = planner == "ego"
         driven = [str(f / "ego.zip") for f in folders] if own else [planner]
-        played = [row for p in driven for row in play(scenes, p, TRAFFIC["idm"])]
+        played = [row for p in driven for row in drive(scenes, p, TRAFFIC["idm"])[0]]
         row: dict[str, Any] = {"title": title}
         if own:
             curves = [run["curve"] for run in runs]
@@ -123,7 +123,7 @@ def test(folder: Path, scenes: SceneSet, traffic: str) -> list[dict[str, Any]]:
     """Drive the scenes in a kind of traffic, unless it has been done; figures of each."""
     kept = folder / f"{traffic}.json"
     if not kept.is_file():
-        rows = play(scenes, str(folder / "ego.safetensors"), TRAFFIC[traffic])
+        rows, _ = drive(scenes, str(folder / "ego.safetensors"), TRAFFIC[traffic])
         kept.write_text(json.dumps([{n: row[n] for n in ("scene", *FIGURES)} for row in rows]))
     found: list[dict[str, Any]] = json.loads(kept.read_text())
     return found

@@ -24,8 +24,7 @@ from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.errors import ConfigError, PolicyError
 from ccdiff_env.planners.built_in import Ego, ego_driver
-from ccdiff_env.record.episode import begin, recorders_of
-from ccdiff_env.record.episode import play as played
+from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name
@@ -308,18 +307,6 @@ def evaluate(
     return rows, chosen
 
 
-def play(
-    scenes: SceneSet,
-    planner: Ego,
-    traffic: Traffic,
-    *,
-    seed: int = 0,
-    options: Mapping[str, Any] | None = None,
-) -> list[dict[str, Any]]:
-    """Drive every scene once, all in one batch: metrics and score of each, see :func:`drive`."""
-    return drive(scenes, planner, traffic, seed=seed, options=options)[0]
-
-
 def drive(
     scenes: SceneSet,
     planner: Ego,
@@ -356,7 +343,7 @@ def drive(
     tapes = [Tape(worlds, i, driver) for i in range(len(scenes))]
     judges = [Judge(worlds, i) for i in range(len(scenes))]
     metrics: list[npt.NDArray[np.float64] | None] = [None for _ in scenes]
-    for running, actions, out in played(worlds, seat, recorders=recorders):
+    for running, actions, out in play(worlds, seat, recorders=recorders):
         for i in np.flatnonzero(running).tolist():
             tapes[i].step(actions[i, 0], out.columns[i, 0])
             judges[i].step(out.columns[i, 0])

@@ -8,7 +8,6 @@ policies is the same of their means. Gates of the closest approach are chosen on
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -58,27 +57,6 @@ def rule_actions(
     return np.where(acts, (rows + 1) * len(env.strengths) - 1, env.nobody)
 
 
-def fork_actions(env: AdversarySelectionVectorEnv, decisions: int = 2) -> npt.NDArray[np.int64]:
-    """Return, in each world [E], the weakest choice that makes contact in a fork, else nobody.
-
-    Every candidate is tried at every strength, for some ``decisions``; the worlds stay where they
-    are.
-    """
-    fork, found = copy.deepcopy(env), np.full(env.num_envs, env.nobody, np.int64)
-    saved = [env.ego.snapshot(e) for e in range(env.num_envs)]
-    for action in np.arange(env.nobody).reshape(-1, len(env.strengths)).T.ravel():
-        tried = env.action_masks()[:, action] & ~env.ended & (found == env.nobody)
-        for e in np.flatnonzero(tried).tolist():
-            fork.ego.restore(e, saved[e])
-            fork.adversaries[e] = set()
-        fork.ended = ~tried
-        for _ in range(decisions):
-            if not fork.ended.all():
-                _, figures = fork.decide(env.chosen(np.full(env.num_envs, action)))
-                found[figures["collisions"] > 0.0] = action
-    return found
-
-
 class Choice(NamedTuple):
     """Somebody who chooses: the line that it belongs to, its point there, and how it chooses."""
 
@@ -113,15 +91,14 @@ def learned(model: Any, name: str) -> Choice:
     return Choice("learned", name, choose)
 
 
-def rivals(*, forks: bool = True) -> list[Choice]:
-    """Return the rules at their strengths, the rankings of the paper and by reach, and forks."""
+def rivals() -> list[Choice]:
+    """Return the rules at their strengths, and the rankings of the paper and by reach."""
     found = [_rule("none", 1.0)]
     found += [_rule(rule, c) for rule in RULES[1:] for c in RULE_STRENGTHS]
     for line, ranking in (("causal", "cliques"), ("reach", "reach")):
         own = {"num_guided": 1, "ranking": ranking}
         found += [traffics(line, f"{c:g}", c, **own) for c in RULE_STRENGTHS]
-    tries = Choice("forks", "weakest of 1, 2, 4", lambda env: env.chosen(fork_actions(env)))
-    return [*found, tries] if forks else found
+    return found
 
 
 def gated(scenes: SceneSet, **options: Any) -> list[Choice]:
