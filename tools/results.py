@@ -228,7 +228,6 @@ TABLES: dict[str, Made] = {
         ("method",),
         _GUIDED,
     ),
-    "rivals": Made("bench traffic --k 5 --methods all", ("method",), _GUIDED),
     "grid": Made(
         "bench traffic --k 2,5,Full --methods simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
         ("method", "K", "replan_s"),
