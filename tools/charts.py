@@ -213,7 +213,7 @@ def dial() -> str:
 
 def matrix() -> str:
     """Return the chart of collisions by the traffic that egos were trained in."""
-    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff"))
+    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff", "replay"))
     tested = {"ccdiff": 0.0, "ccdiff-1-one-step": 1.0, "ccdiff-2-one-step": 2.0}
     series = [
         Series(row["trained"].split(",")[0], (next(looks), "o"), [*tested.values()],

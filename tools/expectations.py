@@ -47,6 +47,7 @@ SAME = "--dynamics unicycle --any-ego --worlds 512 --threads 1"
 TRAINED = {
     "IDM": "idm",
     "swift, criticality 0 to 2": "swift --criticality 2",
+    "log replay": "replay",
 }
 #: Traffic of tests by head of their columns.
 TESTED = {
