@@ -15,7 +15,7 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -401,8 +401,10 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
     run = kept(name)
+    named = only and [name.strip() for name in only.split(",")]
     if "replan_s" in table.keys:
-        return _grid(run, *table.columns.values())
+        (column,) = table.columns.values()
+        return _grid(run, column, named)
     rows: TableRows = []
     titles: dict[str, Callable[[str], str]] = {
         "planner": _planner,
@@ -410,7 +412,6 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
         "traffic": lambda name: "mean" if name in _ENDS else TRAFFIC[name].label,
         "figure": lambda name: name.replace("_", " "),
     }
-    named = only and [name.strip() for name in only.split(",")]
     for row in sorted(run["rows"], key=lambda r: -r["mean"][0] if "mean" in r else 0):
         if named and not {row[key] for key in table.keys} & {*named}:
             continue
@@ -427,14 +428,16 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     return document(Table([*table.keys, *columns], rows), text).rstrip()
 
 
-def _grid(run: dict[str, Any], column: Column) -> str:
-    """One figure of every method, in a column per K at the first T, then per T at K = 5."""
+def _grid(run: dict[str, Any], column: Column, named: Collection[str] | None) -> str:
+    """One figure of all methods, or of those named, in a column per K at the first T, then per T
+    at K = 5.
+    """
     rows = [row for row in run["rows"] if row["K"] != "0"]  # which is the log
     cells = {(row["K"], row["replan_s"]): f"K = {row['K']}" for row in rows}
     first = next(iter(cells))[1]
     cells = {cell: head if cell[1] == first else f"T = {cell[1]} s" for cell, head in cells.items()}
     figures = {(row["method"], row["K"], row["replan_s"]): row[column.name] for row in rows}
-    methods = dict.fromkeys(row["method"] for row in rows)
+    methods = [m for m in dict.fromkeys(row["method"] for row in rows) if not named or m in named]
     table: TableRows = [
         [label_of(method), *(figures[method, k, t][0] for k, t in cells)] for method in methods
     ]
