@@ -60,9 +60,10 @@ test-rust: $(STAMP)
 test-py: $(SO)
 	$(BIN)/python -m pytest
 
-test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install (RLlib changes the Gymnasium of .venv)
+test-learners: $(SO)  ## the examples of TorchRL and RLlib, where these install (and the locked packages again)
 	if $(UV) pip install -q --python $(BIN)/python -r pyproject.toml --extra models --extra dev --extra rl --extra viz --extra torchrl --extra rllib; \
-	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; \
+	then $(BIN)/python -m pytest tests/test_examples.py -k "torchrl or rllib"; failed=$$?; \
+		$(UV) pip install -q --python $(BIN)/python -r requirements.lock; exit $$failed; \
 	else echo "TorchRL or RLlib did not install: their examples are not run"; fi
 
 test-py123d: $(SO)  ## the source py123d, in an environment of its own (the devkit's pin of NumPy is older), where it installs
