@@ -73,6 +73,11 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     for words, said in (
         (["--traffic", "imd"], "--traffic is 'imd'"),
         (["--traffic", "bank"], "go together"),
+        (
+            ["--traffic", "idm", "swift?criticality=1", "--criticality", "2"],
+            "idm swift?criticality",
+        ),
+        (["--traffic", "learned?num_guided=1"], "learned without options"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
     ):
@@ -104,6 +109,32 @@ def test_vehicles_and_starts_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):
         egos = {scenes[one.scene_idx].agent_ids[one.ego_idx] for one in status}
         assert (egos == {"ego"}) == (name == "bank")
         assert ("idm" in {of for i in range(16) for of in native.drivers(i)}) == (name == "idm")
+
+
+def test_each_network_draws_the_criticality_that_its_options_do_not_fix(tmp_path):
+    pytest.importorskip("torch")
+    import ccdiff_env
+    from ccdiff_env.training import train_ego
+    from ccdiff_env.training.ppo import Worlds
+
+    traffic = ["ctg?num_guided=1", "swift?criticality=0.5", "ccdiff?follow_route=true", "learned"]
+    words = ["--worlds", "16", "--criticality", "2", "--out", str(tmp_path), "--traffic", *traffic]
+    parser = argparse.ArgumentParser()
+    train_ego.add_arguments(parser)
+    worlds = Worlds(parser.parse_args(words), ccdiff_env.WorldConfig(), seed=0).envs
+    drawn = [[env.worlds.criticality.get(i) for i in range(4)] for env in worlds]
+    assert drawn[1] == [None] * 4
+    assert worlds[1].worlds.configured_criticality == 0.5
+    for own in (drawn[0], drawn[2], drawn[3]):
+        assert 0.0 < min(own) < max(own) <= 2.0
+    (ctg,), (ccdiff,), (learned,) = (
+        worlds[i].worlds.config.networks_in_traffic() for i in (0, 2, 3)
+    )
+    assert ctg.num_guided == 1
+    assert ctg.denoising_steps != 1
+    assert ccdiff.follow_route
+    assert ccdiff.denoising_steps == learned.denoising_steps == 1
+    assert learned.adversary_policy == "learned"
 
 
 def test_training_begins_with_a_policy_and_stays_near_no_action():

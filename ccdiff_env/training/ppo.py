@@ -26,7 +26,6 @@ from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import place_from, scenes_from
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
-from ccdiff_env.traffic import SWIFT
 from ccdiff_env.training.cloning import demonstrations
 from ccdiff_env.training.ego_network import Agent
 from ccdiff_env.training.networks import LICENCE
@@ -41,8 +40,8 @@ from ccdiff_env.training.recipe import (
     ROLLOUT,
     WORLDS,
     Priced,
+    traffic_options,
 )
-from ccdiff_env.worlds.policy_file import LEARNED
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 ASSISTED_GAMMA, CLIP = 0.96, 0.2  # per decision
@@ -69,18 +68,6 @@ class Worlds:
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
         self.drawn = drawn = drawn if args.any_ego else {}
-        # plans of one denoising step: two to three times as fast
-        critical: dict[str, Any] = {"criticality": (0.0, args.criticality)}
-        driven: dict[str, dict[str, Any]] = {
-            "bank": {"traffic": "replay"},
-            "ccdiff": {"traffic": "ccdiff", "ccdiff": {"denoising_steps": 1}, **critical},
-            LEARNED: {
-                "traffic": "ccdiff",
-                "ccdiff": {"denoising_steps": 1, "replan_steps": 20, "adversary_policy": LEARNED},
-                **critical,
-            },
-            SWIFT: {"traffic": SWIFT, **critical},
-        }
         self.envs: list[Any] = [
             Priced(
                 make_vec(
@@ -94,7 +81,7 @@ class Worlds:
                     info="end",
                     copy=False,
                     num_threads=args.threads,
-                    **driven.get(traffic, {"traffic": traffic}),
+                    **traffic_options(traffic, args.criticality),
                 )
             )
             for traffic, count in shares.items()

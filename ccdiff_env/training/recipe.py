@@ -9,6 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.traffic import NETWORKS, read_driver
+from ccdiff_env.worlds.policy_file import LEARNED
 
 #: Weights of its reward. Arriving is worth most; a speed too low to arrive in time costs, so that
 #: standing still does not pay.
@@ -61,6 +63,25 @@ LIGHTS: dict[str, Any] = {
     "reward": REWARD | {"red_light": -20.0},
     "on_red_light": "terminate",
 }  # fmt: skip
+
+
+def traffic_options(traffic: str, criticality: float) -> dict[str, Any]:
+    """Return what :func:`ccdiff_env.make_vec` takes for an entry of ``--traffic``.
+
+    A network draws the criticality of each episode from 0 to this one, unless its options fix it.
+    CCDiff denoises in one step, two to three times as fast, unless its options say otherwise.
+    """
+    name, options = read_driver(traffic, "--traffic")
+    if name in ("bank", LEARNED) and options:
+        raise ConfigError(f"--traffic is {traffic!r}, expected {name} without options")
+    if name == "bank":
+        return {"traffic": "replay"}
+    if name == LEARNED:
+        name, traffic = "ccdiff", f"ccdiff?replan_steps=20&adversary_policy={LEARNED}"
+    if name == "ccdiff" and "denoising_steps" not in options:
+        traffic += f"{'&' if '?' in traffic else '?'}denoising_steps=1"
+    draws = name in NETWORKS and "criticality" not in options
+    return {"traffic": traffic, **({"criticality": (0.0, criticality)} if draws else {})}
 
 
 class Priced(VectorWrapper):

@@ -8,7 +8,7 @@ from pathlib import Path
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
 from ccdiff_env.traffic import EGOS, NETWORKS
-from ccdiff_env.training.recipe import ASSISTED_NOISE, NOISE, RATE
+from ccdiff_env.training.recipe import ASSISTED_NOISE, NOISE, RATE, traffic_options
 from ccdiff_env.worlds.policy_file import LEARNED
 
 #: Traffic of training; ``learned`` is CCDiff whose adversaries the shipped policy chooses,
@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--criticality",
         type=float,
-        default=1.0,
-        help="maximum criticality of guided traffic; each episode samples one from 0 to it",
+        help="maximum criticality of networks in --traffic whose options do not fix it; each "
+        "episode samples one from 0 to it (default: 1)",
     )
     parser.add_argument(
         "--any-ego",
@@ -91,6 +91,10 @@ def run(args: argparse.Namespace) -> int:
     unknown = [text for text in args.traffic if text.partition("?")[0] not in TRAFFIC]
     if unknown:
         raise ConfigError(f"--traffic is {unknown[0]!r}, expected some of {', '.join(TRAFFIC)}")
+    guided = [text for text in args.traffic if "criticality" in traffic_options(text, 1.0)]
+    if args.criticality is not None and not guided:
+        raise ConfigError(f"--criticality: no traffic of {' '.join(args.traffic)} draws it")
+    args.criticality = 1.0 if args.criticality is None else args.criticality
     args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
     if ("bank" in args.traffic) != bool(args.bank):
         raise ConfigError("--traffic bank and --bank FOLDER go together")
