@@ -207,7 +207,6 @@ def test_episodes_are_simulated_again_from_a_small_file(options, scenes, tmp_pat
     again = replay(path)
     assert again.rewards.tolist() == rewards
     assert again.env.scene == env.scene
-    assert again.frames == []
     # files from before an option existed mean its default
     fields = json.loads(path.read_text())
     del fields["config"]["start_spread_steps"]
@@ -215,13 +214,6 @@ def test_episodes_are_simulated_again_from_a_small_file(options, scenes, tmp_pat
     path.write_text(json.dumps(fields))
     assert replay(path).rewards.tolist() == rewards
     assert Certificate.load(path).config == env.certificate().config
-
-
-def test_images_are_kept_on_request(scenes):
-    env, rewards = driven(scenes, horizon_steps=3)
-    again = replay(env.certificate(), scenes, render_mode="rgb_array", size=(32, 32))
-    assert len(again.frames) == len(rewards) + 1
-    assert again.frames[0].shape == (32, 32, 3)
 
 
 def test_an_unfinished_episode_has_a_certificate_and_forks_keep_it(scenes):

@@ -222,12 +222,6 @@ TABLES: dict[str, Made] = {
         command=_NUPLAN.command.replace("pdm_closed_planner,pdm", "idm_planner,lane_idm"),
         where={"planner": "nuplan:idm_planner", "against": "lane_idm"},
     ),
-    "criticality": Made(
-        "bench traffic --k Full --methods "
-        "ccdiff_unguided,ccdiff-0.25,ccdiff-0.5,ccdiff-0.75,ccdiff,ccdiff-1.5,ccdiff-2",
-        ("method",),
-        _GUIDED,
-    ),
     "grid": Made(
         "bench traffic --k 2,5,Full --methods simnet,trafficsim,strive,bits,ctg,ctgpp,ccdiff_equal",
         ("method", "K", "replan_s"),

@@ -441,22 +441,14 @@ def _add_verify(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         "your own runs only (default: refused)",
     )
     parser.add_argument("--dataroot", help="folder of nuScenes (default: that of the run)")
-    parser.add_argument(
-        "--base-instructions",
-        action="store_true",
-        help="compute without vector extensions (AVX), as the oldest processor would",
-    )
     parser.set_defaults(run=_verify)
 
 
 def _verify(args: argparse.Namespace) -> int:
-    from ccdiff_env import _native
     from ccdiff_env.bench.record import Record
     from ccdiff_env.bench.verify import verify
     from ccdiff_env.bench.verify_traffic import is_of_traffic, verify_traffic
 
-    if args.base_instructions:
-        _native.hold_to_base()
     if is_of_traffic(args.record):
         for name in ("episodes", "seed", "dataroot"):
             if getattr(args, name) is not None:

@@ -21,26 +21,20 @@ class Replay:
 
     env: EgoEnv  #: The environment at the end of the episode.
     rewards: npt.NDArray[np.float64]  #: Rewards [T].
-    frames: list[npt.NDArray[np.uint8]]  #: Images [T + 1] of the steps, if asked for.
 
 
 def replay(
     certificate: Certificate | str | os.PathLike[str],
     scenes: Scenes = None,
-    *,
-    render_mode: str | None = None,
-    **render_options: Any,
 ) -> Replay:
     """Simulate a certified episode again and check that it comes out the same, bit for bit.
 
     Args:
         certificate: A certificate, or the path of its file.
         scenes: Scenes among which the certified one is; by default the embedded ones.
-        render_mode: ``"rgb_array"`` keeps an image of every step.
-        **render_options: Options of images, as for :class:`EgoEnv`.
 
     Returns:
-        Replay: The environment at the end of the episode, the rewards, the images.
+        Replay: The environment at the end of the episode and the rewards.
 
     Raises:
         SnapshotError: If the scene, the schema or the outcome is another one.
@@ -55,12 +49,7 @@ def replay(
         raise SnapshotError(
             f"certificate: scene {name!r} has hash {scene.hash}, expected {certificate.scene_hash}"
         )
-    env = EgoEnv(
-        scenes=[scene],
-        config=certificate.config,
-        render_mode=render_mode,
-        render_options=render_options,
-    )
+    env = EgoEnv(scenes=[scene], config=certificate.config)
     if schema_digest(env.worlds) != certificate.schema:
         raise SnapshotError(
             f"certificate: made by version {certificate.package}, whose observations or info "
@@ -72,7 +61,7 @@ def replay(
     for i in range(certificate.episode_idx + 1):
         last = i == certificate.episode_idx
         env.reset(seed=None if i else certificate.seed, options=chosen if last else None)
-    frames, rewards = [env.render()] if render_mode else [], []
+    rewards = []
     shape, width = env.action_space.shape or (), env.worlds.native.action_width
     if certificate.actions.shape[1] != width:
         raise SnapshotError(
@@ -81,7 +70,6 @@ def replay(
     for row in certificate.actions:
         action = row.reshape(shape) if shape else np.int64(row[0])
         rewards.append(env.step(action)[1])
-        frames += [env.render()] if render_mode else []
     if env.certificate().digest != certificate.digest:
         raise SnapshotError("certificate: the episode came out differently")
-    return Replay(env, np.array(rewards), [frame for frame in frames if frame is not None])
+    return Replay(env, np.array(rewards))
