@@ -1,5 +1,7 @@
 """Custom traffic: Python models and their batches, mixes, styles, drivers of single vehicles."""
 
+import collections
+import dataclasses
 import math
 
 import numpy as np
@@ -48,6 +50,15 @@ def straight_on(batch: TrafficBatch) -> np.ndarray:
     x = now[:, :1] + way * np.cos(heading)[:, None]
     y = now[:, 1:] + way * np.sin(heading)[:, None]
     return np.stack([x, y, np.repeat(heading[:, None], STEPS, 1)], axis=-1)
+
+
+def steady(speed_mps):
+    """A model that goes straight on at a speed."""
+
+    def poses(batch: TrafficBatch) -> np.ndarray:
+        return straight_on(dataclasses.replace(batch, speed_mps=0.0 * batch.speed_mps + speed_mps))
+
+    return poses
 
 
 def watching(**options):
@@ -190,6 +201,59 @@ def test_mixed_traffic_repeats_and_is_recorded_by_name(tmp_path):
     assert again.driver_names == rollout.driver_names
     assert again.driver_kinds == rollout.driver_kinds
     assert again.meta["traffic"] == "50% calm + 30% python + 20% replay"
+
+
+def test_several_models_plan_in_one_world_and_each_is_followed():
+    speeds = {"slow": 3.0, "fast": 9.0}
+    models = {n: PythonTraffic(steady(v), replan_steps=4) for n, v in speeds.items()}
+    env = env_of(dict.fromkeys(speeds, 0.5), named_drivers=models)
+    env.reset(seed=3)
+    native = env.worlds.native
+    assert sorted(native.planners) == sorted(speeds)
+    assert native.explain(0, "fast") is None
+    for t in range(9):
+        walk(env, 1)
+        drivers, states = np.array(native.drivers(0)), native.states(0)
+        for name, speed_mps in speeds.items():
+            plan = native.explain(0, name)
+            assert plan["made_at"] == t // 4 * 4
+            agents = plan["agents"]
+            assert len(agents) > 0
+            assert (drivers[agents] == name).all()
+            there = agents[states["active"][agents]]
+            np.testing.assert_allclose(states["speed"][there], speed_mps, atol=1e-3)
+
+
+def test_nobody_plans_for_a_world_that_rests():
+    traffic, told = watching(replan_steps=4)
+    some, alone = env_of(traffic, 3), env_of(PythonTraffic(coast, replan_steps=4), 1)
+    some.reset(seed=3, options={"scene": "cut-in-03"})
+    alone.reset(seed=4, options={"scene": "cut-in-03"})
+    for t in range(9):
+        # worlds 0 and 2 go on in the first two steps alone
+        active = np.array([t < 2, True, t < 2])
+        obs = some.step(np.zeros((3, 2), np.float32), active=active)[0]
+        assert np.array_equal(obs[1], walk(alone, 1)[0][0][0])
+        made = [some.explain(i).made_at for i in range(3)]
+        assert made == [0, t // 4 * 4, 0]
+    assert [len(batch.scenes) for batch in told] == [3, 1, 1]
+
+
+def test_mixed_traffic_has_its_shares():
+    shares = {"idm": 0.5, "constant_velocity": 0.3, "replay": 0.2}
+    env, counts = env_of(shares, 64), collections.Counter[str]()
+    for seed in range(6):
+        env.reset(seed=1000 * seed)
+        for world in range(64):
+            native = env.worlds.native
+            scene = env.worlds.scenes[native.status(world).scene_idx]
+            drawn = zip(scene.agent_types, native.drivers(world), strict=True)
+            counts.update([name for kind, name in drawn if kind == "vehicle"][1:])
+    total = counts.total()
+    assert total > 2000
+    for name, share in shares.items():
+        # five standard deviations
+        assert abs(counts[name] / total - share) < 5.0 * math.sqrt(0.25 / total), counts
 
 
 def test_single_vehicles_have_drivers_of_their_own():
