@@ -17,18 +17,6 @@ choices! {
     }
 }
 
-choices! {
-    /// Weights with which losses choose among samples.
-    #[derive(Clone, Copy, Eq)]
-    pub enum FilterWeights {
-        /// Those of guidance, with their signs.
-        Signed = "signed",
-        /// 1 for all, as released (reference.md#sampling): with a negative collision weight the least colliding sample is
-        /// taken.
-        Unweighted = "unweighted",
-    }
-}
-
 /// The tables of guidance.
 pub const TABLES: &[&Table] = &[
     &GuidanceConfig::TABLE,
@@ -67,8 +55,6 @@ options! {
         executed_steps: Option<usize> = None, range within(1.0, 1000.0);
         /// Leading steps of the plan that collision losses look at; `None`: all.
         seen_steps: Option<usize> = None, range within(1.0, 1000.0);
-        /// Weights with which losses choose among samples.
-        filter_weights: FilterWeights = FilterWeights::Signed;
     }
 }
 

@@ -1,6 +1,6 @@
 //! What guidance did: losses, the selected sample, how far plans moved, how gradients pull against each other.
 
-use super::config::{FilterWeights, GuidanceConfig};
+use super::config::GuidanceConfig;
 use super::objective::Objective;
 
 /// What guidance did to the plans of the M agents of one world.
@@ -143,12 +143,8 @@ fn weighted(
     sample: usize,
     agent: usize,
 ) -> f64 {
-    let weight = |o: &Objective| match config.filter_weights {
-        FilterWeights::Signed => f64::from(o.weight()),
-        FilterWeights::Unweighted => 1.0,
-    };
     let of = |(j, o): (usize, &Objective)| {
-        weight(o) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
+        f64::from(o.weight()) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
     };
     config.objectives.iter().enumerate().map(of).sum()
 }
