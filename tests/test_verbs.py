@@ -119,9 +119,11 @@ def test_each_network_draws_the_criticality_that_its_options_do_not_fix(tmp_path
 
     traffic = ["ctg?num_guided=1", "swift?criticality=0.5", "ccdiff?follow_route=true", "learned"]
     words = ["--worlds", "16", "--criticality", "2", "--out", str(tmp_path), "--traffic", *traffic]
+    words += ["--limit", "2", "--more-scenes", "embedded/val"]
     parser = argparse.ArgumentParser()
     train_ego.add_arguments(parser)
     worlds = Worlds(parser.parse_args(words), ccdiff_env.WorldConfig(), seed=0).envs
+    assert len(worlds[0].worlds.scenes) == 2 + len(ccdiff_env.embedded_scenes("val"))
     drawn = [[env.worlds.criticality.get(i) for i in range(4)] for env in worlds]
     assert drawn[1] == [None] * 4
     assert worlds[1].worlds.configured_criticality == 0.5

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -213,7 +214,7 @@ def dial() -> str:
 
 def matrix() -> str:
     """Return the chart of collisions by the traffic that egos were trained in."""
-    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff", "replay"))
+    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff", "replay", "ccdiff"))
     tested = {"ccdiff": 0.0, "ccdiff-1-one-step": 1.0, "ccdiff-2-one-step": 2.0}
     series = [
         Series(row["trained"].split(",")[0], (next(looks), "o"), [*tested.values()],
@@ -231,7 +232,7 @@ def data() -> str:
     run, series = kept("learning_data"), []
     for traffic, look in (("idm", "idm"), ("ccdiff-1-one-step", "ccdiff")):
         figures = [_figure(row["shares"], traffic, 100) for row in run["rows"]]
-        places = [float(row["trained"]) for row in run["rows"]]
+        places = [float(sum(map(int, re.findall(r"\d+", row["trained"])))) for row in run["rows"]]
         series.append(Series(run["heads"][traffic], (look, "o"), places, figures))
     title = f"success of egos, % of {run['scenes'].split()[0]} scenes that they never drove"
     return lines_chart(title, "scenes of the training", series, (0, 25, 50, 75, 100))

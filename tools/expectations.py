@@ -48,6 +48,8 @@ TRAINED = {
     "IDM": "idm",
     "swift, criticality 0 to 2": "swift --criticality 2",
     "log replay": "replay",
+    # as long as the others: one decision takes as long as seven of theirs
+    "CCDiff, criticality 0 to 2": "ccdiff --criticality 2 --decisions 60000",
 }
 #: Traffic of tests by head of their columns.
 TESTED = {
@@ -59,6 +61,7 @@ TESTED = {
     "ccdiff-2-one-step": "CCDiff, criticality 2",
 }
 SCENES = (40, 160, None)  #: Numbers of scenes to train on; the last is all.
+MORE = "embedded/city"  #: Scenes beside all of them, in one more row.
 DATA_TESTED = ("idm", "ccdiff-1-one-step")  #: Traffic of the tests of ``data``.
 #: Figure of each study.
 FIGURE = {"matrix": "collision", "data": "success"}
@@ -143,6 +146,8 @@ def study(args: argparse.Namespace) -> None:
     if not is_matrix:
         parts = {n or len(load(place)): replace(place, limit=n) for n in SCENES}
         trainings = {f"{n}": ("idm", part) for n, part in parts.items()}
+        more = f"{max(parts)} + {len(load(MORE))} of `city`"
+        trainings[more] = (f"idm --more-scenes {MORE}", place)
     tested = TESTED if is_matrix else {traffic: TESTED[traffic] for traffic in DATA_TESTED}
     figure = FIGURE[args.study]
     words = f"--decisions {args.decisions} --seeds {args.seeds} --scenes nuscenes:<nuscenes>/train"
@@ -154,10 +159,11 @@ def study(args: argparse.Namespace) -> None:
     for name, (traffic, part) in trainings.items():
         folders, taken_s = list[Path](), list[float]()
         for seed in range(args.seeds):
-            run = f"{traffic.replace(' ', '')}-{part.limit}-{args.decisions}-{seed}"
+            meant = traffic.replace(" ", "").replace("/", "-")
+            run = f"{meant}-{part.limit}-{args.decisions}-{seed}"
             folders.append(args.out / run)
-            words = f"--traffic {traffic} --scenes {part} --decisions {args.decisions}"
-            taken_s.append(train(folders[-1], f"{words} --seed {seed}"))
+            words = f"--scenes {part} --decisions {args.decisions} --seed {seed}"
+            taken_s.append(train(folders[-1], f"{words} --traffic {traffic}"))
         driven = {t: [row for f in folders for row in test(f, scenes, t)] for t in tested}
         shares = {t: mean_interval(of, figure) for t, of in driven.items()}
         rounded = {t: [round(value, 4) for value in of] for t, of in shares.items()}

@@ -24,6 +24,7 @@ from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import place_from, scenes_from
+from ccdiff_env.scenes.sources import load, parse, settle
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
 from ccdiff_env.training.cloning import demonstrations
@@ -63,7 +64,10 @@ class Worlds:
     """Vector environments side by side, one for each traffic, as one batch of E worlds."""
 
     def __init__(self, args: argparse.Namespace, config: WorldConfig, seed: int) -> None:
-        self.scenes = scenes = scenes_from(args)
+        scenes = scenes_from(args)
+        if args.more_scenes:
+            scenes = SceneSet([*scenes, *load(settle(parse(args.more_scenes), "train"))])
+        self.scenes = scenes
         recorded = [scene for path in args.bank for scene in load_bank(path)]
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
@@ -221,7 +225,7 @@ def train(args: argparse.Namespace) -> None:
         agent.begin(obs, actions, args.seed)
 
     # weights that saw nuScenes, or began with such, are not for commercial use
-    of_nuscenes = str(place_from(args)).startswith("nuscenes:")
+    of_nuscenes = "nuscenes:" in f"{place_from(args)} {args.more_scenes}"
     is_bound = of_nuscenes or (given is not None and "licence" in given.about)
 
     def keep() -> None:

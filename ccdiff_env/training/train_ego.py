@@ -20,6 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the verb."""
     add_scene_arguments(parser, "train")
     parser.add_argument(
+        "--more-scenes", metavar="SOURCE", help="further scenes, as --scenes (default: none)"
+    )
+    parser.add_argument(
         "--bank",
         nargs="*",
         type=Path,
