@@ -385,6 +385,8 @@ def _plain(value: Any) -> Any:
         }
     if isinstance(value, tuple):
         return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # JSON has none: Rust refuses the text by the field's name
     if not dataclasses.is_dataclass(value):
         return value
     fields: dict[str, Any] = {

@@ -180,6 +180,11 @@ def test_bad_json_is_refused(text):
         WorldConfig.from_json(text)
 
 
+def test_numbers_of_a_dataclass_are_checked_as_those_of_options():
+    with pytest.raises(ConfigError, match='dt_s is "nan", expected a number'):
+        ccdiff_env.EgoEnv(config=WorldConfig(dt_s=float("nan")))
+
+
 def test_rules_between_options_are_checked_by_rust():
     for change in (
         {"num_slots": 3},

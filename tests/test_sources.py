@@ -82,7 +82,7 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("embedded?window_s=8&window_s=9", "an option twice"),
         ("embedded?window_s=0", "window_s is 0.0, expected seconds"),
         ("embedded?window_s=8&stride_s=no", "could not convert string to float: 'no'; expected"),
-        ("embedded?stride_s=2", "expected window_s in seconds, and stride_s"),
+        ("embedded?stride_s=2", "stride_s=2': expected window_s in seconds, and stride_s"),
         ("embedded/val?limit=two", "limit is 'two', expected a whole number"),
     ],
 )

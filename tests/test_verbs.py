@@ -78,6 +78,10 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
             "idm swift?criticality",
         ),
         (["--traffic", "learned?num_guided=1"], "learned without options"),
+        (["--learning-rate", "nan"], "--learning-rate is nan"),
+        (["--noise", "0.1", "0"], "--noise is [0.1, 0.0]"),
+        (["--threads", "0"], "--threads is 0, expected at least 1"),
+        (["--shown", "-1"], "--shown is -1, expected at least 0"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
     ):
@@ -89,6 +93,43 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     policy = ccdiff_env.planners.load(out / "ego.safetensors")
     assert policy.config.action.dynamics.base == "pdm"
     assert "ego.safetensors" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("train --steps 1 --threads 0 --out out", "--threads is 0, expected at least 1"),
+        (
+            "train --steps 1 --learning-rate nan --out out",
+            "learning_rate is nan, expected a number",
+        ),
+        ("train --steps -1 --out out", "steps or minutes: -1"),
+        ("train --minutes nan --out out", "steps or minutes: nan"),
+        ("bench traffic --methods ccdiff --k -1 --out out", "K is -1, expected at least 0"),
+        ("bench traffic --methods ccdiff --t 0 --out out", "T in steps is 0, expected at least 1"),
+        ("bench traffic --methods ccdiff --match 5 --out out", "expected rates between 0 and 1"),
+        ("bench traffic --match 0.5 --strengths 1,1 --out out", "expected two at least"),
+        ("bench planners --planners idm?title= --out out", "the title is empty"),
+    ],
+)
+def test_numbers_that_mean_nothing_are_refused(tmp_path, monkeypatch, capsys, words, said):
+    if words.startswith("train"):
+        pytest.importorskip("torch")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words.split()) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_any_integer_is_a_seed_as_in_environments():
+    from ccdiff_env import EgoEnv, WorldConfig, embedded_scenes
+    from ccdiff_env.record.episode import begin
+
+    scenes, config = embedded_scenes("val")[:1], WorldConfig(start_spread_steps=20)
+    env = EgoEnv(scenes=scenes, config=config)
+    for seed in (-1, 2**70 + 3):
+        env.reset(seed=seed)
+        own, usual = begin(scenes, config, seed).native.status(0), env.worlds.native.status(0)
+        assert (own.seed, own.step_idx) == (usual.seed, usual.step_idx)
 
 
 def test_vehicles_and_starts_are_drawn_but_the_ego_of_a_bank_stays(tmp_path):

@@ -135,6 +135,10 @@ def _traffic(args: argparse.Namespace) -> int:
     methods = list(PAPER_METHODS) if args.methods == "all" else titled(args.methods.split(","))
     match = _listed("--match", args.match, float, "rates") if args.match else []
     strengths = _listed("--strengths", args.strengths, float, "criticalities") if match else []
+    if match and not all(0.0 < rate < 1.0 for rate in match):
+        raise ConfigError(f"--match is {args.match!r}, expected rates between 0 and 1")
+    if match and len(set(strengths)) < 2:
+        raise ConfigError(f"--strengths is {args.strengths!r}, expected two at least")
     run = Run(args, "traffic")
     jobs = traffic_jobs(
         run.source,

@@ -25,6 +25,7 @@ from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device, resolved
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
@@ -65,6 +66,10 @@ def traffic_jobs(
     differ is not played twice: other periods of methods that do not plan, and all vehicles by
     another ranking than that of ``ccdiff``, where that one is asked for.
     """
+    asked = [k for k in (*num_controlled, *(replan_controlled or ())) if k is not None]
+    for what, least, values in (("K", 0, asked), ("T in steps", 1, replan_steps)):
+        if any(value < least for value in values):
+            raise ConfigError(f"{what} is {min(values)}, expected at least {least}")
     conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
     guided = {name for name in methods if strengths and METHODS[name].ccdiff.get("criticality")}
     methods = [

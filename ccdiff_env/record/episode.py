@@ -16,6 +16,7 @@ from ccdiff_env.planners.built_in import Seat
 from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.worlds import StepArrays, Worlds
+from ccdiff_env.worlds.configured import normalize_seed
 
 F32 = npt.NDArray[np.float32]
 Bool = npt.NDArray[np.bool_]
@@ -82,6 +83,7 @@ def _check_limits(limits: Any, who: str, fixed_by: str) -> None:
 def begin(scenes: SceneSet, config: WorldConfig, seed: int) -> Worlds:
     """Return worlds, one of each scene, at the beginning of episodes of a seed."""
     worlds = Worlds(scenes, config, num_worlds=len(scenes), num_threads=1)
+    seed = normalize_seed(seed)
     worlds.native.reset([seed] * len(scenes), list(range(len(scenes))), None, worlds.arrays())
     return worlds
 

@@ -221,11 +221,13 @@ def parse(text: str) -> Place:
 
 
 def _window(text: str, options: Mapping[str, str | float | None]) -> Windows:
+    wanted = "expected window_s in seconds, and stride_s and history_s if need be"
+    if options.get("window_s") is None:
+        raise _wrong(text, wanted)
     try:
         return Windows(**{k: None if v is None else float(v) for k, v in options.items()})  # type: ignore[arg-type]
     except (TypeError, ValueError, ConfigError) as error:
-        wanted = "window_s in seconds, and stride_s and history_s if need be"
-        raise _wrong(text, f"{error}; expected {wanted}") from error
+        raise _wrong(text, f"{error}; {wanted}") from error
 
 
 def _parts(source: Source, text: str) -> tuple[str, str | None, str | None]:

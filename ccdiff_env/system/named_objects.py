@@ -52,7 +52,9 @@ def title_of(text: str) -> str | None:
 
 
 def strip_title(text: str) -> str:
-    """Return a text without its title."""
+    """Return a text without its title; an empty title is a :class:`ConfigError`."""
+    if title_of(text) == "":
+        raise ConfigError(f"{text!r}: the title is empty")
     path, _, options = text.partition("?")
     kept = "&".join(part for part in options.split("&") if not part.startswith("title="))
     return f"{path}?{kept}" if kept else path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import sys
 import time
@@ -87,6 +88,9 @@ def train(
     """
     if (steps is None) == (minutes is None):
         raise ConfigError("give steps or minutes, exactly one of them")
+    length = steps if minutes is None else minutes
+    if length is None or not 0 <= length < math.inf:
+        raise ConfigError(f"steps or minutes: {length}, expected a number of at least 0")
     require_networks()
     from ccdiff_env import _models
 
@@ -215,6 +219,9 @@ def _merge(what: str, preset: dict[str, Any], changes: dict[str, Any]) -> dict[s
     unknown = sorted(set(changes) - set(preset))
     if unknown:
         raise ConfigError(f"unknown {what} {unknown[0]!r}, expected one of {', '.join(preset)}")
+    for key, value in changes.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(f"{what} {key} is {value}, expected a number")
     parts = {
         key: {**preset[key], **value} if isinstance(value, dict) else value
         for key, value in changes.items()

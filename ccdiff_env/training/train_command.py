@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     kept_out = {name for split in source.kept_out for name in known[split]}
     if args.hold_out_every < 2:
         raise ConfigError(f"--hold-out-every is {args.hold_out_every}, expected at least 2")
+    if args.threads < 1:
+        raise ConfigError(f"--threads is {args.threads}, expected at least 1")
     require_networks()
     import torch
 
