@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -82,6 +82,13 @@ def own_generator(seed: int) -> Iterator[None]:
         yield
 
 
+def _check(name: str, values: Iterable[int], most: int) -> None:
+    """Refuse what is not from 0 to ``most``."""
+    for value in values:
+        if not 0 <= value <= most:
+            raise ConfigError(f"{name} is {value}, expected 0 to {most}")
+
+
 class TrajectoryModel:
     """A planning network loaded from a weight file.
 
@@ -152,14 +159,27 @@ class TrajectoryModel:
                 ``CcdiffConfig.follow_route``.
 
         Raises:
-            ConfigError: A setting is unknown or out of range; the message names it.
+            ConfigError: A setting, a step or an agent is unknown or out of range; the message names
+                it.
             ShapeError: There is not one entry per scene.
         """
         if (guidance is None) != (guided is None):
             raise ConfigError("give guidance and guided together, or neither")
         chosen = list(range(len(scenes))) if seeds is None else list(seeds)
+        agents = [()] * len(scenes) if guided is None else guided
+        for i, (scene, step, seed, own) in enumerate(
+            zip(scenes, steps, chosen, agents, strict=False)
+        ):
+            last, most = scene.num_steps - 1, len(scene.agent_ids) - 1
+            _check(f"steps[{i}]", [step], last)
+            _check(f"seeds[{i}]", [seed], 2**64 - 1)
+            _check(f"guided[{i}]", own, most)
         if isinstance(guidance, str):
             guidance = guidance_preset(guidance)
+        try:
+            objective = None if guidance is None else json.dumps(dict(guidance), allow_nan=False)
+        except ValueError:
+            raise ConfigError(f"guidance is {guidance!r}, expected finite numbers") from None
         plans = self._native.plan_scenes(
             list(scenes),
             list(steps),
@@ -167,7 +187,7 @@ class TrajectoryModel:
             solver_steps=solver_steps,
             num_samples=num_samples,
             guidance_weight=guidance_weight,
-            guidance=None if guidance is None else json.dumps(dict(guidance)),
+            guidance=objective,
             guided=None if guided is None else [list(g) for g in guided],
             attention=attention,
             follow_route=follow_route,
