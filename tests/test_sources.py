@@ -104,6 +104,9 @@ def test_embedded_scenes_are_those_of_their_splits():
         assert ccdiff_env.load(text).names == tuple(names)
     few = ccdiff_env.load("embedded/val", limit=4, names=splits["val"][::-1])
     assert few.names == tuple(splits["val"][::-1][:4])
+    one = ccdiff_env.load("embedded", names=splits["val"][0], kinds="pedestrian")
+    assert one.names == splits["val"][:1]
+    assert set(one[0].agent_types) == {"vehicle", "pedestrian"}
     with pytest.raises(UnknownNameError, match="nowhere"):
         ccdiff_env.load("embedded", names=["nowhere"])
     with pytest.raises(ConfigError, match="limit is 0"):

@@ -227,8 +227,7 @@ def load_nuscenes(
     """
     if split is not None and scenes is not None:
         raise ConfigError("give split or scenes, not both")
-    if isinstance(scenes, str):
-        scenes = [scenes]
+    scenes, kinds = ([one] if isinstance(one, str) else one for one in (scenes, kinds))
     names = list(scenes) if scenes is not None else _names_of_split(split)
     folder, cache_notes = cache_folder(cache)
     loaded, report = _native.load_nuscenes(

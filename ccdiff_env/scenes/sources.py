@@ -357,6 +357,7 @@ def load(
     asked = {"window_s": window_s, "stride_s": stride_s, "history_s": history_s}
     if any(value is not None for value in asked.values()):
         place = replace(place, window=_window(str(place), asked))
+    names, kinds = ([one] if isinstance(one, str) else one for one in (names, kinds))
     place = replace(
         settle(place),
         names=None if names is None else tuple(names),
