@@ -38,6 +38,7 @@ REST = ("external", "network", "other", "constant_velocity", "idm", "ccdiff")
 MARKERS = "*p<>hdosv^DXP"
 #: Places of a line, and their figures with intervals.
 Points = Sequence[tuple[float, tuple[float, float, float]]]
+THIN: Any = {"elinewidth": 1, "capsize": 2.5}  #: Of whiskers.
 #: Lines behind the plots, on light and on dark ground.
 FAINT = ("#d5dae1", "#39434f")
 
@@ -129,31 +130,29 @@ def plot_robustness(
     planners, names = list(dict.fromkeys(p for p, _ in found)), sorted(level, key=level.__getitem__)
     if len(names) < 2:
         return None
-    if not _drawn():
-        return None
-    figure, axes = new_plot(5.6, 3.8)
-    axes.set_ylim(0, 1.02)
     lines = {
         p: (label(p), 5.0, [(level[n], mean_interval(found[p, n], "score")) for n in names])
         for p in planners
     }
-    _draw_lines(axes, lines)
-    axes.set_xticks([level[n] for n in names])
-    axes.set_xlabel("criticality of the CCDiff traffic")
-    axes.set_ylabel("score")
-    return save_plot(figure, path)
+    return plot_lines({"score": lines}, "criticality of the CCDiff traffic", path, ends=(0, 1.02))
 
 
 def plot_lines(
-    panels: Mapping[str, Mapping[str, tuple[str, float, Points]]], across: str, path: Path
+    panels: Mapping[str, Mapping[str, tuple[str, float, Points]]],
+    across: str,
+    path: Path,
+    *,
+    ends: tuple[float, float] | None = None,
 ) -> Path | None:
-    """Draw figures side by side, as :func:`plot_robustness` does one: panels by title, of lines by
-    key, each with its name, the size of its markers, and its points.
+    """Draw figures side by side: panels by title, from and up to ``ends``, of lines by key, each
+    with its name, the size of its markers, and its points.
     """
     if not any(panels.values()) or not _drawn():
         return None
     figure, found = new_plot(5.2 * len(panels), 3.8, ncols=len(panels))
     for axes, (title, lines) in zip(np.ravel(np.array(found)), panels.items(), strict=True):
+        if ends is not None:
+            axes.set_ylim(ends)
         _draw_lines(axes, lines)
         places = sorted({x for _, _, points in lines.values() for x, _ in points})
         if len(places) < 8:
@@ -177,10 +176,7 @@ def _draw_lines(axes: Axes, lines: Mapping[str, tuple[str, float, Points]]) -> N
         means = np.array([figure for _, figure in points])
         whiskers = np.nan_to_num(np.abs(means[:, 1:] - means[:, :1]).T)
         x = np.array([x for x, _ in points]) + by
-        axes.errorbar(
-            x, means[:, 0], yerr=whiskers, color=color, marker=marker, markersize=size,
-            elinewidth=1, capsize=2.5,
-        )  # fmt: skip
+        axes.errorbar(x, means[:, 0], yerr=whiskers, color=color, marker=marker, ms=size, **THIN)
         ends.append((means[-1, 0], x[-1], name, color))
     axes.grid(color=FAINT[0])
     name_ends(axes, ends)
@@ -209,10 +205,7 @@ def plot_dots(
             mean, low, high = mean_interval(found[method], name)
             whiskers = np.nan_to_num([[mean - low], [high - mean]])
             color, marker = look[method]
-            axes.errorbar(
-                mean, y, xerr=whiskers, color=color, marker=marker, markersize=5, elinewidth=1,
-                capsize=2.5,
-            )  # fmt: skip
+            axes.errorbar(mean, y, xerr=whiskers, color=color, marker=marker, ms=5, **THIN)
         if "replay" in found:
             log = mean_interval(found["replay"], name)[0]
             axes.axvline(log, color=colours()["replay"][0], lw=1, ls="--")

@@ -6,11 +6,6 @@ function boxOf(run, agent, step) {
   return [run.a.x[i], run.a.y[i], run.a.heading[i], length / 2, width / 2];
 }
 
-const speedOf = (run, agent, step) => {
-  const i = agent * run.numSteps + step;
-  return Math.hypot(run.a.vx[i], run.a.vy[i]);
-};
-
 /** How far two boxes are apart along forward and left of the one, and of the other, metres; negative where they overlap. */
 function gapsOf(one, other) {
   const x = other[0] - one[0], y = other[1] - one[1], turned = other[2] - one[2];
@@ -46,7 +41,7 @@ function along(run, agent, step, [x, y]) {
 /** Who is in the way of the ego at a step, and for how many seconds it has waited; null where nobody is. */
 function blockerOf(run, last, { waits, ahead, blocked }) {
   let found = -1, steps = 0;
-  for (let step = last; step >= 0 && speedOf(run, 0, step) < waits; step--, steps++) {
+  for (let step = last; step >= 0 && run.speed(0, step) < waits; step--, steps++) {
     const [x, y, heading, length, width] = boxOf(run, 0, step), middle = length + ahead / 2;
     const before = [x + middle * Math.cos(heading), y + middle * Math.sin(heading), heading, ahead / 2, width];
     const far = (agent) => Math.hypot(boxOf(run, agent, step)[0] - x, boxOf(run, agent, step)[1] - y);
@@ -63,7 +58,7 @@ function blockerOf(run, last, { waits, ahead, blocked }) {
 function collisionOf(run, step, partner, { words, most }) {
   const [normal, own, other] = impactOf(run, step, 0, partner), { kind, title } = run.agents[partner];
   const heading = run.a.heading[step], forwards = [Math.cos(heading), Math.sin(heading)];
-  const speed = speedOf(run, 0, step), across = normal[0] * forwards[0] + normal[1] * forwards[1];
+  const speed = run.speed(0, step), across = normal[0] * forwards[0] + normal[1] * forwards[1];
   let did;
   if (Math.max(own, other) < most.waits) did = words.met;
   else if (own < other && !(kind === "pedestrian" && speed > most.passes))

@@ -7,7 +7,6 @@ const FIGURES = {
   gap: { unit: "m", most: 50, of: (run, agent, step) => run.gap(agent, step) },
   "time to contact": { unit: "s", most: 10, low: 0.95, of: (run, agent, step) => run.meeting(agent, step)?.[2] ?? null },
 };
-const BADGE_COLOURS = ["--run-0", "--run-1", "--run-2", "--run-3"];
 
 class Strip {
   constructor(canvas, choice, timeline) {
@@ -47,7 +46,7 @@ class Strip {
     line(context, 10, y(0), width - 10, y(0));
     timeline.runs.forEach((run, index) => {
       context.strokeStyle = context.fillStyle = timeline.runs.length > 1
-        ? style.getPropertyValue(BADGE_COLOURS[player.runs.indexOf(run) % BADGE_COLOURS.length]) : colours.accent;
+        ? style.getPropertyValue(`--run-${player.runs.indexOf(run) % RUN_COLOURS}`) : colours.accent;
       context.lineWidth = 1.6;
       context.beginPath();
       lines[index].forEach((value, step) => {
