@@ -6,6 +6,7 @@ import functools
 import importlib
 import json
 import re
+import runpy
 import shlex
 import sys
 from collections.abc import Iterator
@@ -31,6 +32,7 @@ from tools.results import USED_FOR
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *ROOT.glob("[A-Z]*[A-Z].md"), *sorted((ROOT / "docs").glob("*.md"))]
 PAGES = list(dict.fromkeys(PAGES))
+TOOLS = sorted((ROOT / "tools").glob("*.py"))
 BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 #: What is made smaller here than on the page.
 SMALLER = {
@@ -396,6 +398,11 @@ def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_pa
     assert {page.stem for page in (tmp_path / "all").glob("*-*.html")} == {*shown}
     order = sorted(shown, key=lambda name: index.index(f'href="{name}.html'))
     assert [shown[name] for name in order] == sorted(shown.values(), reverse=True)
+    # each shows both worlds; menus choose what happened, who drove, which scenes
+    assert index.count("<img") == 2 * len(shown)
+    assert (
+        index.count("criticality 1: ego ") == index.count("realistic: ego reached ") == len(shown)
+    )
     score = {key: {row["scene"]: row["score"] for row in rows} for key, (rows, _) in played.items()}
     less = {n: score["pdm", "ccdiff-1"][n] - score["idm", "ccdiff-1"][n] for n in names}
     index = gallery.write_duel(tmp_path / "duel", "pdm", "idm", scenes).read_text(encoding="utf-8")
@@ -405,3 +412,14 @@ def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_pa
     wins = [value for value in ranked[::-1][: gallery.EACH] if value > 0.0]
     losses = [value for value in ranked[: gallery.EACH] if value < 0.0]
     assert [less[name] for name in order] == [*wins, *losses]
+
+
+@pytest.mark.parametrize("tool", [p.stem for p in TOOLS if "__main__" in p.read_text("utf-8")])
+def test_a_tool_that_is_asked_for_help_writes_nothing_else(tool, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [tool, "--help"])
+    monkeypatch.delitem(sys.modules, f"tools.{tool}", raising=False)
+    with pytest.raises(SystemExit, match="0"):
+        runpy.run_module(f"tools.{tool}", run_name="__main__")
+    assert capsys.readouterr().out.startswith("usage:")
+    assert not [*tmp_path.iterdir()]

@@ -9,6 +9,7 @@ torch. ``python tools/build_backend.py`` makes `_models` alone.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shutil
@@ -97,4 +98,5 @@ def __getattr__(name: str) -> Any:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     make_models()

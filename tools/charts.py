@@ -6,10 +6,10 @@ folder of a run of examples/train_ego_sb3.py, its curve.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -272,7 +272,7 @@ def write_curve(folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        print(write_curve(Path(sys.argv[1])))
-    else:
-        write()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("run", nargs="?", type=Path, help="folder of a run, whose curve is drawn")
+    args = parser.parse_args()
+    print(write_curve(args.run)) if args.run else write()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import subprocess
@@ -262,4 +263,5 @@ def page(found: list[Table]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     OPTIONS.write_text(classes(tables()), encoding="utf-8")

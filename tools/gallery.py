@@ -7,8 +7,8 @@ Where CCDIFF_DATA names a folder with nuScenes, its validation scenes are tried,
 
 from __future__ import annotations
 
+import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -68,7 +68,7 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
         times[number] += 1
         shown.append((rank, (name, TITLES, pair)))
     shown.sort(key=lambda entry: entry[0])
-    title = f"Gallery, {len(shown)} of {len(scenes)} scenes: criticality makes the ego collide"
+    title = f"Gallery: criticality makes the ego collide in {len(shown)} of {len(scenes)} scenes"
     return write_index((page for _, page in shown), folder, title, home=HOME)
 
 
@@ -91,5 +91,10 @@ def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene] = ())
 
 
 if __name__ == "__main__":
-    folder, *pair = sys.argv[1:]
-    print(write_duel(Path(folder), pair[0], pair[1]) if pair else write_gallery(Path(folder)))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where pages and index are written")
+    parser.add_argument("planners", nargs="*", metavar="PLANNER", help="two, to be compared")
+    args = parser.parse_args()
+    if len(args.planners) not in (0, 2):
+        parser.error(f"{len(args.planners)} planners, expected two or none")
+    print(write_duel(args.folder, *args.planners) if args.planners else write_gallery(args.folder))

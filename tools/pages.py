@@ -8,6 +8,7 @@ A, B; X, Y -->`` their rows of X and Y. ``<!-- table: NAME -->`` holds a table o
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -70,4 +71,5 @@ def write() -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     write()

@@ -7,9 +7,9 @@ tools.playground`` alone lists the scenes from which those of the page are taken
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
-import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -60,7 +60,10 @@ def deciding(scenes: Iterable[Scene], criticality: float = 1.0) -> Iterator[tupl
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("page", nargs="?", type=Path, help="file to write")
+    args = parser.parse_args()
+    if args.page is None:
         # who is hit comes first, then who drives into somebody; the soonest first
         order = sorted(
             (found.fault == "at fault", found.decided_s, scene.name, found.line)
@@ -71,7 +74,6 @@ if __name__ == "__main__":
     if not target_is_installed():
         raise SystemExit(f"no playground: rustup target add {TARGET}")
     MODULE.write_bytes(compiled())
-    page = Path(sys.argv[1])
-    page.parent.mkdir(parents=True, exist_ok=True)
-    write_playground(page)
-    print(page)
+    args.page.parent.mkdir(parents=True, exist_ok=True)
+    write_playground(args.page)
+    print(args.page)

@@ -142,18 +142,25 @@ def ego_title(rollout: Rollout) -> str:
     return planner_title(planner)
 
 
-def subtitle(rollout: Rollout) -> str:
-    """Return one line on what is shown: where, who drives, how many."""
-    kinds, parts = rollout.scene.agent_types, [rollout.scene.location]
+def traffic_title(rollout: Rollout) -> str:
+    """Return in words who drives most vehicles beside the ego; "" where all follow the log."""
+    kinds = rollout.scene.agent_types
     background = Counter(
         DRIVER_TITLES.get(driver, driver)
         for driver, name, kind in zip(rollout.driver_names, rollout.agent_ids, kinds, strict=True)
         if name != "ego" and kind == "vehicle" and not is_log(rollout)
     )
+    return " and ".join(name for name, _ in background.most_common(2))
+
+
+def subtitle(rollout: Rollout) -> str:
+    """Return one line on what is shown: where, who drives, how many."""
+    parts = [rollout.scene.location]
     if "ego" in rollout.agent_ids and not is_log(rollout):
         parts.append(f"ego: {ego_title(rollout)}")
-    if background:
-        parts.append(f"traffic: {' and '.join(name for name, _ in background.most_common(2))}")
+    if traffic := traffic_title(rollout):
+        parts.append(f"traffic: {traffic}")
     if guided := len(guided_agents(rollout)):
         parts.append(f"{guided} guided")
-    return " · ".join(part for part in (*parts, counted(len(kinds), "agent")) if part)
+    parts.append(counted(rollout.scene.num_agents, "agent"))
+    return " · ".join(part for part in parts if part)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,14 +13,15 @@ from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.files import file_name, write_aside
 from ccdiff_env.system.terminal import counted
-from ccdiff_env.view.captions import ego_title, is_log, subtitle
+from ccdiff_env.view.captions import ego_title, is_log, traffic_title
 from ccdiff_env.view.outcome import Outcome, outcome
 from ccdiff_env.view.page import address, part, plain_html, write_page
 from ccdiff_env.view.render import data_address
 from ccdiff_env.view.video import Video
 
 THUMBNAIL, THUMBNAIL_M = (480, 300), 60.0  #: Pixels, and metres of ground from side to side.
-FILTERED = 8  #: So many replays, at least, can be chosen among.
+FILTERED, FILTERS = 8, 3  #: So many replays, at least, are chosen among, by so many menus at most.
+LINES = ("driven by", "traffic")  #: Facts that a card tells where they differ.
 
 #: A replay: what its page is called, titles of its runs, and these: one, or one beside another.
 Shown = tuple[str, Sequence[str], Sequence[Rollout]]
@@ -61,8 +63,7 @@ def write_index(
     ``home`` is address and title of the page above.
     """
     out.mkdir(parents=True, exist_ok=True)
-    pages, fates = list[Path](), list[Outcome]()
-    cards = list[tuple[str, list[str], list[list[str]]]]()
+    pages, collide, cards, facts = set[Path](), 0, list[str](), list[dict[str, str]]()
     for path, titles, (rollout, *others) in shown:
         name = path.replace("/", "-")
         page = out / file_name(name, ".html")
@@ -70,71 +71,73 @@ def write_index(
             page = out / file_name(f"/{path}", ".html")
         home_of_page = ("index.html", "all replays")
         write_page(rollout, page, compare=others, titles=titles, home=home_of_page)
-        fates.append(outcome(rollout))
-        besides = [
-            [f"{title}: {outcome(other).line}"]
-            for title, other in zip(titles[1:], others, strict=True)
-            if not is_log(other)
-        ]
-        lines = [*besides, subtitle(rollout).split(" · ")]
-        cards.append((_card(rollout, name, page.name, fates[-1]), _tags(fates[-1], rollout), lines))
-        pages.append(page)
-    mishaps = Counter(fate.mishap for fate in fates)
-    told = [f"{what} in {n}" for what, n in mishaps.most_common() if what]
-    collide = sum(fate.others > 0 for fate in fates)
-    line = f"{counted(len(fates), 'replay')}: the ego {', '.join(told)}" if told else ""
-    line = f"{line or counted(len(fates), 'replay')}; others collide in {collide}"
+        pages.add(page)
+        beside = zip(titles[1:], others, strict=True)
+        runs = [(titles[0], rollout), *(run for run in beside if not is_log(run[1]))]
+        fate = outcome(rollout)
+        collide += fate.others > 0
+        facts.append(_facts(rollout, fate))
+        cards.append(_card(runs, name, page.name, fate))
     # what holds for all is said once
-    each = [[part for parts in lines for part in parts] for _, _, lines in cards]
-    common = each[0] if len(cards) > 1 else []
-    common = [part for part in common if all(part in parts for parts in each)]
-    up = "" if home is None else f'<p><a href="{home[0]}">{html.escape(home[1])}</a></p>'
-    written = [_finished(*card, common) for card in cards]
-    chips = _chips([tags for _, tags, _ in cards])
-    body = f'{up}{chips}<div class="cards">\n{chr(10).join(written)}\n</div>'
-    index = out / "index.html"
-    line = " · ".join([line, *common])
-    write_aside(index, plain_html(title, line, style=part("index.css"), body=body))
-    return index
-
-
-def _tags(fate: Outcome, rollout: Rollout) -> list[str]:
-    """What a replay can be chosen by."""
-    embedded = "embedded" in rollout.scene.source
-    source = "" if embedded else rollout.scene.source
-    return [*filter(None, [fate.mishap, source, "" if is_log(rollout) else ego_title(rollout)])]
-
-
-def _chips(tags: Sequence[Sequence[str]]) -> str:
-    """Buttons that choose: what is true of some of the replays, of most first."""
-    count = Counter(tag for of in tags for tag in of)
-    split = [tag for tag, of in count.most_common() if of < len(tags)]
-    if len(tags) < FILTERED or not split:
-        return ""
-    buttons = (
-        f'<button aria-pressed="false" data-filter="{tag}">{tag} ({count[tag]})</button>'
-        for tag in split
+    values = {name: Counter(of[name] for of in facts) for name in (facts[0] if facts else ())}
+    differ = [name for name, of in values.items() if len(of) > 1]
+    common = [
+        f"{name}: {next(iter(of))}"
+        for name, of in values.items()
+        if len(of) == 1 and name != "the ego"
+    ]
+    told = ", ".join(f"{what} in {n}" for what, n in values.get("the ego", Counter()).most_common())
+    line = f"{counted(len(cards), 'replay')}: the ego {told}; others collide in {collide}"
+    up = "" if home is None else f'<a href="{home[0]}">{html.escape(home[1])}</a>'
+    menus = differ[:FILTERS] if len(cards) >= FILTERED else []
+    above = up + "".join(_menu(name, values[name]) for name in menus)
+    written = "".join(
+        f'<div data-of="{html.escape(json.dumps([of[name] for name in menus]))}">{card}'
+        + "".join(f"<p>{n} {html.escape(of[n])}</p>" for n in LINES if n in differ)
+        + "</a></div>\n"
+        for card, of in zip(cards, facts, strict=True)
     )
-    return f'<p class="filters">{"".join(buttons)}</p>'
+    body = f'<p class="above">{above}</p>\n<div class="cards">\n{written}</div>'
+    line = " · ".join([line, *(fact for fact in common if len(cards) > 1)])
+    write_aside(out / "index.html", plain_html(title, line, style=part("index.css"), body=body))
+    return out / "index.html"
 
 
-def _finished(card: str, tags: Sequence[str], lines: list[list[str]], common: list[str]) -> str:
-    """A card with its lines but what all cards say, as an element that can be chosen."""
-    own = (" · ".join(part for part in parts if part not in common) for parts in lines)
-    written = "".join(f"<p>{html.escape(line)}</p>" for line in own if line)
-    return f'<div data-tags="{"|".join(tags)}">{card}{written}</a></div>'
+def _facts(rollout: Rollout, fate: Outcome) -> dict[str, str]:
+    """What replays are told apart by."""
+    scene = rollout.scene
+    family = scene.name.rpartition("-")[0] if "embedded" in scene.source else ""
+    return {
+        "the ego": fate.mishap or "is unharmed",
+        "driven by": ego_title(rollout) if "ego" in rollout.agent_ids else "nobody",
+        "traffic": traffic_title(rollout) or "as recorded",
+        "scenes": family or scene.source,
+    }
 
 
-def _card(rollout: Rollout, title: str, page: str, fate: Outcome) -> str:
-    """The beginning of a link to a replay, with an image of the moment that matters."""
+def _menu(name: str, values: Counter[str]) -> str:
+    """A menu that chooses replays by a fact, of which most have the first."""
+    options = "".join(
+        f'<option value="{html.escape(value)}">{html.escape(value)} ({n})</option>'
+        for value, n in values.most_common()
+    )
+    return f'<label>{name} <select><option value="">any</option>{options}</select></label>'
+
+
+def _card(runs: Sequence[tuple[str, Rollout]], name: str, page: str, fate: Outcome) -> str:
+    """The beginning of a link to a replay: images of the moment that matters in each of its runs,
+    and what became of them.
+    """
     moment = fate.opening_s if fate.opening_s > 0.0 or fate.tone == "bad" else None
-    video = Video(rollout, size=THUMBNAIL, span_m=THUMBNAIL_M, captions=False)
-    image = data_address(video.frame(video.moment))
-    name = html.escape(title, quote=True)
-    href = html.escape(address(page, time_s=moment, play=True), quote=True)
+    videos = [Video(run, size=THUMBNAIL, span_m=THUMBNAIL_M, captions=False) for _, run in runs]
+    name, images, lines = html.escape(name), "", ""
+    for (title, run), video in zip(runs, videos, strict=True):
+        image = data_address(video.frame(min(videos[0].moment, video.num_steps - 1)))
+        told = outcome(run)
+        images += f'<img src="{image}" alt="{name}: {html.escape(told.text)}" loading="lazy">'
+        line = told.line if len(runs) == 1 else f"{title}: {told.line}"
+        lines += f'<p class="fate {told.tone}">{html.escape(line)}</p>'
     return (
-        f'<a class="card" href="{href}">'
-        f'<img src="{image}" alt="{name}: {html.escape(fate.text, quote=True)}" loading="lazy">'
-        f'<h2 title="{name}">{name}</h2>'
-        f'<p class="fate {fate.tone}">{html.escape(fate.line)}</p>'
+        f'<a class="card" href="{html.escape(address(page, time_s=moment, play=True))}">'
+        f'<span class="moments">{images}</span><h2 title="{name}">{name}</h2>{lines}'
     )

@@ -32,11 +32,12 @@ for (const table of document.querySelectorAll("table.sorts")) {
   });
 }
 
-// Cards that buttons choose: those with all that is pressed.
-for (const button of document.querySelectorAll("[data-filter]"))
-  button.addEventListener("click", () => {
-    button.setAttribute("aria-pressed", button.getAttribute("aria-pressed") === "false");
-    const wanted = [...document.querySelectorAll('[data-filter][aria-pressed="true"]')].map((one) => one.dataset.filter);
-    for (const card of document.querySelectorAll("[data-tags]"))
-      card.hidden = !wanted.every((tag) => card.dataset.tags.split("|").includes(tag));
+// Cards that menus choose: those with all that is chosen.
+const menus = [...document.querySelectorAll(".above select")];
+for (const menu of menus)
+  menu.addEventListener("change", () => {
+    for (const card of document.querySelectorAll("[data-of]")) {
+      const of = JSON.parse(card.dataset.of);
+      card.hidden = menus.some(({ value }, i) => value && value !== of[i]);
+    }
   });
