@@ -96,7 +96,7 @@ def themed_svg(figure: Figure, alt: str = "") -> str:
                 for rule, tint in zip(rules, pair, strict=True)
             ]
     style = f"svg{{{rules[0]}}}text{{fill:var(--ink)}}"
-    style += f"@media(prefers-color-scheme:dark){{svg{{{rules[1]}}}}}"
+    style += f"@media screen and (prefers-color-scheme:dark){{svg{{{rules[1]}}}}}"
     named = f'role="img" aria-label="{html.escape(alt)}" ' if alt else ""
     return re.sub(r"<svg ([^>]*)>", rf"<svg {named}\1><style>{style}</style>", text, count=1)
 

@@ -41,3 +41,6 @@ for (const menu of menus)
       card.hidden = menus.some(({ value }, i) => value && value !== of[i]);
     }
   });
+
+// Paper has no fold to open.
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((part) => { part.open = true; }));
