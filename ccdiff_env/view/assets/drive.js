@@ -377,6 +377,27 @@ class Drive extends View {
     $("card").hidden = false;
   }
 
+  /** The end as a picture, with what is said of it below. */
+  picture() {
+    this.time = this.ended;
+    this.draw();
+    const { canvas, width } = this.panes[0], ratio = canvas.width / width, image = document.createElement("canvas");
+    const lines = [this.outcome.text, $("calm").textContent].filter(Boolean), colours = COLOURS[this.theme];
+    Object.assign(image, { width: canvas.width, height: canvas.height + (16 + 22 * lines.length) * ratio });
+    const context = image.getContext("2d");
+    context.fillStyle = colours.paper;
+    context.fillRect(0, 0, image.width, image.height);
+    context.drawImage(canvas, 0, 0);
+    context.fillStyle = colours.ink;
+    lines.forEach((line, i) => {
+      context.font = `${i ? 400 : 700} ${Math.min(15, width / 36) * ratio}px system-ui, sans-serif`;
+      context.fillText(line, 14 * ratio, canvas.height + (26 + 22 * i) * ratio, image.width - 28 * ratio);
+    });
+    return new Promise((done) => {
+      image.toBlob((blob) => done(new File([blob], `${$("scene").value}.png`, { type: blob.type })));
+    });
+  }
+
   hold(key, down) {
     if (down) this.held.add(key);
     else this.held.delete(key);
@@ -486,13 +507,19 @@ function wire(drive) {
     let said = "Link copied";
     try {
       if (matchMedia("(pointer: coarse)").matches && navigator.share) {
-        await navigator.share({ title: `${drive.outcome.text} (${$("scene").value})`, url: drive.link });
+        const files = [await drive.picture()], also = navigator.canShare?.({ files }) ? { files } : {};
+        await navigator.share({ title: `${drive.outcome.text} (${$("scene").value})`, url: drive.link, ...also });
         said = "Shared";
       } else await navigator.clipboard.writeText(drive.link);
     } catch { said = "Copy the address"; }
     try { history.replaceState(null, "", new URL(drive.link).hash); } catch { /* inside another page */ }
     $("copy").textContent = said;
     setTimeout(() => { $("copy").textContent = "Share this drive"; }, 2000);
+  });
+  $("picture").addEventListener("click", async () => {
+    const file = await drive.picture(), link = element("a");
+    Object.assign(link, { href: URL.createObjectURL(file), download: file.name }).click();
+    URL.revokeObjectURL(link.href);
   });
   wireKeys(drive, [
     ["← → A D", "steer"], ["↓ S", "brake"], ["↑ W", "go faster"],
