@@ -234,6 +234,9 @@ def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
         f"| {' | '.join(heads)} |\n|{'---|' * 5}\n| {'PDM-Closed' + ' | 0.50 [0.40, 0.60]' * 4} |\n"
     )
     assert align(wide, 80).splitlines()[0].split("  ")[-2:] == ["CC 0", "CC 1"]
+    narrow = align(wide, 30).splitlines()
+    assert narrow[0].split() == ["score", "as", "recorded", "IDM"]
+    assert narrow[3:] == ["no room for: CC 0, CC 1"]
     assert align("| a | b |\n|---|---|\n") == "a  b\n─  ─\n"
     assert align("| a | b |\n|---|---|\n| x | |\n").splitlines()[2] == "x"
 
@@ -278,6 +281,7 @@ def test_latex_has_the_same_cells_with_its_letters_escaped():
         r"\begin{table}",
         r"\centering",
         r"\caption{Two\_}",
+        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
         r"\begin{tabular}{lc}",
         r"\toprule",
         r"name & hit \% \\",
@@ -285,7 +289,7 @@ def test_latex_has_the_same_cells_with_its_letters_escaped():
         r"a\_b \& c & 0.25 \\",
         r"d & \textbf{0.50} \\",
         r"\bottomrule",
-        r"\end{tabular}",
+        r"\end{tabular}}",
         r"\end{table}",
     ]
 

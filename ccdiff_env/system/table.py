@@ -125,7 +125,8 @@ class Table:
         return f"### {escaped(self.title)}\n\n{text}" if self.title else text
 
     def latex(self, caption: str = "", label: str = "", notes: Sequence[str] = ()) -> str:
-        """Return the table for LaTeX with booktabs; the best of a column is bold.
+        """Return the table for LaTeX with booktabs and graphicx, no wider than a line; the best of
+        a column is bold.
 
         The title, by default ``caption``, stands above it, and ``notes``, texts of Markdown, below.
         """
@@ -134,11 +135,11 @@ class Table:
         head = " & ".join(_latex(escaped(c.title)) for c in self.columns) + r" \\"
         columns = "l" + "c" * (len(self.columns) - 1)
         parts = [r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
-        parts = [rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}"]
+        parts = [_FIT, rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}}"]
         title = self.title or caption
         above = [rf"\caption{{{_latex(escaped(title))}}}"] if title else []
         above += [rf"\label{{{label}}}"] if label else []
-        marked = any(r"\textdagger" in line for line in lines)
+        marked = any(r"\dagger" in line for line in lines)
         told = [note for note in notes if marked or not note.startswith("†")]
         below = [rf"\par\footnotesize {_latex(note)}" for note in told]
         return "\n".join(
@@ -160,11 +161,12 @@ class Table:
         write_aside(path, file.getvalue())
 
 
+_FIT = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _LATEX = {
     **{letter: rf"\{letter}" for letter in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
     **{
-        "†": r"\textdagger{}",
+        "†": r"$\dagger$",
         "±": r"$\pm$",
         "²": r"\textsuperscript{2}",
         "³": r"\textsuperscript{3}",
@@ -173,8 +175,8 @@ _LATEX = {
         "−": "--",
         "σ": r"$\sigma$",
         "τ": r"$\tau$",
-        "°": r"\textdegree{}",
-        "·": r"\textperiodcentered{}",
+        "°": r"$^\circ$",
+        "·": r"$\cdot$",
     },
 }
 
@@ -193,7 +195,7 @@ Block = Table | str  #: A part of a document.
 def latex_tables(parts: Mapping[str, Sequence[Block]], prefix: str) -> str:
     """Return the tables of a report's parts, by heading, for LaTeX: each with a caption, a label
     ``tab:prefix-...``, and the texts of its part that follow its first table, else all of them.
-    The package booktabs is all that they need.
+    They need booktabs and graphicx.
     """
     found: list[str] = []
     for head, blocks in parts.items():

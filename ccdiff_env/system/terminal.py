@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sys
+import textwrap
 import webbrowser
 from collections.abc import Sequence
 from itertools import groupby, zip_longest
@@ -34,7 +35,8 @@ def counted(number: int, what: str) -> str:
 def align(markdown: str, width: int = ENDLESS) -> str:
     """Return Markdown with aligned tables; emphasised cells (``**0.90**``) get a star.
 
-    Tables that are wider than ``width`` lose their intervals, and have short heads.
+    Tables that are wider than ``width`` lose their intervals, have short heads, and at last name
+    the columns for which there is no room.
     """
     out: list[str] = []
     plain = _LINK.sub(r"\1", shielded(markdown)).splitlines()
@@ -50,16 +52,24 @@ def _aligned(lines: Sequence[str], width: int) -> list[str]:
         [_BEST.sub(r"\1 *", cell) for cell in column]
         for column in zip_longest(head, *rows, fillvalue="")
     ]
-    if sum(max(map(len, column)) + 2 for column in columns) - 2 > width:
+    if _width(columns) > width:
         columns = [[_INTERVAL.sub("", cell) for cell in column] for column in columns]
         for short, word in _SHORT:
             columns = [[short.sub(word, column[0]), *column[1:]] for column in columns]
-    for column in columns:
+    fits = (n for n in range(len(columns), 0, -1) if n < 3 or _width(columns[:n]) <= width)
+    shown = columns[: next(fits)]
+    for column in shown:
         wide, cells = max(map(len, column)), column[1:]
         right = bool(cells) and all(map(_NUMBER.fullmatch, cells))
         column[:] = [cell.rjust(wide) if right else cell.ljust(wide) for cell in column]
         column.insert(1, "─" * wide)
-    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
+    drawn = ["  ".join(row).rstrip() for row in zip(*shown, strict=True)]
+    left = ", ".join(column[0] for column in columns[len(shown) :])
+    return drawn + (textwrap.wrap(f"no room for: {left}", width) if left else [])
+
+
+def _width(columns: Sequence[Sequence[str]]) -> int:
+    return sum(max(map(len, column)) + 2 for column in columns) - 2
 
 
 def say_page(path: Path, *, open_it: bool = False) -> None:
