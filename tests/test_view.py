@@ -112,11 +112,14 @@ def test_collisions_are_told_once_in_the_lane_of_who_is_driven(events, expected)
     assert told == expected
 
 
-def test_only_the_ego_and_guided_vehicles_off_the_road_are_flagged():
+def test_what_breaks_the_rules_of_the_road_is_flagged_of_the_ego_and_guided_vehicles():
     run = planned_rollout()
     events = tuple(RolloutEvent(20, run.agent_ids[i], None, "off_road") for i in (1, 2, 0))
-    shown = shown_events(replace(run, events=events))
-    assert [(e["kind"], e["agent"]) for e in shown] == [("off_road", 0), ("off_road", 2)]
+    wrong = {"wrong_way": np.isin(np.arange(NUM_STEPS - 1), [29, 30, 40]).astype(np.float32)}
+    shown = shown_events(replace(run, events=events, info=run.info | wrong))
+    told = [(e["kind"], e["agent"], e["step"]) for e in shown]
+    assert told[:2] == [("off_road", 0, 20), ("off_road", 2, 20)]
+    assert told[2:] == [("wrong_way", 0, 30), ("wrong_way", 0, 41)]
 
 
 def test_names_cannot_break_out_of_the_page():
@@ -192,7 +195,7 @@ def test_the_suffix_says_what_is_written(tmp_path, capsys):
         ("grid.html", [str(tmp_path / "again.npz"), str(tmp_path / "run.npz")], b"<!DO"),
         ("moment.svg", [], b"<svg"),
         ("step.png", ["--step", "30"], b"\x89PNG"),
-        ("video.gif", ["--size", "160", "--speed", "4"], b"GIF8"),
+        ("video.gif", ["--size", "160"], b"GIF8"),
     ):
         out = tmp_path / name
         assert cli.main(["view", str(tmp_path / "run.npz"), *options, "-o", str(out)]) == 0
@@ -207,10 +210,10 @@ def test_the_suffix_says_what_is_written(tmp_path, capsys):
     with Image.open(tmp_path / "step.png") as image:
         assert image.size == (720, 720)
     with Image.open(tmp_path / "video.gif") as video:
-        # four times the pace at ten images a second; the last stays to be read
-        assert video.n_frames == 21
+        # the pace of the world, ten images a second; the last stays to be read
+        assert video.n_frames == NUM_STEPS
         assert video.info["duration"] == 100
-        video.seek(20)
+        video.seek(NUM_STEPS - 1)
         assert video.info["duration"] == pytest.approx(1600, abs=100)
 
 

@@ -46,7 +46,6 @@ DRAWN: dict[str, Any] = {
     "follow": None,
     "span": 90.0,
     "size": None,
-    "speed": 1.0,
     "theme": "light",
     "show": None,
 }
@@ -145,7 +144,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="side of each image in pixels (default: 720; of a GIF 480, and 360 side by side)",
     )
-    draw.add_argument("--speed", type=float, help="playback speed of a video")
     draw.add_argument("--theme", choices=render.THEMES, help="background of an image")
     parser.set_defaults(**PLAYED, **DRAWN)
 
@@ -291,7 +289,7 @@ def _image(
     if kind in ("gif", "mp4"):
         if args.step is not None:
             raise ConfigError(f"--step is of an image, but --out is {out}")
-        save_video(videos, out, speed=args.speed)
+        save_video(videos, out)
         return
     if args.show is not None and kind != "svg":
         raise ConfigError(f"--show is of an SVG, but --out is {out}")

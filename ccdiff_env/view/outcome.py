@@ -49,6 +49,7 @@ WORDS: dict[str, Any] = {
     "goes": {"pedestrian": "walked", "cyclist": "rode", "motorcycle": "rode", "else": "drove"},
     "fault": ["not at fault", "at fault"],
     "off_road": "left the road",
+    "wrong_way": "drove against the traffic",
     "goal": "reached its goal",
     "waited": "waited, as in its log",
     "blocked": "blocked by {other} for {seconds} s",
@@ -63,9 +64,9 @@ class Happening:
     """One thing that happened at a recorded step to an agent and a partner (indices, -1 for none).
 
     Both sides of a collision are one. ``lane`` says whose it is: the ego's, that of a guided
-    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"off_road"``, ``"goal"``,
-    ``"blocked"`` or ``"time_limit"``. ``fault`` is nuPlan's word on a collision of the ego, and
-    ``closing_mps`` how fast the two of a collision approached.
+    vehicle, or that of the others. ``kind`` is ``"collision"``, ``"off_road"``, ``"wrong_way"``,
+    ``"goal"``, ``"blocked"`` or ``"time_limit"``. ``fault`` is nuPlan's word on a collision of the
+    ego, and ``closing_mps`` how fast the two of a collision approached.
     """
 
     step: int
@@ -180,6 +181,10 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
         elif event.kind != "off_road" or lane != "others":
             did = WORDS.get(event.kind, event.kind.replace("_", " "))
             yield Happening(event.step, agent, -1, lane, event.kind, names[agent], did)
+    wrong = np.r_[False, np.asarray(rollout.info.get("wrong_way", ())) > 0.0]
+    for step in np.flatnonzero(wrong[1:] & ~wrong[:-1]) + 1:
+        ego = number["ego"]
+        yield Happening(int(step), ego, -1, "ego", "wrong_way", "ego", WORDS["wrong_way"])
     for (step, pair), seen in sides.items():
         lane = _lane(guided, *(rollout.agent_ids[i] for i in pair))
         stood = standing[:, max(step - 1, 0)]

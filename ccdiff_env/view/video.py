@@ -220,14 +220,10 @@ def side_by_side(videos: Sequence[Video], step: int) -> render.Image:
     return np.concatenate(parts[1:], axis=1)
 
 
-def save_video(videos: Sequence[Video], path: Path, *, speed: float = 1.0) -> None:
-    """Write a video (``.gif``, ``.mp4``) of runs side by side, at ``speed`` times the pace of the
-    world and :data:`FPS` images a second.
-    """
-    if not speed > 0.0:
-        raise ConfigError(f"speed is {speed}, expected a positive number")
+def save_video(videos: Sequence[Video], path: Path) -> None:
+    """Write a video (``.gif``, ``.mp4``) of runs side by side, :data:`FPS` images a second."""
     save = {".gif": render.save_gif, ".mp4": render.save_mp4}[path.suffix.lower()]
-    last, every = max(video.num_steps for video in videos) - 1, speed / (FPS * videos[0].dt_s)
+    last, every = max(video.num_steps for video in videos) - 1, 1.0 / (FPS * videos[0].dt_s)
     steps = [int(k * every + 1e-6) for k in range(math.ceil(last / every - 1e-9))] + [last]
     images = [side_by_side(videos, step) for step in steps]
     save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), path, FPS)
