@@ -154,20 +154,6 @@ def test_axe_finds_nothing_in_a_report(planners, browser, axe, theme):
     context.close()
 
 
-def test_a_click_on_a_head_sorts_by_number_and_rows_keep_the_name_above_them(browser, tmp_path):
-    text = "| planner | score |\n|---|---|\n| a | 0.50 [0, 1] |\n| | 9.0 |\n| c | **10.0** |\n"
-    write_report_page(tmp_path / "r.html", title="t", line="", plots=[], parts={"T": text})
-    page = browser.new_page()
-    page.goto((tmp_path / "r.html").as_uri())
-    names = page.locator("tbody th")
-    page.click("thead th:nth-child(2) button")
-    assert names.all_inner_texts() == ["c", "a", "a"]
-    assert page.get_attribute("thead th:nth-child(2)", "aria-sort") == "descending"
-    page.click("thead th:nth-child(2) button")
-    assert names.all_inner_texts() == ["a", "a", "c"]
-    page.close()
-
-
 def test_cells_of_a_matrix_are_tinted_and_the_best_is_emphasised():
     text = markdown_html("| score | x |\n|---|---:|\n| a | **0.90** [0.8, 1.0] |\n| b | |\n")
     assert 'style="--v:0.90"' in text

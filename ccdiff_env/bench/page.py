@@ -114,8 +114,8 @@ def _terms(text: str) -> str:
 def markdown_html(text: str) -> str:
     """Return the HTML of what the reports write: headings, tables, paragraphs, links, emphasis.
 
-    Headings become ``h3``. Nothing else of Markdown is known; all other text is escaped. Tables can
-    be sorted; numbers from 0 to 1 of those whose first head is ``score`` are coloured.
+    Headings become ``h3``. Nothing else of Markdown is known; all other text is escaped. Numbers
+    from 0 to 1 of tables whose first head is ``score`` are coloured.
     """
     found: list[str] = []
     for block in re.split(r"\n\s*\n", shielded(text.strip())):
@@ -141,8 +141,8 @@ def _table(lines: Sequence[str]) -> str:
         "<tr>" + "".join(_cell(cell, i, heat) for i, cell in enumerate(row)) + "</tr>"
         for row in rows[2:]
     )
-    kind = "sorts good" if heat else "sorts"
-    table = f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>'
+    kind = ' class="good"' if heat else ""
+    table = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table>"
     name = html.escape(rows[0][0] or "table", quote=True)
     return f'<div class="wide" role="region" aria-label="table: {name}" tabindex="0">{table}</div>'
 

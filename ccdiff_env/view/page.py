@@ -80,10 +80,7 @@ def page_html(
 
 
 def plain_html(title: str, line: str, *, style: str, body: str) -> str:
-    """Return a page of text: a heading, a line below it, and HTML with its CSS.
-
-    Tables of the class ``sorts`` are sorted by a click.
-    """
+    """Return a page of text: a heading, a line below it, and HTML with its CSS."""
     parts = {"title": html.escape(title), "line": html.escape(line), "style": style, "body": body}
     return filled_page("plain.html", parts | {"script": part("plain.js")})
 
