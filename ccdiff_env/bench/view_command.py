@@ -33,21 +33,13 @@ from ccdiff_env.view.video import Video, save_video, side_by_side
 
 #: Options that play a scene, and those of images and videos, with their defaults.
 PLAYED: dict[str, Any] = {
-    "driver": None,
-    "seed": None,
-    "criticality": None,
-    "samples": None,
-    "weights": None,
-    "save": None,
+    **dict.fromkeys(("driver", "seed", "criticality", "samples", "weights", "save")),
     "slider": False,
 }
 DRAWN: dict[str, Any] = {
-    "step": None,
-    "follow": None,
+    **dict.fromkeys(("step", "follow", "size", "show")),
     "span": 90.0,
-    "size": None,
     "theme": "light",
-    "show": None,
 }
 LEVELS = [0.25 * k for k in range(9)]  #: Criticalities under a slider.
 IMAGES = ("png", "svg", "gif", "mp4")  #: Suffixes of images and videos.
