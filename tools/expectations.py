@@ -48,7 +48,7 @@ TRAINED = {
     "IDM": "idm",
     "swift, criticality 0 to 2": "swift --criticality 2",
     "log replay": "replay",
-    # as long as the others: one decision takes as long as seven of theirs
+    # a decision takes more than ten times as long as one of the others
     "CCDiff, criticality 0 to 2": "ccdiff --criticality 2 --decisions 60000",
 }
 #: Traffic of tests by head of their columns.
