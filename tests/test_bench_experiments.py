@@ -10,7 +10,7 @@ from ccdiff_env import cli, models
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.bench.traffic import episodes
+from ccdiff_env.bench.traffic import episodes, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 
 
@@ -125,6 +125,19 @@ def test_options_follow_names_of_methods_and_of_traffic():
         assert "idmm?headway_s=2" not in table
         with pytest.raises(ConfigError, match="unknown option 'ccdiff"):
             table["ccdiff?headway_s=2"]
+
+
+def test_criticality_stands_before_the_options_of_a_method():
+    text = "ctg?denoising_steps=1"
+    jobs = traffic_jobs("embedded/val", [text], num_controlled=[1], strengths=[0.5, 3.0])
+    played = {job.arguments["method"] for job in jobs} - {"replay"}
+    assert played == {"ctg-0.5?denoising_steps=1", "ctg-3?denoising_steps=1"}
+    for name in played:
+        stem, strength = METHODS.without_strength(name)
+        assert (stem, METHODS.with_strength(stem, strength)) == (text, name)
+        options = METHODS[name].ccdiff
+        assert (options["criticality"], options["denoising_steps"]) == (strength, 1)
+    assert METHODS.without_strength("idm?headway_s=0.5-1") is None
 
 
 def test_benches_play_drivers_with_options(tmp_path, capsys):

@@ -201,24 +201,33 @@ class _Methods(NamedDrivers[Method]):
     """The methods by name; ``NAME-C`` is the guided method of a name at criticality C."""
 
     def __contains__(self, name: object) -> bool:
-        known = super().__contains__(name) or self.strength(str(name)) is not None
+        known = super().__contains__(name) or self.without_strength(str(name)) is not None
         return known or _composed(str(name)) is not None
 
     def __missing__(self, name: str) -> Method:
-        strength = self.strength(name)
-        if strength is None:
+        found = None if "?" in name else self.without_strength(name)
+        if found is None:
             return _composed(name) or super().__missing__(name)
-        old = self[name.rpartition("-")[0]]
-        label = f"{old.label}, criticality {strength:g}"
-        return replace(old, label=label, ccdiff={**old.ccdiff, "criticality": strength})
+        stem, strength = found
+        label = f"{self[stem].label}, criticality {strength:g}"
+        ccdiff = {**self[stem].ccdiff, "criticality": strength}
+        return replace(self[stem], label=label, ccdiff=ccdiff)
 
-    def strength(self, name: str) -> float | None:
-        """Return the criticality that a name ends in; ``None`` without one."""
-        stem, _, number = name.rpartition("-")
+    def with_strength(self, name: str, strength: float) -> str:
+        """Return the name of a method at a criticality, before its options."""
+        stem, mark, options = name.partition("?")
+        return f"{stem}-{strength:g}{mark}{options}"
+
+    def without_strength(self, name: str) -> tuple[str, float] | None:
+        """Return a method and the criticality that its name ends in, before its options; ``None``
+        without one.
+        """
+        whole, mark, options = name.partition("?")
+        stem, _, number = whole.rpartition("-")
         if not (dict.__contains__(self, stem) and "criticality" in self[stem].ccdiff):
             return None
         try:
-            return float(number)
+            return f"{stem}{mark}{options}", float(number)
         except ValueError:
             return None
 

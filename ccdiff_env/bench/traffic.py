@@ -75,7 +75,9 @@ def traffic_jobs(
     methods = [
         own
         for name in methods
-        for own in ([f"{name}-{x:g}" for x in strengths] if name in guided else [name])
+        for own in (
+            [METHODS.with_strength(name, x) for x in strengths] if name in guided else [name]
+        )
     ]
     for method in (m for m in methods if m != "replay"):
         for k in num_controlled:

@@ -302,9 +302,8 @@ def at_equal_scr(played: Played, targets: Sequence[float]) -> Table:
     """
     log, sweeps = floor(played), dict[Condition, list[tuple[float, Condition]]]()
     for c in played:
-        strength = METHODS.strength(c.method)
-        if strength is not None:
-            stem = c.method.rpartition("-")[0]
+        if (found := METHODS.without_strength(c.method)) is not None:
+            stem, strength = found
             sweeps.setdefault(c._replace(method=stem), []).append((strength, c))
     names = ("scr_controlled", *(column.name for column in _MATCHED))
     drawn = {
