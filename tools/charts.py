@@ -214,10 +214,11 @@ def dial() -> str:
 
 def matrix() -> str:
     """Return the chart of collisions by the traffic that egos were trained in."""
-    run, looks = kept("learning_matrix"), iter(("idm", "ccdiff", "replay", "ccdiff"))
+    run = kept("learning_matrix")
+    looks = iter((("idm", "o"), ("ccdiff", "s"), ("replay", "o"), ("ccdiff", "o")))
     tested = {"ccdiff": 0.0, "ccdiff-1-one-step": 1.0, "ccdiff-2-one-step": 2.0}
     series = [
-        Series(row["trained"].split(",")[0], (next(looks), "o"), [*tested.values()],
+        Series(row["trained"].split(",")[0], next(looks), [*tested.values()],
                [_figure(row["shares"], t, 100) for t in tested])
         for row in run["rows"] if "shares" in row
     ]  # fmt: skip

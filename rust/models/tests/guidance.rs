@@ -6,8 +6,8 @@ mod common;
 
 use ccdiff_models::config::ModelConfig;
 use ccdiff_models::guidance::{
-    AgentCollision, Approach, Guidance, GuidanceConfig, GuidanceContext, MapCollision,
-    Objective, OverSpeed, PythonCost, Rollout, Target, WorldGuidance, choose_samples,
+    AgentCollision, Approach, Guidance, GuidanceConfig, GuidanceContext, MapCollision, Objective, OverSpeed,
+    PythonCost, Rollout, Target, WorldGuidance, choose_samples,
 };
 use ccdiff_models::noise::Noise;
 use common::toy::{BOTH_WAYS, NEAR_MISS, T, Toy, evaluate, toy};
