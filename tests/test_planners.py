@@ -251,6 +251,8 @@ class Short:
     [
         (lambda obs: np.zeros(2), ShapeError, r"lambda.*\[2\] for 2 worlds, expected.*\[2, 2\]"),
         (lambda obs: np.full((2, 2), np.nan), ShapeError, "lambda.*not finite"),
+        (lambda obs: np.full((2, 20, 3), np.nan), ShapeError, "lambda.*not finite"),
+        (lambda obs: np.full((2, 20, 3), None), ShapeError, "lambda.*returned object"),
         (lambda obs: np.full((2, 2), 4.0), UserWarning, r"lambda.*4: actions beyond \[-1, 1\]"),
         (lambda obs: "left", ShapeError, "lambda"),
         (lambda obs: np.zeros((2, 5, 4)), ShapeError, r"lambda.*or trajectories \[2, T, 3\]"),

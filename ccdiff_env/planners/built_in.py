@@ -244,7 +244,10 @@ class Seat:
         given = self._worlds.layout.observation(self._form, obs, rasters)
         answered = self._answer(lambda: self._act(given), self._worlds, np.flatnonzero(due))
         found, shape = np.asarray(answered), self._shape
-        if found.shape[:1] + found.shape[2:] == (len(obs), 3) and np.isfinite(found).all():
+        is_number = found.dtype.kind in "iuf"
+        if is_number and not np.isfinite(found).all():
+            raise ShapeError(f"{self.name} returned numbers that are not finite")
+        if is_number and found.shape[:1] + found.shape[2:] == (len(obs), 3):
             followed = self._followed(found, due)
             for i in np.flatnonzero(due).tolist():
                 self._meant[i] = self._in_scene(i, found[i : i + 1]), np.zeros(1, np.float32)
@@ -255,13 +258,11 @@ class Seat:
                 self._meant[i] = self._weigh(i, told)
         if found.shape == (*shape, 1) and len(shape) == 1:
             found = found[:, 0]
-        if found.shape != shape or found.dtype.kind not in "iuf":
+        if found.shape != shape or not is_number:
             raise ShapeError(
                 f"{self.name} returned {found.dtype} {list(found.shape)} for {len(obs)} worlds, "
                 f"expected actions {list(shape)} or trajectories [{len(obs)}, T, 3]"
             )
-        if not np.isfinite(found).all():
-            raise ShapeError(f"{self.name} returned numbers that are not finite")
         most = np.abs(found[due]).max(initial=0.0) if len(shape) == 2 else 0.0
         if most > 1.001 and not self._clipped:
             self._clipped = True
