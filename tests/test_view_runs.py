@@ -109,7 +109,10 @@ def test_episodes_of_a_run_are_played_side_by_side_bit_for_bit(run, monkeypatch,
     # the worst traffic and seed of the first planner by default
     assert cli.main(["view", "run", "--scene", scene, "-o", "worst.html"]) == 0
     for words, said in (
+        ([], "run keeps no rollouts: give --scene"),
         (["--scene", "left-turn"], "no scene 'left-turn'"),
+        (["--scene", "7"], "no scene '7' in run; there are left-turn-04, "),
+        (["--scene", scene, "-o", "a.png", "--size", "0"], "image size is 0 x 0 pixels"),
         (["--scene", scene, "--planner", "pdm"], "unknown planner of the run 'pdm'"),
         (["--scene", scene, "--traffic", "idm"], "unknown traffic of the run 'idm'"),
         (["--scene", scene, "--seed", "7"], "with seed 7"),

@@ -121,7 +121,8 @@ def replayed(
     }
     if not there:
         known = {name for entry in record.entries for name in entry.names}
-        raise UnknownNameError(f"no scene {scene!r} in {path}; {meant(scene, known)}")
+        hint = meant(scene, known) or f"there are {', '.join(sorted(known)[:5])}, ..."
+        raise UnknownNameError(f"no scene {scene!r} in {path}; {hint}")
     names = list(dict.fromkeys(planner for planner, _, _ in there))
     # a class that names itself is called without its title, too
     calls = {name.partition("?title=")[0]: name for name in names}

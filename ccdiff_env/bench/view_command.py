@@ -261,6 +261,8 @@ def _played(args: argparse.Namespace) -> Runs:
 
 
 def _folder(args: argparse.Namespace, folder: Path) -> int:
+    if (folder / "run.json").is_file() and not any(folder.rglob("*.npz")):
+        raise ConfigError(f"{folder} keeps no rollouts: give --scene of its episodes")
     unfit = PLAYED | DRAWN | {"traffic": None, "compare": []}
     _refuse(args, unfit, "does not go with a folder, which gives pages")
     say_page(write_pages(folder, args.out or folder / "replays"), open_it=args.open)
@@ -270,7 +272,9 @@ def _folder(args: argparse.Namespace, folder: Path) -> int:
 def _image(
     args: argparse.Namespace, runs: list[Rollout], titles: list[str], out: Path, kind: str
 ) -> None:
-    pixels = args.size or ((360 if len(runs) > 1 else 480) if kind == "gif" else 720)
+    pixels = args.size
+    if pixels is None:
+        pixels = (360 if len(runs) > 1 else 480) if kind == "gif" else 720
     options: dict[str, Any] = {
         "size": (pixels, pixels),
         "span_m": args.span,
