@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env.bench.planners import Traffic, drive
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
@@ -148,7 +149,8 @@ def main() -> None:
         red["ego"] = red_of_arrivals(test, act)
         red |= {n: red_of_arrivals(of) for n, of in rules.items()}
         table("lights", ("arrivals", "that ran red"), red.items())
-    seen = Traffic("", args.traffic, traffic.get("ccdiff", {}) | guided)
+    seen = TRAFFIC[args.traffic]
+    seen = replace(seen, ccdiff={**seen.ccdiff, **traffic.get("ccdiff", {}), **guided})
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")
     driven = {Path(p).stem: drive(held_out, p, seen)[0] for p in planners}
     means = {p: [np.mean([row[f] for row in of]) for f in FIGURES] for p, of in driven.items()}

@@ -52,7 +52,7 @@ def test_an_ego_goes_on_elsewhere_in_traffic_that_is_as_critical_as_asked(tmp_pa
         assert done.returncode
         assert said in done.stderr
     assert (tmp_path / "a" / "ego.zip").read_bytes() == kept
-    words = ["--traffic", "swift", "--criticality", "1", "--start", "a", "--out", "d"]
+    words = ["--traffic", "swift?num_guided=1", "--criticality", "1", "--start", "a", "--out", "d"]
     done = ran(path, tmp_path, *words)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "start " in done.stdout
