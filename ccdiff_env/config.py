@@ -330,15 +330,20 @@ def _with_named_drivers(
     found: dict[str, Any] = {}
     for field_name in ("traffic", "driver"):
         value = options.get(field_name)
-        if not isinstance(value, str) or "?" not in value or ":" in value.partition("?")[0]:
-            continue
-        name, own = read_driver(value, field_name)
-        if own and (name not in KINDS or KINDS[name].options is None):
-            takes = ", ".join(n for n, kind in KINDS.items() if kind.options)
-            raise ConfigError(f"{field_name} {value!r}: options are for {takes}")
-        if own and name in options:
-            raise ConfigError(f"{field_name} {value!r}: {name} has options of its own beside it")
-        options |= {field_name: name, **({name: own} if own else {})}
+        for text in [*value] if isinstance(value, Mapping) else [value]:
+            if not isinstance(text, str) or "?" not in text or ":" in text.partition("?")[0]:
+                continue
+            name, own = read_driver(text, field_name)
+            if own and (name not in KINDS or KINDS[name].options is None):
+                takes = ", ".join(n for n, kind in KINDS.items() if kind.options)
+                raise ConfigError(f"{field_name} {text!r}: options are for {takes}")
+            if (own and name in options) or (isinstance(value, Mapping) and name in value):
+                raise ConfigError(f"{field_name} {text!r}: {name} has options of its own beside it")
+            if isinstance(value, Mapping):
+                value = {name if driver == text else driver: of for driver, of in value.items()}
+            else:
+                value = name
+            options |= {field_name: value, **({name: own} if own else {})}
     for kind in KINDS:
         if kind in options and kind not in _fields_of(WorldConfig):
             found[kind] = {kind: options.pop(kind)}

@@ -180,6 +180,21 @@ def test_bad_json_is_refused(text):
         WorldConfig.from_json(text)
 
 
+def test_options_follow_the_names_of_a_mixture():
+    shares = {"idm?headway_s=2.5": 0.5, "swift?criticality=1": 0.3, "ccdiff?num_guided=2": 0.2}
+    config = WorldConfig().with_options(traffic=shares)
+    assert list(config.traffic.items()) == [("idm", 0.5), ("swift", 0.3), ("ccdiff", 0.2)]
+    assert (config.idm.headway_s, config.ccdiff.num_guided) == (2.5, 2)
+    assert [n.criticality for n in config.networks_in_traffic()] == [1.0, config.ccdiff.criticality]
+    for wrong, said in (
+        ({"ccdiff?num_guided=1": 0.5, "ccdiff": 0.5}, "ccdiff has options of its own beside it"),
+        ({"idm?headway_s=1": 0.5, "idm?headway_s=2": 0.5}, "idm has options of its own beside it"),
+        ({"replay?x=1": 0.5, "idm": 0.5}, "options are for idm"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            WorldConfig().with_options(traffic=wrong)
+
+
 def test_numbers_of_a_dataclass_are_checked_as_those_of_options():
     with pytest.raises(ConfigError, match='dt_s is "nan", expected a number'):
         ccdiff_env.EgoEnv(config=WorldConfig(dt_s=float("nan")))
