@@ -135,7 +135,7 @@ class Table:
         head = " & ".join(_latex(escaped(c.title)) for c in self.columns) + r" \\"
         columns = "l" + "c" * (len(self.columns) - 1)
         parts = [r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
-        parts = [_FIT, rf"\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}}"]
+        parts = [rf"{_FIT}\begin{{tabular}}{{{columns}}}", *parts, r"\end{tabular}}"]
         title = self.title or caption
         above = [rf"\caption{{{_latex(escaped(title))}}}"] if title else []
         above += [rf"\label{{{label}}}"] if label else []
@@ -161,7 +161,7 @@ class Table:
         write_aside(path, file.getvalue())
 
 
-_FIT = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+_FIT = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{"
 _LATEX = {
     **{letter: rf"\{letter}" for letter in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
