@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.planners import TRAFFIC, Traffic, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
@@ -97,8 +96,7 @@ def main() -> None:
     decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
     tests, train, traffic = 8 * len(held_out), scenes_from(args), {"traffic": args.traffic}
     if args.smoke:
-        worlds, decisions, tests, held_out = 4, 8, 2, held_out[:1]
-        args.shown = min(args.shown, 100)
+        worlds, decisions, tests, held_out, args.shown = 4, 8, 2, held_out[:1], min(args.shown, 100)
         settings = settings | ({} if is_sac else {"n_steps": 2, "batch_size": 8})
     traffic |= {"ccdiff": {"denoising_steps": 1}} if args.traffic == "ccdiff" else {}
     traffic |= (guided := {"criticality": args.criticality} if args.criticality is not None else {})
@@ -149,8 +147,8 @@ def main() -> None:
         red["ego"] = red_of_arrivals(test, act)
         red |= {n: red_of_arrivals(of) for n, of in rules.items()}
         table("lights", ("arrivals", "that ran red"), red.items())
-    seen = TRAFFIC[args.traffic]
-    seen = replace(seen, ccdiff={**seen.ccdiff, **traffic.get("ccdiff", {}), **guided})
+    named = TRAFFIC[args.traffic]
+    seen = Traffic("", named.driver, {**named.ccdiff, **traffic.get("ccdiff", {}), **guided})
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")
     driven = {Path(p).stem: drive(held_out, p, seen)[0] for p in planners}
     means = {p: [np.mean([row[f] for row in of]) for f in FIGURES] for p, of in driven.items()}
