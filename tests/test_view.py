@@ -12,7 +12,7 @@ import pytest
 from array_scenes import rebuilt
 from view_rollouts import NUM_STEPS, planned_rollout
 
-from ccdiff_env import cli, embedded_scenes
+from ccdiff_env import Scene, cli, embedded_scenes
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
@@ -120,6 +120,15 @@ def test_what_breaks_the_rules_of_the_road_is_flagged_of_the_ego_and_guided_vehi
     told = [(e["kind"], e["agent"], e["step"]) for e in shown]
     assert told[:2] == [("off_road", 0, 20), ("off_road", 2, 20)]
     assert told[2:] == [("wrong_way", 0, 30), ("wrong_way", 0, 41)]
+    # a drive of which nobody is called ego
+    tracks = run.scene.tracks()
+    ids = ["car", *run.scene.agent_ids[1:]]
+    nobody = Scene.from_arrays(
+        "x", agent_ids=ids, agent_types=run.scene.agent_types, sizes=run.scene.sizes,
+        **{name: tracks[name] for name in ("position", "heading", "velocity", "valid")},
+    )  # fmt: skip
+    other = {"scene": nobody, "agent_ids": type(run.agent_ids)(ids), "events": ()}
+    assert not shown_events(replace(run, **other, info=run.info | wrong))
 
 
 def test_names_cannot_break_out_of_the_page():

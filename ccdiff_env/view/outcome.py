@@ -181,7 +181,8 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
         elif event.kind != "off_road" or lane != "others":
             did = WORDS.get(event.kind, event.kind.replace("_", " "))
             yield Happening(event.step, agent, -1, lane, event.kind, names[agent], did)
-    wrong = np.r_[False, np.asarray(rollout.info.get("wrong_way", ())) > 0.0]
+    told = rollout.info.get("wrong_way", ()) if "ego" in number else ()
+    wrong = np.r_[False, np.asarray(told) > 0.0]
     for step in np.flatnonzero(wrong[1:] & ~wrong[:-1]) + 1:
         ego = number["ego"]
         yield Happening(int(step), ego, -1, "ego", "wrong_way", "ego", WORDS["wrong_way"])
