@@ -110,6 +110,17 @@ def test_description_becomes_a_scene(tmp_path, protocol):
     assert any("STOP_SIGN" in note for note in report.scenes[0].notes)
 
 
+@pytest.mark.parametrize(
+    ("limit_kmh", "expected_mps"),
+    [(0.0, None), (-3.6, None), (np.nan, None), (1000, None), (np.float32(54), 15.0), (54, 15.0)],
+)
+def test_a_limit_of_no_speed_is_no_limit(tmp_path, limit_kmh, expected_mps):
+    data = scenario()
+    data["map_features"]["1"]["speed_limit_kmh"] = limit_kmh
+    (scene,) = ccdiff_env.load_scenarionet(save(tmp_path, data))
+    assert scene.map_layers()["lanes"][0]["speed_limit_mps"] == expected_mps
+
+
 def nan_at(step):
     position = track("VEHICLE", 0.0)["state"]["position"]
     position[step] = np.nan

@@ -309,7 +309,8 @@ class _Features:
                 self._unused[f"{kind} without length"] += 1
                 return
             limit = feature.get("speed_limit_kmh") if self._speed_limits else None
-            if not (isinstance(limit, (int, float)) and limit < 1e3):
+            # Waymo has 0 where no limit is known, MetaDrive 1000
+            if not (isinstance(limit, (int, float, np.floating)) and 0 < limit < 1e3):
                 limit = None
             lane: Lane = {
                 "id": key,
@@ -319,7 +320,7 @@ class _Features:
                 "polygon": _polygon(self._ring(key, feature)),
                 "successors": [],
                 "predecessors": [],
-                "speed_limit_mps": None if limit is None else limit / 3.6,
+                "speed_limit_mps": None if limit is None else float(limit) / 3.6,
             }
             lanes[key] = (lane, feature)
         elif kind.startswith("ROAD_LINE_"):
