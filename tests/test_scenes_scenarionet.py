@@ -121,6 +121,14 @@ def test_a_limit_of_no_speed_is_no_limit(tmp_path, limit_kmh, expected_mps):
     assert scene.map_layers()["lanes"][0]["speed_limit_mps"] == expected_mps
 
 
+@pytest.mark.parametrize(("rate_hz", "dt_s"), [(10.0, 0.1), (10.005, 0.1), (30.0, 1 / 30)])
+def test_the_time_step_is_that_of_the_time_stamps(tmp_path, rate_hz, dt_s):
+    data = scenario()
+    data["metadata"]["ts"] = np.arange(T) / rate_hz
+    (scene,) = ccdiff_env.load_scenarionet(save(tmp_path, data))
+    assert scene.dt == pytest.approx(dt_s, rel=1e-6)
+
+
 def nan_at(step):
     position = track("VEHICLE", 0.0)["state"]["position"]
     position[step] = np.nan
