@@ -274,9 +274,11 @@ def test_drivers_are_told_to_all_worlds_or_to_each(scenes):
     with pytest.raises(ConfigError, match="drivers has 3 entries"):
         env.reset(seed=0, options={"drivers": [{}, {}, {}]})
     rows = AgentVectorEnv(2, scenes=scenes, agents=2, traffic="idm")
+    walks = scenes[0].agent_ids[scenes[0].agent_types.index("pedestrian")]
     for door in (env, rows, AdversarySelectionVectorEnv(2, scenes=scenes)):
-        with pytest.raises(UnknownNameError, match="no scene has an agent 'nobody'"):
-            door.reset(seed=0, options={"drivers": {"nobody": "idm"}})
+        for agent in ("nobody", walks):
+            with pytest.raises(UnknownNameError, match=f"no scene has a vehicle '{agent}'"):
+                door.reset(seed=0, options={"drivers": {agent: "idm"}})
 
 
 def test_processes_of_stable_baselines3_give_the_bits_of_one_process(scenes):

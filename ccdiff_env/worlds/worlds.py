@@ -22,7 +22,7 @@ from ccdiff_env.errors import (
     meant,
 )
 from ccdiff_env.models import needs_torch, require_networks, weights_path
-from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.traffic import EGOS, KINDS, PythonTraffic, TrafficPlan
 from ccdiff_env.traffic.options import Autoreset
 from ccdiff_env.traffic.python import BoundTraffic
@@ -79,6 +79,12 @@ def _hander(config: WorldConfig, scenes: SceneSet) -> Callable[[str, str, str, i
     return hand
 
 
+def _vehicles(scene: Scene) -> dict[str, int]:
+    """Return the indices of the vehicles of a scene by id."""
+    who = enumerate(zip(scene.agent_ids, scene.agent_types, strict=True))
+    return {agent: place for place, (agent, kind) in who if kind == "vehicle"}
+
+
 def _integer(name: str, value: Any, expected: str) -> int:
     if isinstance(value, (bool, np.bool_)) or not hasattr(value, "__index__"):
         raise ConfigError(f"{name} is {value!r}, expected {expected}")
@@ -132,7 +138,7 @@ class Worlds:
             self.set_criticality(criticality)
         #: Drivers by id that the present episode of a world was given at its reset.
         self.drivers: dict[int, dict[str, str]] = {}
-        self._agent_ids: frozenset[str] = frozenset()
+        self._vehicle_ids: frozenset[str] = frozenset()
         #: Criticality that the present episode of a world was given by the curriculum.
         self.criticality: dict[int, float] = {}
         #: What is known of the present episode of a world: its scene, seed, start and so on.
@@ -297,10 +303,10 @@ class Worlds:
                     f"driver of {agent!r} is {driver!r}, expected one of {', '.join(known)}; name "
                     "others in traffic or named_drivers when the environment is made"
                 )
-        if choice and not self._agent_ids:
-            self._agent_ids = frozenset(a for scene in self.scenes for a in scene.agent_ids)
-        if nobody := [agent for agent in choice if agent not in self._agent_ids]:
-            raise UnknownNameError(f"drivers: no scene has an agent {nobody[0]!r}")
+        if choice and not self._vehicle_ids:
+            self._vehicle_ids = frozenset(a for scene in self.scenes for a in _vehicles(scene))
+        if nobody := [agent for agent in choice if agent not in self._vehicle_ids]:
+            raise UnknownNameError(f"drivers: no scene has a vehicle {nobody[0]!r}")
         return dict(choice)
 
     def assign(
@@ -317,11 +323,11 @@ class Worlds:
             ConfigError: If the vehicle is towed: it follows who tows it.
         """
         scene = self.scenes[self.native.status(world_idx).scene_idx]
-        places = {agent: place for place, agent in enumerate(scene.agent_ids)} if drivers else {}
+        places = _vehicles(scene) if drivers else {}
         found = {agent: driver for agent, driver in drivers.items() if agent in places}
         if not passing_over and (unknown := [agent for agent in drivers if agent not in places]):
             raise UnknownNameError(
-                f"drivers: {scene.name} (world {world_idx}) has no agent {unknown[0]!r}"
+                f"drivers: {scene.name} (world {world_idx}) has no vehicle {unknown[0]!r}"
             )
         seats = self.native.slot_agents(world_idx)
         leaders = {a: b for a, b in scene.towed if a not in seats} if found else {}
