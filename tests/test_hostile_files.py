@@ -310,12 +310,15 @@ DAMAGES = {
     "rollout plans are a number": (head(plans=10**6), "a.npz"),
     "rollout dt_s": (head(dt_s=-1), "a.npz"),
     "rollout start_step": (head(start_step=-1), "a.npz"),
+    "rollout start_step beyond the log": (head(start_step=10**9), "start_step is 10.*a.npz"),
     **{
         f"rollout event {event}": (head(events=[event]), "a.npz")
         for event in (
             [0, "nobody", None, "goal", False],
             [0, ["ego"], None, "goal", False],
             [0, "ego", 3, "goal", False],
+            [-1, "ego", None, "goal", False],
+            [10**9, "ego", "ego", "collision_front", False],
         )
     },
     "rollout of objects": (rollout(position=np.zeros(9, object)), "a.npz"),

@@ -121,21 +121,25 @@ class Rollout:
                 raise DatasetError(f"{name} is not finite where valid")
         if not (1e-3 <= self.dt_s <= 10.0 and math.isclose(self.dt_s, self.scene.dt, rel_tol=1e-5)):
             raise DatasetError(f"dt_s is {self.dt_s}, expected {self.scene.dt} of the scene")
-        if self.start_step < 0:
-            raise DatasetError(f"start_step is {self.start_step}, expected at least 0")
+        if not 0 <= self.start_step < self.scene.num_steps:
+            last = self.scene.num_steps - 1
+            raise DatasetError(f"start_step is {self.start_step}, expected 0 to {last} of the log")
         lost = {name for e in self.events for name in (e.agent_id, e.partner_id)}
         lost -= {*self.agent_ids, None}
         if lost:
             raise DatasetError(f"events name agents that are not there: {lost}")
+        for what, step in (
+            *(("an event", event.step) for event in self.events),
+            *(("a plan", plan.made_at) for plan in self.plans),
+            *(("an intention", meant.made_at) for meant in self.intentions),
+        ):
+            if not 0 <= step < t:
+                raise DatasetError(f"{what} of step {step}, expected 0 to {t - 1}")
         for plan in self.plans:
-            if not 0 <= plan.made_at < t:
-                raise DatasetError(f"a plan of step {plan.made_at}, expected 0 to {t - 1}")
             named = np.concatenate([plan.agents, plan.ranking])
             if named.size and not 0 <= named.min() <= named.max() < a:
                 raise DatasetError(f"a plan names agents {named}, expected less than {a}")
         for meant in self.intentions:
-            if not 0 <= meant.made_at < t:
-                raise DatasetError(f"an intention of step {meant.made_at}, expected 0 to {t - 1}")
             shape = (len(meant.costs), *meant.trajectories.shape[1:2], 3)
             expect_shape("intention.trajectories", meant.trajectories, shape)
             if not shape[0] or not np.isfinite(meant.trajectories).all():
