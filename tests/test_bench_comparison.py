@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ccdiff_env.bench.intervals import mean_interval
+from ccdiff_env.bench.intervals import mean_interval, permutation_p
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.traffic_report import (
     Condition,
@@ -46,6 +46,14 @@ def test_differences_are_paired_over_scenes():
     spread = 1.96 * np.sqrt(0.25 * 0.75 / 40)
     assert value == pytest.approx(0.25)
     assert (low, high) == pytest.approx((0.25 - spread, 0.25 + spread), abs=0.05)
+
+
+@pytest.mark.parametrize("unit", [1e-14, 1.0, 1e9])
+def test_ties_of_signs_count_in_any_unit(unit):
+    pairs = unit * np.array([0.84, -2.09, -0.48, 0.86, 0.13, *np.zeros(7)])
+    signs = np.stack(np.meshgrid(*[[-1, 1]] * 12), -1).reshape(-1, 12)
+    exact = (np.abs(signs @ pairs) >= abs(pairs.sum()) - 1e-9 * unit).mean()
+    assert permutation_p(pairs) == pytest.approx(exact, abs=0.02)
 
 
 def test_the_page_holds_differences_to_ccdiff():

@@ -94,8 +94,8 @@ def interval(draws: F64) -> tuple[float, float]:
 def permutation_p(pairs: F64) -> float:
     """Return the two-sided p of a mean difference [S] by the permutation test of signs."""
     signs = _signs(len(pairs))
-    drawn = np.abs(signs @ pairs)
-    return float((1 + (drawn >= abs(pairs.sum()) - 1e-12).sum()) / (1 + len(signs)))
+    least = abs(pairs.sum()) - 1e-12 * np.abs(pairs).sum()  # ties in spite of rounding
+    return float((1 + (np.abs(signs @ pairs) >= least).sum()) / (1 + len(signs)))
 
 
 @lru_cache(maxsize=2)
