@@ -196,6 +196,8 @@ def test_mistakes_are_named(scenes):
     digest = env.worlds.native.digest(0)
     good = {name: np.zeros(2, np.float32) for name in env.agents}
     for bad in (
+        None,
+        list(good.values()),
         {},
         {"ego": np.zeros(2)},
         {**good, "ego": np.zeros(3)},

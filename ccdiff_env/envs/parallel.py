@@ -198,6 +198,8 @@ class MultiAgentEnv(OnWorlds, DrawnWorld, ParallelEnv[str, Any, Any]):  # type: 
     def _actions(self, actions: Mapping[str, Any]) -> F32:
         width = self.worlds.native.action_width
         rows = np.zeros((self.worlds.num_slots, *self.worlds.action_shape))
+        if not isinstance(actions, Mapping):
+            raise ActionError(f"actions is {actions!r}, expected a dictionary by agent")
         for name in actions:
             self._known(name)
         for name in self.agents:
