@@ -20,12 +20,27 @@ from ccdiff_env.bench.planner_score import (
     savitzky_golay,
     score_of,
 )
-from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.planners import TRAFFIC, drive, usual_window
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import SceneSet
 
 REPLAY = TRAFFIC["replay"]
+
+
+@pytest.mark.parametrize(
+    ("dt_s", "num_steps", "steps"),
+    [
+        (0.1, 131, [30, 100]),
+        (0.1, 130, [10, 80]),
+        (0.2, 80, [15, 50]),
+        (0.2, 65, [5, 40]),
+        (0.05, 261, [60, 200]),
+    ],
+)
+def test_windows_are_of_seconds(dt_s, num_steps, steps):
+    scene = array_scene(agent("ego", 5.0 * dt_s * np.arange(num_steps)), dt_s=dt_s)
+    assert list(usual_window(scene).values()) == steps
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from ccdiff_env.errors import ConfigError, PolicyError
 from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
-from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import file_name
 from ccdiff_env.system.named_objects import named_object, title_of
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
@@ -125,7 +125,7 @@ def window_of(
         ConfigError: If a scene is shorter than that, or than what is asked for; names it.
     """
     shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
-    window = usual_window(shortest.num_steps)
+    window = usual_window(shortest)
     if (cut := place_of(source).window) is not None:
         window = dict(zip(window, cut.steps(shortest.dt), strict=True))
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
@@ -141,9 +141,15 @@ def window_of(
     return None if window == _USUAL_WINDOW else window
 
 
-def usual_window(num_steps: int) -> dict[str, int]:
-    """Return the window of scenes of so many steps or more: that of the protocol, else of Waymo."""
-    return dict(_USUAL_WINDOW if num_steps > sum(_USUAL_WINDOW.values()) else SHORT_WINDOW)
+def usual_window(scene: Scene) -> dict[str, int]:
+    """Return the window of a scene and longer ones: that of the protocol, else of Waymo."""
+
+    def steps(window: Mapping[str, int]) -> dict[str, int]:
+        step_s: float = PROTOCOL.fields["world"]["dt_s"]
+        return {name: round(count * step_s / scene.dt) for name, count in window.items()}
+
+    usual = steps(_USUAL_WINDOW)
+    return usual if scene.num_steps > sum(usual.values()) else steps(SHORT_WINDOW)
 
 
 def planner_jobs(

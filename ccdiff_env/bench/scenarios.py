@@ -58,7 +58,7 @@ def generation_jobs(
     if TRAFFIC[traffic].weights_of(weights or {}):
         given["weights"] = dict(weights or {})
     if window_of(source) is not None:
-        raise ConfigError(f"scenario sets need scenes of 131 steps, {source} has shorter ones")
+        raise ConfigError(f"scenario sets need 131 steps of 0.1 s, not those of {source}")
     function = f"{__name__}:generate"
     return [
         job

@@ -76,7 +76,7 @@ def tags_of(
     own = {} if more is None else read_tags(more, scenes.names)
     found = {}
     for scene in scenes:
-        steps = window or usual_window(scene.num_steps)
+        steps = window or usual_window(scene)
         first = steps["history_steps"]
         tags = scene_tags(scene, first, first + steps["horizon_steps"])
         found[scene.name] = [scene.location, *dict.fromkeys([*tags, *own.get(scene.name, ())])]

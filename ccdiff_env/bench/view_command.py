@@ -246,7 +246,7 @@ def _played(args: argparse.Namespace) -> Runs:
             driver,
             replace(chosen, ccdiff={**chosen.ccdiff, **changed}),
             seed=args.seed or 0,
-            options=usual_window(scene.num_steps),
+            options=usual_window(scene),
             record=[scene.name],
         )
         runs.append(rollouts[scene.name])
