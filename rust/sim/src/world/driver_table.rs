@@ -5,9 +5,8 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::hitches;
-use crate::world::config::{Controlled, WorldConfig};
+use crate::world::config::{Controlled, EXTERNAL, WorldConfig};
 use crate::world::rng::Rng;
-use crate::world::traffic::EXTERNAL;
 use std::sync::Arc;
 
 /// Stream of a world's generator from which mixed traffic is drawn.

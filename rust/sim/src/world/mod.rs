@@ -6,63 +6,31 @@
 //! last tick for which the actions are held, observations are written into the caller's buffers. Nothing depends on the number of threads or on the other
 //! worlds of the batch.
 
-mod actions;
-mod arrival;
-mod assist;
 mod buffers;
-mod candidates;
 mod config;
-mod decide;
-mod detect;
-mod differences;
 mod driver_table;
 mod episode;
-mod episode_statistics;
 mod executor;
-mod halt;
-mod inspect;
-mod map_queries;
-mod motion;
-mod progress;
-mod ranked;
-mod reward;
+mod queries;
 mod reward_columns;
 mod rng;
-mod roles;
-mod rows;
 mod scenes;
-mod score_facts;
-mod snapshot;
-mod start;
-mod surroundings;
-mod sweep;
-mod termination;
 mod tick;
-mod tow;
-mod traffic;
 
-pub use actions::ActionDecoder;
-pub use assist::assisted_action;
 pub use buffers::{ArraySpec, Extent, StepBuffers};
-pub use candidates::{CANDIDATE_BOUND, CANDIDATE_FEATURES, Candidates, OWN_FEATURES};
 pub use config::{
-    ActionConfig, Autoreset, Consequence, Controlled, Pedestrians, SceneOrder, TABLES, TrafficCollision,
-    VehicleRanking, WorldConfig,
+    ActionConfig, Autoreset, Consequence, Controlled, Drawn, EXTERNAL, Pedestrians, Randomization,
+    SceneOrder, TABLES, Traffic, TrafficCollision, VehicleRanking, WorldConfig,
 };
-pub use differences::{Drawn, Randomization};
-pub use episode::Slot;
-pub use episode_statistics::{METRICS, Metrics, NUM_METRICS};
-pub use inspect::WorldStatus;
-pub use map_queries::LaneAhead;
-pub use ranked::ranked_vehicles;
+pub use episode::{LEAST_WAY_M, METRICS, Metrics, NUM_METRICS, Slot, Wanted, ranked_vehicles};
+pub use queries::{
+    CANDIDATE_BOUND, CANDIDATE_FEATURES, Candidates, LaneAhead, OWN_FEATURES, ScoreFacts, WorldStatus,
+};
 pub use reward_columns::{
     COLUMNS, COMPONENTS, Col, InfoColumn, NUM_COLUMNS, RewardConfig, RewardForm, TTC_HORIZON_S,
 };
 pub use rng::Rng;
-pub use score_facts::ScoreFacts;
-pub use start::{LEAST_WAY_M, Wanted};
-pub use surroundings::place_on_route;
-pub use traffic::{EXTERNAL, Traffic};
+pub use tick::{ActionDecoder, assisted_action, place_on_route};
 
 use crate::drivers::{Driver, DriverModel, PlanRequest};
 use crate::error::{Result, SimError, check_length};
@@ -144,7 +112,7 @@ impl VecWorld {
             check_scene(scene, &config)?;
         }
         let drivers = DriverTable::new(&config, &scenes, drivers)?;
-        let ranges = differences::styled(&config.style).map(|i| (COMPONENTS[i], config.style[COMPONENTS[i]]));
+        let ranges = config::styled(&config.style).map(|i| (COMPONENTS[i], config.style[COMPONENTS[i]]));
         let layout = Layout::new(&config.observation)?.with_style(ranges);
         let row_bytes =
             size_of::<f32>() * layout.size + layout.bev.as_ref().map_or(0, |b| b.shape.iter().product());
@@ -211,7 +179,7 @@ impl VecWorld {
         check_length("reset_mask", request.mask.map_or(num_worlds, <[bool]>::len), num_worlds)?;
         let n = self.scenes.list.len();
         if let Some(idx) = request.scenes.iter().flatten().find(|i| **i >= n) {
-            return Err(inspect::no_index("scene", *idx, n));
+            return Err(queries::no_index("scene", *idx, n));
         }
         if !request.wanted.is_empty() {
             check_length("wanted", request.wanted.len(), num_worlds)?;

@@ -5,9 +5,8 @@ use crate::observe::BevConfig;
 use crate::scene::Scene;
 use crate::stage::PreparedScene;
 use crate::world::config::{SceneOrder, WorldConfig};
-use crate::world::episode::Episode;
+use crate::world::episode::{Episode, Start, Wanted};
 use crate::world::rng::Rng;
-use crate::world::start::{Start, Wanted};
 use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 

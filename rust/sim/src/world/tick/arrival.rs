@@ -10,7 +10,7 @@ use crate::scene::{AgentKind, LEVEL_M, LONGEST_GAP_S};
 use crate::stage::PreparedScene;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Episode;
-use crate::world::tow;
+use crate::world::tick::tow;
 
 /// Agents nearer to their logged place are at it, metres.
 const AT_LOG_M: Real = 0.01;

@@ -4,7 +4,7 @@ use crate::events::{expected_contact_s, in_intersection, lane_that_holds, rear_a
 use crate::geom::{Point2, Real};
 use crate::scene::{LaneHit, progress_along_log};
 use crate::world::WorldStatus;
-use crate::world::surroundings::straddles_lanes;
+use crate::world::tick::straddles_lanes;
 
 /// Facts of the present state of a world's first slot; none of an agent that is not there.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

@@ -5,9 +5,9 @@ use crate::events::Contact;
 use crate::geom::Real;
 use crate::world::config::WorldConfig;
 use crate::world::episode::Slot;
-use crate::world::surroundings::{leave_road, place_on_route, straddles_lanes};
-use crate::world::sweep::{parts, states_between};
 use crate::world::tick::World;
+use crate::world::tick::surroundings::{leave_road, place_on_route, straddles_lanes};
+use crate::world::tick::sweep::{parts, states_between};
 
 impl World {
     /// Finds out what happened to the agents with slots. At the start of an episode contacts are taken as given.

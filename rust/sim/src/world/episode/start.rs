@@ -4,8 +4,7 @@ use crate::error::{Result, SimError};
 use crate::geom::Real;
 use crate::scene::{AgentKind, EGO_ID, Scene};
 use crate::stage::PreparedScene;
-use crate::world::config::{Controlled, WorldConfig};
-use crate::world::differences::check_style;
+use crate::world::config::{Controlled, WorldConfig, check_style};
 use crate::world::rng::Rng;
 use std::collections::BTreeMap;
 

@@ -6,7 +6,7 @@ use crate::geom::{Pose2, Real};
 use crate::scene::AgentKind;
 use crate::stage::PreparedScene;
 use crate::world::episode::Episode;
-use crate::world::sweep::{parts, pose_between, states_between};
+use crate::world::tick::sweep::{parts, pose_between, states_between};
 
 /// Halvings in the search for the moment of contact: 1/32 of a step, 5 cm at 16 m/s.
 const HALVINGS: usize = 5;

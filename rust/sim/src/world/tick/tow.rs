@@ -7,7 +7,7 @@ use crate::stage::{PreparedScene, towed_pose};
 use crate::world::episode::Episode;
 
 /// Decides which vehicles are towed; those whose chain follows the log follow it, too.
-pub(super) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
+pub(crate) fn find_towed(e: &mut Episode, scene: &PreparedScene) {
     for &(a, leader) in &scene.hitches {
         if e.has_slot(a) || (!e.states.active[leader] && e.drivers[a] == Driver::Towed) {
             continue;

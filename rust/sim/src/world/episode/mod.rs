@@ -1,5 +1,15 @@
 //! The whole mutable state of one running world, and how an episode begins. What is here is what a snapshot holds.
 
+mod progress;
+mod ranked;
+mod start;
+mod statistics;
+
+pub use ranked::ranked_vehicles;
+pub(crate) use start::Start;
+pub use start::{LEAST_WAY_M, Wanted};
+pub use statistics::{METRICS, Metrics, NUM_METRICS};
+
 use crate::drivers::{Driver, PlanOverride, PlanState};
 use crate::geom::math::is_sound;
 use crate::geom::{Pose2, Real, Vector2};
@@ -9,15 +19,12 @@ use crate::scene::{AgentKind, Scene};
 use crate::stage::History;
 use crate::stage::PreparedScene;
 use crate::state::{AgentStates, Height};
-use crate::world::config::{Controlled, VehicleRanking, WorldConfig};
-use crate::world::differences::Drawn;
+use crate::world::config::{Controlled, Drawn, VehicleRanking, WorldConfig};
 use crate::world::driver_table::DriverTable;
-use crate::world::episode_statistics::{EpisodeStatistics, Metrics};
-use crate::world::progress::Progress;
-use crate::world::ranked::ranked_vehicles;
 use crate::world::rng::Rng;
-use crate::world::start::{Start, Wanted};
+use progress::Progress;
 use serde::{Deserialize, Serialize};
+use statistics::EpisodeStatistics;
 use std::collections::BTreeMap;
 
 /// Steps of an episode are far fewer.

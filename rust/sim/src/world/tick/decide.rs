@@ -4,7 +4,7 @@ use crate::drivers::Driver;
 use crate::dynamics::Dynamics;
 use crate::geom::Real;
 use crate::scene::AgentKind;
-use crate::world::assist;
+use crate::world::tick::assist;
 use crate::world::tick::{Shared, World};
 
 impl World {

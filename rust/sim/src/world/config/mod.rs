@@ -1,5 +1,12 @@
 //! Everything that can be chosen about a world, checked once.
 
+mod differences;
+mod traffic;
+
+pub use differences::{Drawn, Randomization};
+pub(crate) use differences::{check_style, styled};
+pub use traffic::{EXTERNAL, Traffic};
+
 use crate::choices;
 use crate::drivers::IdmConfig;
 use crate::dynamics::{ActionGrid, AssistedLimits, BicycleLimits, DeltaPoseLimits, Dynamics, UnicycleLimits};
@@ -9,9 +16,8 @@ use crate::observe::{BevConfig, ObservationConfig};
 use crate::options;
 use crate::options::{POSITIVE_MOTION, Table, WEIGHT, within};
 use crate::scene::{AgentKind, EGO_ID, Scene};
-use crate::world::differences::{self, Randomization};
 use crate::world::reward_columns::RewardConfig;
-use crate::world::traffic::{EXTERNAL, Traffic};
+use differences::check_styles;
 use std::collections::BTreeMap;
 
 choices! {
@@ -304,7 +310,7 @@ impl WorldConfig {
         let own = !matches!(self.action.dynamics, Dynamics::DeltaPose(_));
         let expected = "no gains and delays of actions that are poses";
         check(own || !self.randomization.of_actions(), "randomization", "given", expected)?;
-        differences::check_styles(&self.style, &self.reward)?;
+        check_styles(&self.style, &self.reward)?;
         if let Some(grid) = &self.action.grid {
             let got = format!("{} x {}", grid.first.len(), grid.second.len());
             check((2..=10_000).contains(&grid.num_actions()), "action.grid", got, "2 to 10000 actions")?;

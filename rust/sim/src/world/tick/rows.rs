@@ -3,8 +3,7 @@
 use crate::geom::Real;
 use crate::observe::{EgoFacts, View};
 use crate::world::buffers::{Extent, StepBuffers};
-use crate::world::config::WorldConfig;
-use crate::world::differences;
+use crate::world::config::{WorldConfig, styled};
 use crate::world::rng::Rng;
 use crate::world::tick::World;
 
@@ -63,7 +62,7 @@ impl World {
             };
             let (row, style) = out.split_at_mut(extent.row - config.style.len());
             self.observer.write(&view, row);
-            for (to, i) in style.iter_mut().zip(differences::styled(&config.style)) {
+            for (to, i) in style.iter_mut().zip(styled(&config.style)) {
                 *to = slot.drawn.style[i];
             }
             if config.randomization.noise > 0.0 {

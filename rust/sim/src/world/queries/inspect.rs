@@ -1,6 +1,5 @@
 //! What can be asked of a running batch of worlds.
 
-use super::{ActionDecoder, Extent, Metrics, Slot, VecWorld, WorldConfig};
 use crate::drivers::{Driver, PlanOverride, PlanRecord, WorldView};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError, check_length};
@@ -11,9 +10,8 @@ use crate::options::{self, CRITICALITY};
 use crate::scene::{AgentKind, Scene};
 use crate::stage::PreparedScene;
 use crate::state::AgentStates;
-use crate::world::surroundings::straddles_lanes;
-use crate::world::tick::World;
-use crate::world::tow;
+use crate::world::tick::{World, find_towed, straddles_lanes};
+use crate::world::{ActionDecoder, Extent, Metrics, Slot, VecWorld, WorldConfig};
 use serde_json::Value;
 use std::ops::Deref;
 use std::sync::Arc;
@@ -39,7 +37,7 @@ impl<'a> Deref for WorldStatus<'a> {
 }
 
 /// What is wrong with an index that is not below a number.
-pub(super) fn no_index(what: &'static str, idx: usize, below: usize) -> SimError {
+pub(crate) fn no_index(what: &'static str, idx: usize, below: usize) -> SimError {
     SimError::unknown(what, idx, format!("an index below {below}"))
 }
 
@@ -64,7 +62,7 @@ impl VecWorld {
         let drivers = &mut self.worlds[world_idx].episode.drivers;
         agents.iter().for_each(|a| drivers[*a] = driver);
         let world = &mut self.worlds[world_idx];
-        tow::find_towed(&mut world.episode, &world.scene);
+        find_towed(&mut world.episode, &world.scene);
         Ok(())
     }
 
@@ -196,7 +194,7 @@ impl VecWorld {
         self.worlds.get(world_idx).ok_or_else(|| no_index("world", world_idx, self.worlds.len()))
     }
 
-    pub(super) fn begun(&self, world_idx: usize) -> Result<&World> {
+    pub(crate) fn begun(&self, world_idx: usize) -> Result<&World> {
         let world = self.world(world_idx)?;
         if world.episode.begun() {
             Ok(world)

@@ -2,12 +2,12 @@
 
 use crate::drivers::{AgentMotion, Driver};
 use crate::geom::Vector2;
-use crate::world::arrival;
 use crate::world::config::TrafficCollision;
-use crate::world::halt;
-use crate::world::sweep::parts;
+use crate::world::tick::arrival;
+use crate::world::tick::halt;
+use crate::world::tick::sweep::parts;
+use crate::world::tick::tow;
 use crate::world::tick::{Shared, World};
-use crate::world::tow;
 
 impl World {
     pub(super) fn move_agents(&mut self, shared: &Shared<'_>) {

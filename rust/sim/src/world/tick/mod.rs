@@ -1,5 +1,26 @@
 //! One world's tick, phase by phase. The order of the phases is fixed here and nowhere else.
 
+mod actions;
+mod arrival;
+mod assist;
+mod decide;
+mod detect;
+mod halt;
+mod motion;
+mod reward;
+mod roles;
+mod rows;
+mod surroundings;
+mod sweep;
+mod termination;
+mod tow;
+
+pub use actions::ActionDecoder;
+pub use assist::assisted_action;
+pub use surroundings::place_on_route;
+pub(super) use surroundings::straddles_lanes;
+pub(super) use tow::find_towed;
+
 use crate::drivers::{AgentMotion, Driver, PlanRequest, WorldView};
 use crate::dynamics::Action;
 use crate::error::{Result, SimError};
@@ -8,15 +29,10 @@ use crate::geom::{Pose2, Real};
 use crate::observe::Observer;
 use crate::scene::EGO_ID;
 use crate::stage::PreparedScene;
-use crate::world::actions::ActionDecoder;
 use crate::world::buffers::{Extent, StepBuffers};
 use crate::world::config::{Autoreset, Controlled, WorldConfig};
 use crate::world::driver_table::DriverTable;
-use crate::world::episode::{Episode, Phase};
-use crate::world::episode_statistics::Metrics;
-use crate::world::halt;
-use crate::world::start::Wanted;
-use crate::world::tow;
+use crate::world::episode::{Episode, Metrics, Phase, Wanted};
 use std::ops::Range;
 use std::sync::Arc;
 

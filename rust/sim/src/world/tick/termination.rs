@@ -6,11 +6,11 @@ use crate::stage::PreparedScene;
 use crate::world::buffers::StepBuffers;
 use crate::world::config::{Consequence, WorldConfig};
 use crate::world::episode::{Episode, Phase};
-use crate::world::reward;
 use crate::world::reward_columns::{Earlier, NUM_COLUMNS, StepFacts, TTC_HORIZON_S};
-use crate::world::surroundings::log_distance;
 use crate::world::tick::World;
-use crate::world::tow;
+use crate::world::tick::reward;
+use crate::world::tick::surroundings::log_distance;
+use crate::world::tick::tow;
 
 /// An agent is late only farther from its goal than this, and with nobody nearer ahead than the second, metres.
 const LATE_BEFORE_M: Real = 3.0;
