@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,14 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecNormalize
 
 import ccdiff_env
-from ccdiff_env.bench.planners import TRAFFIC, Traffic, drive
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes.arguments import add_other_scenes, add_scene_arguments, scenes_from
 from ccdiff_env.system.settings import keep_settings
 from ccdiff_env.training import sb3
 from ccdiff_env.training.cloning import demonstrations
 from ccdiff_env.training.outcomes import OUTCOMES, play_episodes, red_of_arrivals
-from ccdiff_env.training.recipe import LIGHTS, WORLDS, Priced
+from ccdiff_env.training.recipe import LIGHTS, WORLDS, Priced, traffic_options
 
 #: Algorithm, its settings, worlds, and decisions that take two to four minutes of one core.
 ALGORITHMS = {
@@ -94,12 +95,12 @@ def main() -> None:
     algorithm, policy, settings, worlds, decisions = ALGORITHMS[args.algorithm]
     is_sac = args.algorithm == "sac"
     decisions, held_out = args.decisions or decisions, scenes_from(args, other=True)
-    tests, train, traffic = 8 * len(held_out), scenes_from(args), {"traffic": args.traffic}
+    tests, train = 8 * len(held_out), scenes_from(args)
     if args.smoke:
         worlds, decisions, tests, held_out, args.shown = 4, 8, 2, held_out[:1], min(args.shown, 100)
         settings = settings | ({} if is_sac else {"n_steps": 2, "batch_size": 8})
-    traffic |= {"ccdiff": {"denoising_steps": 1}} if args.traffic == "ccdiff" else {}
-    traffic |= (guided := {"criticality": args.criticality} if args.criticality is not None else {})
+    guided = {"criticality": args.criticality} if args.criticality is not None else {}
+    traffic = {"traffic": traffic_options(args.traffic, 1.0)["traffic"]} | guided
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}
@@ -147,8 +148,7 @@ def main() -> None:
         red["ego"] = red_of_arrivals(test, act)
         red |= {n: red_of_arrivals(of) for n, of in rules.items()}
         table("lights", ("arrivals", "that ran red"), red.items())
-    named = TRAFFIC[args.traffic]
-    seen = Traffic("", named.driver, {**named.ccdiff, **traffic.get("ccdiff", {}), **guided})
+    seen = replace(of := TRAFFIC[traffic["traffic"]], ccdiff={**of.ccdiff, **guided})
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")
     driven = {Path(p).stem: drive(held_out, p, seen)[0] for p in planners}
     means = {p: [np.mean([row[f] for row in of]) for f in FIGURES] for p, of in driven.items()}

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
+
+
+def check_least(args: argparse.Namespace, **least: float) -> None:
+    """Refuse arguments that are less than given here, or not finite."""
+    for name, bound in least.items():
+        given = getattr(args, name)
+        values = given if isinstance(given, Sequence) else [given]
+        if not all(bound <= value < math.inf for value in values):
+            option = f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{option} is {given}, expected at least {bound:g}")
 
 
 def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from ccdiff_env.training.ego_network import Agent
 from ccdiff_env.training.networks import LICENCE
 from ccdiff_env.training.outcomes import Learning, outcomes
 from ccdiff_env.training.recipe import (
+    BANK,
     DYNAMICS,
     EPOCHS,
     GAMMA,
@@ -68,7 +69,12 @@ class Worlds:
         if args.more_scenes:
             scenes = SceneSet([*scenes, *load(settle(parse(args.more_scenes), "train"))])
         self.scenes = scenes
-        recorded = [scene for path in args.bank for scene in load_bank(path)]
+        # those of a bank met the ego of the data, which started where its log does
+        bank = {
+            "traffic": "replay",
+            "scenes": SceneSet([scene for path in args.bank for scene in load_bank(path)]),
+            "start_spread_steps": 10,
+        }
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
         self.drawn = drawn = drawn if args.any_ego else {}
@@ -76,16 +82,14 @@ class Worlds:
             Priced(
                 make_vec(
                     each * count,
-                    scenes=SceneSet(recorded) if traffic == "bank" else scenes,
-                    # the others of a bank met the ego of the data, which started where its log does
-                    config=config.with_options(
-                        **{"start_spread_steps": 10} if traffic == "bank" else drawn
-                    ),
+                    config=config,
                     autoreset_mode="same_step",
                     info="end",
                     copy=False,
                     num_threads=args.threads,
-                    **traffic_options(traffic, args.criticality),
+                    **bank
+                    if traffic == BANK
+                    else {"scenes": scenes, **drawn, **traffic_options(traffic, args.criticality)},
                 )
             )
             for traffic, count in shares.items()

@@ -40,6 +40,7 @@ CORRELATION = 0.7
 #: other way, and a decision after which contact is a second away (grows from 0 at 1.6 s), one with
 #: a jerk of 6 m/s³ (from 3), and one after which it brakes with 4 m/s² (from 3).
 AT_FAULT, WRONG_WAY, CLOSE, ROUGH, HARD = -6.0, -2.0, -0.3, -0.1, -0.1
+BANK = "bank"  #: Name of what was recorded as traffic of training.
 #: Options of its worlds: any vehicle of a scene may be the ego, in a tenth of the episodes also one
 #: whose log stands; an action is held for three steps; driving goes on after the goal, as in the
 #: benchmark.
@@ -72,11 +73,9 @@ def traffic_options(traffic: str, criticality: float) -> dict[str, Any]:
     CCDiff denoises in one step, two to three times as fast, unless its options say otherwise.
     """
     name, options = read_driver(traffic, "--traffic")
-    if name in ("bank", LEARNED) and options:
-        raise ConfigError(f"--traffic is {traffic!r}, expected {name} without options")
-    if name == "bank":
-        return {"traffic": "replay"}
     if name == LEARNED:
+        if options:
+            raise ConfigError(f"--traffic is {traffic!r}, expected {name} without options")
         name, traffic = "ccdiff", f"ccdiff?replan_steps=20&adversary_policy={LEARNED}"
     if name == "ccdiff" and "denoising_steps" not in options:
         traffic += f"{'&' if '?' in traffic else '?'}denoising_steps=1"

@@ -10,6 +10,7 @@ from typing import Any
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.sources import SOURCES, coverage, load, title
+from ccdiff_env.system.settings import check_least
 from ccdiff_env.system.terminal import counted
 from ccdiff_env.traffic import KINDS, NETWORKS
 
@@ -67,10 +68,7 @@ def run(args: argparse.Namespace) -> int:
     source = SOURCES[place.source]
     known = {} if source.splits is None else source.splits()
     kept_out = {name for split in source.kept_out for name in known[split]}
-    if args.hold_out_every < 2:
-        raise ConfigError(f"--hold-out-every is {args.hold_out_every}, expected at least 2")
-    if args.threads < 1:
-        raise ConfigError(f"--threads is {args.threads}, expected at least 1")
+    check_least(args, hold_out_every=2, threads=1)
     require_networks()
     import torch
 

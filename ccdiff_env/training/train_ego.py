@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.scenes.arguments import add_scene_arguments
+from ccdiff_env.system.settings import check_least
 from ccdiff_env.traffic import EGOS, NETWORKS
-from ccdiff_env.training.recipe import ASSISTED_NOISE, NOISE, RATE, traffic_options
+from ccdiff_env.training.recipe import ASSISTED_NOISE, BANK, NOISE, RATE, traffic_options
 from ccdiff_env.worlds.policy_file import LEARNED
 
-#: Traffic of training; ``learned`` is CCDiff whose adversaries the shipped policy chooses,
-#: ``bank`` what ``--bank`` recorded.
-TRAFFIC = ("replay", "idm", EGOS, LEARNED, *NETWORKS, "bank")
-#: Least values of arguments.
-LEAST = {"threads": 1, "decisions": 1, "shown": 0, "learning_rate": 1e-9, "noise": 1e-6}
+#: Traffic of training; ``learned`` is CCDiff whose adversaries the shipped policy chooses.
+TRAFFIC = ("replay", "idm", EGOS, LEARNED, *NETWORKS, BANK)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -102,13 +99,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--criticality: no traffic of {' '.join(args.traffic)} draws it")
     args.criticality = 1.0 if args.criticality is None else args.criticality
     args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
-    for name, least in LEAST.items():
-        given = getattr(args, name)
-        if not all(least <= value < math.inf for value in (given if name == "noise" else [given])):
-            option = f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option} is {given}, expected at least {least:g}")
-    if ("bank" in args.traffic) != bool(args.bank):
-        raise ConfigError("--traffic bank and --bank FOLDER go together")
+    check_least(args, threads=1, decisions=1, shown=0, learning_rate=1e-9, noise=1e-6)
+    if (BANK in args.traffic) != bool(args.bank):
+        raise ConfigError(f"--traffic {BANK} and --bank FOLDER go together")
     try:
         from ccdiff_env.training.ppo import train
     except ModuleNotFoundError as error:
