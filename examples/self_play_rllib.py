@@ -29,9 +29,6 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_scene_arguments(parser, "train")
     parser.add_argument("--iterations", type=int, default=50)
-    parser.add_argument(
-        "--runners", type=int, default=0, help="processes that simulate; 0: this one"
-    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--smoke", action="store_true", help="a short test run")
     return parser.parse_args()
@@ -48,13 +45,13 @@ def role(agent_id: str, *_args, **_kwargs) -> str:
 def main() -> None:
     args = arguments()
     register_env("ccdiff_game", make)
-    ray.init(num_cpus=max(args.runners, 1), include_dashboard=False, log_to_driver=False)
+    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
     config = (
         PPOConfig()
         .environment(
             "ccdiff_game", env_config={"scenes": str(place_from(args))}, disable_env_checking=True
         )
-        .env_runners(num_env_runners=args.runners)
+        .env_runners(num_env_runners=0)
         .multi_agent(policies={"ego", "adversary"}, policy_mapping_fn=role)
         .training(
             gamma=0.98,

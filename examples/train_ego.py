@@ -55,7 +55,6 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--decisions", default="7e5", help="decisions per training")
     parser.add_argument("--seeds", type=int, default=3, help="policies to train")
-    parser.add_argument("--draws", type=int, default=3, help="episodes of each scene in the report")
     parser.add_argument("--workers", type=int, default=2, help="processes, and threads of training")
     parser.add_argument("--out", type=Path, default=Path("runs/train_ego"))
     parser.add_argument("--smoke", action="store_true", help="a short test run")
@@ -96,9 +95,9 @@ def main() -> None:
     if str(choose) == str(test):
         raise SystemExit(f"{test} cannot both choose and report: name another --choose-split")
     if args.smoke:
-        args.seeds, args.draws, args.workers = 1, 1, 1
+        args.seeds, args.workers = 1, 1
         choose, test = replace(choose, limit=1), replace(test, limit=2)
-    scenes = load(train)[: 2 if args.smoke else None]
+    scenes, draws = load(train)[: 2 if args.smoke else None], 1 if args.smoke else 3
     banks = [str(args.out / f"bank-{criticality:g}") for criticality in BANKS]
     for bank, criticality in zip(banks, BANKS, strict=True):
         record_bank(scenes, bank, ego="pdm", criticality=criticality, workers=args.workers)
@@ -117,9 +116,9 @@ def main() -> None:
     new = max(files, key=chose.__getitem__)
     print(f"{new}: the best of {len(files)} on {choose}, {chose[new]:.3f}\n")
     planners, traffic = [new, *OTHERS], REPORTED[: 1 if args.smoke else None]
-    found = driven(test, planners, traffic, args.draws, args.out / "test", args.workers)
+    found = driven(test, planners, traffic, draws, args.out / "test", args.workers)
     figures, pairs = report(found, planners, traffic)
-    print(f"{figures}\n\n{pairs}\n\n{len(load(test))} scenes, {args.draws} episodes of each;")
+    print(f"{figures}\n\n{pairs}\n\n{len(load(test))} scenes, {draws} episodes of each;")
     print("95 % intervals; p of the permutation test of signs, paired over scenes.")
     kept = {"trained_on": str(train), "chosen_on": str(choose), "scenes": str(test)}
     kept |= {"choice": chose, "figures": figures.rows, "pairs": pairs.rows}
