@@ -232,13 +232,14 @@ class _Methods(NamedDrivers[Method]):
             return None
 
 
-#: What a name's middle adds to the title and the options of a network,
-_FORMS: dict[str, tuple[str, dict[str, Any]]] = {
-    "": ("", {}),
-    "_routes": (" with routes", {"follow_route": True}),
-    "_one_step": (", one denoising step", {"denoising_steps": 1}),
+#: What a name's middle adds to the titles of methods and of traffic, and to a network's options,
+FORMS: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "": ("", "", {}),
+    "_routes": (" with routes", ", routes", {"follow_route": True}),
+    "_one_step": (", one denoising step", ", one step", {"denoising_steps": 1}),
     "_routes_one_step": (
         " with routes, one denoising step",
+        ", routes, one step",
         {"follow_route": True, "denoising_steps": 1},
     ),
 }
@@ -278,8 +279,9 @@ def _network(
     driver = name if name in NETWORKS else "ccdiff"
     found = {}
     for form, end in product(forms, ends):
-        ccdiff = {**_ENDS[end][1], **_FORMS[form][1], **own}
-        label = title + _FORMS[form][0] + _ENDS[end][0]
+        middle, _, options = FORMS[form]
+        ccdiff = {**_ENDS[end][1], **options, **own}
+        label = title + middle + _ENDS[end][0]
         if end == "_unguided" and ccdiff["num_samples"] > 1:
             label += f", safest of {ccdiff['num_samples']}"
         found[name + form + end] = Method(label, driver, ccdiff=ccdiff)
@@ -288,7 +290,7 @@ def _network(
 
 def _composed(name: str) -> Method | None:
     """Return the method of a network, a form and a mode, where a name is put together so."""
-    for network, form, end in product(NETWORKS, _FORMS, _ENDS):
+    for network, form, end in product(NETWORKS, FORMS, _ENDS):
         if name == network + form + end and network != SWIFT:
             own = {"num_samples": 1} if KINDS[network].one_plan else {}
             return _network(network, KINDS[network].title, (form,), (end,), **own)[name]
@@ -300,7 +302,7 @@ GRAMMAR = (
     "NAME or NAME?option=value&option=value, where NAME is one of "
     f"replay, constant_velocity, idm, {SWIFT}, module:name of yours, and NETWORK[_FORM][_MODE]"
     f"[-CRITICALITY]: a network ({', '.join(n for n in NETWORKS if n != SWIFT)}), a form "
-    f"({', '.join(filter(None, _FORMS))}), a mode ({', '.join(filter(None, _ENDS))}; guided "
+    f"({', '.join(filter(None, FORMS))}), a mode ({', '.join(filter(None, _ENDS))}; guided "
     "without one)"
 )
 
@@ -312,7 +314,7 @@ METHODS = _Methods(
         "replay": Method("Log replay", "replay"),
         "constant_velocity": Method("Constant velocity", "constant_velocity"),
         "idm": Method(KINDS["idm"].title, "idm"),
-        **_network("ccdiff", "CCDiff", _FORMS, _ENDS),
+        **_network("ccdiff", "CCDiff", FORMS, _ENDS),
         **_network("tokens", KINDS["tokens"].title, ("", "_routes"), _ENDS),
         SWIFT: Method(KINDS[SWIFT].title, SWIFT),
     },

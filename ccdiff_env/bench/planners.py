@@ -15,13 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import Drivers, NamedDrivers, on_device, resolved
+from ccdiff_env.bench.methods import FORMS, Drivers, NamedDrivers, on_device, resolved
 from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import ROW, Judge
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import source_digest
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Tape
+from ccdiff_env.envs.selection import DEFAULT_CCDIFF
 from ccdiff_env.errors import ConfigError, PolicyError
 from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, play, recorders_of
@@ -50,15 +51,8 @@ class Traffic(Drivers):
 _TITLES = driver_titles()
 
 
-#: Options of CCDiff that have names of their own, and their titles.
-_FORMS: dict[str, tuple[str, dict[str, Any]]] = {
-    "one-step": (", one step", {"denoising_steps": 1}),
-    "routes": (", routes", {"follow_route": True}),
-    "routes-one-step": (", routes, one step", {"follow_route": True, "denoising_steps": 1}),
-}
-
-
-def _critical(level: float, driver: str = "ccdiff", title: str = "", **options: Any) -> Traffic:
+def _critical(level: float, driver: str = "ccdiff", form: str = "") -> Traffic:
+    _, title, options = FORMS[form]
     label = f"{_TITLES[driver]}, criticality {level:g}{title}"
     return Traffic(label, driver, {"criticality": level, "num_samples": 1, **options})
 
@@ -67,8 +61,8 @@ def _named(label: str, name: str) -> Traffic:
     kind, _, policy = name.partition(":")
     if kind != "adversary":
         return Traffic(label, name)
-    pace: dict[str, Any] = {"replan_steps": 20, "denoising_steps": 1, "adversary_policy": policy}
-    return replace(_critical(1.0, **pace), label=f"CCDiff, chosen by {Path(policy).stem}")
+    options = {**DEFAULT_CCDIFF, "num_samples": 1, "adversary_policy": policy}
+    return Traffic(f"CCDiff, chosen by {Path(policy).stem}", "ccdiff", options)
 
 
 TRAFFIC: NamedDrivers[Traffic] = NamedDrivers(
@@ -84,12 +78,12 @@ TRAFFIC: NamedDrivers[Traffic] = NamedDrivers(
             name: Traffic(f"{_TITLES[name]}, no guidance", name, {"num_samples": 1})
             for name in NETWORKS
         },
-        **{f"ccdiff-{level:g}": _critical(level) for level in (0.25, 0.5, 1.5)},
+        **{f"ccdiff-{c:g}": _critical(c) for c in (0.25, 0.5, 1.5)},
         **{f"{name}-{c:g}": _critical(c, name) for c in (1.0, 2.0) for name in NETWORKS},
         **{
-            f"ccdiff-{level:g}-{form}": _critical(level, "ccdiff", title, **options)
-            for level in (1.0, 2.0)
-            for form, (title, options) in _FORMS.items()
+            f"ccdiff-{c:g}{form.replace('_', '-')}": _critical(c, form=form)
+            for c in (1.0, 2.0)
+            for form in sorted(FORMS)
         },
         "ccdiff-1-learned": replace(
             _named("", f"adversary:{LEARNED}"), label="CCDiff, a learned adversary"
