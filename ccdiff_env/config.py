@@ -123,7 +123,8 @@ class WorldConfig(WorldOptions):
         inner = ("dynamics", "discrete", "grid")
         shortcuts: dict[str, Any] = {name: given.pop(name) for name in inner if name in given}
         rasters = {"bev": given.pop("bev")} if "bev" in given else {}
-        config = _made(WorldConfig, self, _with_named_drivers(given, self.named_drivers), "")
+        _name_drivers(given, self.named_drivers)
+        config = _made(WorldConfig, self, given, "")
         action = _made(ActionConfig, config.action, shortcuts, "action.")
         observation = _made(ObservationConfig, config.observation, rasters, "observation.")
         return dataclasses.replace(config, action=action, observation=observation)
@@ -323,52 +324,50 @@ def _named_driver(path: str, value: Any, *_: Any) -> NamedDriver:
     return NamedDriver(name, _form_value(f"{path}.{name}", options, known[name], None))
 
 
-def _with_named_drivers(
-    options: dict[str, Any], known: Mapping[str, NamedDriver]
-) -> dict[str, Any]:
-    """Options in which drivers that are objects, or paths to import, are named drivers."""
+def _name_drivers(options: dict[str, Any], known: Mapping[str, NamedDriver]) -> None:
+    """Make drivers that are objects, or paths to import, named drivers of the options."""
     found: dict[str, Any] = {}
-    for field_name in ("traffic", "driver"):
-        value = options.get(field_name)
-        for text in [*value] if isinstance(value, Mapping) else [value]:
-            if not isinstance(text, str) or "?" not in text or ":" in text.partition("?")[0]:
-                continue
-            name, own = read_driver(text, field_name)
-            if own and (name not in KINDS or KINDS[name].options is None):
-                takes = ", ".join(n for n, kind in KINDS.items() if kind.options)
-                raise ConfigError(f"{field_name} {text!r}: options are for {takes}")
-            if (own and name in options) or (isinstance(value, Mapping) and name in value):
-                raise ConfigError(f"{field_name} {text!r}: {name} has options of its own beside it")
-            if isinstance(value, Mapping):
-                value = {name if driver == text else driver: of for driver, of in value.items()}
-            else:
-                value = name
-            options |= {field_name: value, **({name: own} if own else {})}
-    for kind in KINDS:
-        if kind in options and kind not in _fields_of(WorldConfig):
-            found[kind] = {kind: options.pop(kind)}
-    for field_name in ("traffic", "driver"):
-        value = options.get(field_name)
+    for what in ("traffic", "driver"):
+        value = options.get(what)
+        if isinstance(value, Mapping):
+            value = {_take_options(text, options, what, value): of for text, of in value.items()}
+        value = _take_options(value, options, what)
         if isinstance(value, str) and ":" in value:
-            made = named_instance(value, "traffic model")
-            if isinstance(made, CcdiffConfig):  # of the network that is called so
-                options = {**options, field_name: "ccdiff", "ccdiff": made}
-                continue
-            value = made if isinstance(made, PythonTraffic) else PythonTraffic(made)
+            value = named_instance(value, "traffic model")
+            if isinstance(value, CcdiffConfig):  # of the network that is called so
+                options["ccdiff"], value = value, "ccdiff"
+            elif not isinstance(value, PythonTraffic):
+                value = PythonTraffic(value)
         if callable(value):
             raise ConfigError(
-                f"config: {field_name} is a function or object, expected PythonTraffic(it) "
+                f"config: {what} is a function or object, expected PythonTraffic(it) "
                 "(docs/own_traffic.md), a name, or shares"
             )
         if isinstance(value, PythonTraffic):
-            found["python"] = value
-            options = {**options, field_name: "python"}
+            found["python"], value = value, "python"
+        options |= {what: value} if what in options else {}
+    for kind in KINDS:
+        if kind in options and kind not in _fields_of(WorldConfig):
+            found[kind] = {kind: options.pop(kind)}
     if found:
         more = options.get("named_drivers", known)
         if not isinstance(more, Mapping):
             raise ConfigError(f"config: named_drivers is {more!r}, expected values by name")
-        options = {**options, "named_drivers": {**more, **found}}
-    return options
+        options["named_drivers"] = {**more, **found}
+
+
+def _take_options(text: Any, options: dict[str, Any], what: str, shares: Iterable[Any] = ()) -> Any:
+    """Name of a driver in ``name?option=value``, whose options are put among the others."""
+    if not isinstance(text, str) or "?" not in text or ":" in text.partition("?")[0]:
+        return text
+    name, own = read_driver(text, what)
+    if own and (name not in KINDS or KINDS[name].options is None):
+        takes = ", ".join(n for n, kind in KINDS.items() if kind.options)
+        raise ConfigError(f"{what} {text!r}: options are for {takes}")
+    if (own and name in options) or [str(t).partition("?")[0] for t in shares].count(name) > 1:
+        raise ConfigError(f"{what} {text!r}: {name} has options of its own beside it")
+    options |= {name: own} if own else {}
+    return name
 
 
 def _plain_field(name: str, value: Any) -> Any:
