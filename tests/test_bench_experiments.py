@@ -105,6 +105,7 @@ def test_a_method_is_put_together_from_a_network_a_form_and_a_mode():
     made = METHODS["ctg_careful"]
     assert (made.driver, made.ccdiff) == ("ctg", {"careful": True})
     assert METHODS["tokens_routes_calibrated"].ccdiff["follow_route"]
+    assert METHODS["ctg_routes-0.5"].ccdiff == {**METHODS["ctg_routes"].ccdiff, "criticality": 0.5}
     assert "ctg_carefull" not in METHODS
     with pytest.raises(UnknownNameError, match="did you mean 'ccdiff_careful'"):
         METHODS["ccdif_careful"]

@@ -224,7 +224,8 @@ class _Methods(NamedDrivers[Method]):
         """
         whole, mark, options = name.partition("?")
         stem, _, number = whole.rpartition("-")
-        if not (dict.__contains__(self, stem) and "criticality" in self[stem].ccdiff):
+        method = self.get(stem) or _composed(stem)
+        if method is None or "criticality" not in method.ccdiff:
             return None
         try:
             return f"{stem}{mark}{options}", float(number)
