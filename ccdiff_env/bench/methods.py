@@ -258,15 +258,8 @@ _ENDS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
 }
 _TWO = ("", "_unguided")
-#: The networks of the paper's table, CTG++, and CCDiff trained as they were: name and title.
-_NETWORKS = {
-    **{
-        name: KINDS[name].title
-        for name in NETWORKS
-        if name not in ("ccdiff", "tokens") and not KINDS[name].distilled
-    },
-    "ccdiff_equal": "CCDiff, equal training",
-}
+#: The networks of the paper's table, and CTG++.
+_RIVALS = [name for name in NETWORKS if name not in ("ccdiff", "tokens", SWIFT)]
 
 
 def _network(
@@ -325,14 +318,10 @@ METHODS |= _network("ccdiff_paper", "CCDiff, guidance of the paper", guidance="p
 # classifier-free guidance by the causal graph, from the paper's range of weights
 for _x in (1.3, 1.6, 1.9):
     METHODS |= _network(f"ccdiff_cfg-{_x:g}", f"CCDiff, w = {_x:g}", ends=_TWO, cfg_weight=_x)
-for _name, _title in _NETWORKS.items():
-    _ends: tuple[str, ...] = (*_TWO, "_one_sample")
-    _own: dict[str, Any] = {}
-    if _name == "ccdiff_equal":
-        _own["weights"] = str(shipped_weights(_name))
-    elif KINDS[_name].one_plan:
-        _ends, _own = _TWO, {"num_samples": 1}
-    METHODS |= _network(_name, _title, ends=_ends, **_own)
+_THREE = (*_TWO, "_one_sample")
+METHODS |= {name + end: METHODS[name + end] for name in _RIVALS for end in _THREE}
+_weights = str(shipped_weights("ccdiff_equal"))  # CCDiff, trained as the rivals were
+METHODS |= _network("ccdiff_equal", "CCDiff, equal training", ends=_THREE, weights=_weights)
 # BITS chooses among its plans and does not move them
 METHODS["bits"] = replace(METHODS["bits"], guidance={"gradient_steps": 0})
 
@@ -360,7 +349,7 @@ for _name in ("trafficsim", "strive", "bits"):
 #: Methods of the paper's table with shipped weights, each guided and not: ``--methods all``.
 PAPER_METHODS: tuple[str, ...] = tuple(
     f"{name}{suffix}"
-    for name in (*_NETWORKS, "ccdiff")
+    for name in (*_RIVALS, "ccdiff_equal", "ccdiff")
     if shipped_weights(name).exists()
     for suffix in ("", "_unguided")
 )
