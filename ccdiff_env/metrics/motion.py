@@ -306,18 +306,17 @@ class Motion:
         return np.asarray(self._native.min_ttc(), dtype=np.float32)
 
     def over_speed(
-        self, limit_mps: float, *, at_least_s: float = 0.5, counted: npt.ArrayLike | None = None
+        self, limit_mps: float, *, counted: npt.ArrayLike | None = None
     ) -> npt.NDArray[np.bool_]:
-        """Tell which agents [A] exceed a speed for some time without a break.
+        """Tell which agents [A] exceed a speed for 0.5 s without a break.
 
         The scene over-speed rate (SOR) is the share of scenes in which a controlled agent does.
 
         Args:
             limit_mps: the limit; :func:`speed_limit` takes one from traffic.
-            at_least_s: for how long.
             counted: bool [A], agents asked for; all if absent.
         """
         mask = self._mask("counted", counted, True)
-        over = np.asarray(self._native.over_speed(limit_mps, at_least_s), dtype=bool)
+        over = np.asarray(self._native.over_speed(limit_mps, 0.5), dtype=bool)
         found: npt.NDArray[np.bool_] = mask & over
         return found

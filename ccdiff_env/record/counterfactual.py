@@ -64,6 +64,7 @@ def _pedal(acceleration_mps2: float) -> str:
 
 BATCH = 32  #: Plans that are tried together.
 HOLD_S = 2.1  #: How long a steady plan lasts.
+BEFORE_S = 3.0  #: How long before a collision the ego may begin to do otherwise.
 #: Steady plans, least aggressive first.
 STEADY = tuple(EgoPlan((a, a), 0.0, d) for d in (0, 0.75, -0.75) for a in (0, -2, 2, -4, -6))
 
@@ -321,21 +322,22 @@ def _driven(
 
 
 def rollout_avoidability(
-    rollout: Rollout, *, before_s: float = 3.0, after_s: float = 2.0, **options: Any
+    rollout: Rollout, *, before_s: float = BEFORE_S, **options: Any
 ) -> Avoidability | None:
     """Ask whether a recorded ego's first collision was avoidable, the others doing as recorded.
+
+    Plans are followed for 2 s after the recorded collision. Where the recording ends earlier, the
+    others go on at constant velocity.
 
     Args:
         rollout: A recorded episode.
         before_s: How long before the collision the ego may begin to do otherwise.
-        after_s: How long after the recorded collision plans are followed. Where the recording ends
-            earlier, the others go on at constant velocity.
         **options: As for :func:`avoidability`.
 
     Returns:
         Avoidability or None: ``None`` if the ego does not collide.
     """
-    found = _before_contact(rollout, before_s, after_s)
+    found = _before_contact(rollout, before_s)
     return None if found is None else avoidability(found[0], **options)
 
 
@@ -347,17 +349,16 @@ def avoidable(rollout: Rollout) -> float:
     return float("nan") if found is None else float(found.avoidable)
 
 
-def with_rescue(rollout: Rollout, **options: Any) -> Rollout:
+def with_rescue(rollout: Rollout) -> Rollout:
     """Return a recorded episode that knows whether the ego's first collision was avoidable, for
     pages: ``meta["rescue"]`` has ``text`` in words and, if it was, ``step`` and the saving ``path``
-    from it on, x, y (m) and heading (rad). Options are those of :func:`rollout_avoidability`.
+    from it on, x, y (m) and heading (rad).
     """
-    before_s, after_s = options.pop("before_s", 3.0), options.pop("after_s", 2.0)
-    found = _before_contact(rollout, before_s, after_s)
+    found = _before_contact(rollout, BEFORE_S)
     if found is None:
         return rollout
     worlds, start = found
-    verdict = avoidability(worlds, **options)
+    verdict = avoidability(worlds)
     rescue: dict[str, Any] = {"text": f"not avoidable by {verdict.num_tried} plans"}
     if verdict.plan is not None:
         recorder = Recorder(fork := _fork(worlds, [None], decision_steps=1))
@@ -370,9 +371,9 @@ def with_rescue(rollout: Rollout, **options: Any) -> Rollout:
     return dataclasses.replace(rollout, meta={**rollout.meta, "rescue": rescue})
 
 
-def _before_contact(rollout: Rollout, before_s: float, after_s: float) -> tuple[Worlds, int] | None:
+def _before_contact(rollout: Rollout, before_s: float) -> tuple[Worlds, int] | None:
     """Worlds in which the others do as recorded, from some seconds before the ego's first collision
-    to some after it, and the recorded step at which they begin; ``None`` without a collision.
+    to 2 s after it, and the recorded step at which they begin; ``None`` without a collision.
     """
     hits = rollout.collisions("ego")
     if not hits:
@@ -380,7 +381,7 @@ def _before_contact(rollout: Rollout, before_s: float, after_s: float) -> tuple[
     scene = rollout.to_scene()
     history = rollout.start_step
     start = max(hits[0].step - round(before_s / rollout.dt_s), 0)
-    end = hits[0].step + max(round(after_s / rollout.dt_s), 1)
+    end = hits[0].step + max(round(2.0 / rollout.dt_s), 1)
     config = WorldConfig().with_options(
         dt_s=rollout.dt_s,
         history_steps=history,
