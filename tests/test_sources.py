@@ -107,6 +107,9 @@ def test_embedded_scenes_are_those_of_their_splits():
     one = ccdiff_env.load("embedded", names=splits["val"][0], kinds="pedestrian")
     assert one.names == splits["val"][:1]
     assert set(one[0].agent_types) == {"vehicle", "pedestrian"}
+    every = [*ccdiff_env.load("embedded"), *ccdiff_env.load("embedded/city")]
+    agents = [scene.num_agents for scene in every]
+    assert (len(every), min(agents), max(agents)) == (241, 6, 17), "docs/data.md says so"
     with pytest.raises(UnknownNameError, match="nowhere"):
         ccdiff_env.load("embedded", names=["nowhere"])
     with pytest.raises(ConfigError, match="limit is 0"):
