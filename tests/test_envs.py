@@ -219,11 +219,14 @@ def test_actions_of_any_real_dtype_and_layout_are_taken(scenes):
         ({"render_options": {"zoom": 2}}, ConfigError),
         ({"history_steps": 10**4}, SceneError),
         ({"dt_s": 0.2}, SceneError),
+        ({"scenes": ""}, ConfigError),
+        ({"scenes": 3}, ConfigError),
+        ({"scenes": [3]}, ConfigError),
     ],
 )
 def test_wrong_options_are_refused(options, error, scenes):
     with pytest.raises(error):
-        EgoEnv(scenes=scenes, **options)
+        EgoEnv(**{"scenes": scenes, **options})
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))

@@ -117,7 +117,7 @@ def test_set_is_a_sequence_with_names(scenes):
         scenes["scene-9"]
     with pytest.raises(IndexError):
         scenes[2]
-    with pytest.raises(errors.ConfigError, match="unique"):
+    with pytest.raises(errors.ConfigError, match="same name, 'scene-0000'"):
         SceneSet([scenes[0], scenes[0]])
 
 

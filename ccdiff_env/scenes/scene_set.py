@@ -34,7 +34,8 @@ class SceneSet(Sequence[Scene]):
         self._names = tuple(scene.name for scene in self._scenes)
         self._by_name = {name: index for index, name in enumerate(self._names)}
         if len(self._by_name) != len(self._scenes):
-            raise ConfigError("two scenes have the same name: names must be unique in a SceneSet")
+            twin = next(name for name in self._names if self._names.count(name) > 1)
+            raise ConfigError(f"two scenes have the same name, {twin!r}: a SceneSet has it once")
         self._report = report if report is not None else LoadReport()
 
     @property

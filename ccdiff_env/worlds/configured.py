@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from ccdiff_env.config import BevConfig, WorldConfig
@@ -24,11 +24,11 @@ def scene_set(scenes: Scenes) -> SceneSet:
     ``"train"`` (``None``), ``"val"`` and ``"all"`` are embedded ones.
     """
     if scenes is None or isinstance(scenes, str):
-        return load(scenes or "train")
+        return load("train" if scenes is None else scenes)
     if isinstance(scenes, SceneSet):
         found = scenes
     else:
-        listed = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        listed = list(scenes) if isinstance(scenes, Iterable) else [scenes]
         if not all(isinstance(scene, Scene) for scene in listed):
             raise ConfigError(
                 "scenes: expected scenes, a SceneSet or the name of a split; "
