@@ -95,6 +95,13 @@ def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.csv"]
     assert path.read_text() == "before"
+    longest = tmp_path / ("é" * 125 + ".html")  # 255 bytes, the most that a name may have
+    files.write_aside(longest, "whole")
+    assert longest.read_text() == "whole"
+    for folder in (tmp_path, Path(".")):
+        with pytest.raises(OSError, match=r"'.*'$"):
+            files.write_aside(folder, "no file")
+    assert len([*tmp_path.iterdir()]) == 3
 
 
 # scenes

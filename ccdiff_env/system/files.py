@@ -143,7 +143,8 @@ def naming(path: str | os.PathLike[str]) -> Iterator[None]:
 
 def write_aside(path: Path, data: str | bytes) -> None:
     """Write a file under another name first: a run that ends in the middle leaves no half of it."""
-    aside = path.with_name(f".{path.name[:200]}.{os.getpid()}")
+    short = os.fsdecode(os.fsencode(path.name)[:200])
+    aside = path.parent / f".{short}.{os.getpid()}"
     with naming(path):
         try:
             aside.unlink(missing_ok=True)
