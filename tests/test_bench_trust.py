@@ -405,6 +405,10 @@ def test_the_protocol_fixes_scenes_and_weights():
         (["--traffic", "idm"], "--traffic: planner-1.3 fixes it"),
         (["--seeds", "0,1"], "--seeds has 2, planner-1.3 smoke takes 1"),
         (
+            ["--level", "mini", "--scenes", "nuscenes:x", "--seeds", "5,5,5"],
+            "--seeds has 1, planner-1.3 mini takes 3",
+        ),
+        (
             ["--planners", f"{__name__}:Leaps"],
             "moves by DeltaPoseLimits, planner-1.3 allows unicycle",
         ),

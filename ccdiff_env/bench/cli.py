@@ -85,7 +85,7 @@ def counts(text: str) -> list[int | None]:
 
 def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
     try:
-        return [one(part) for part in text.split(",")]
+        return list(dict.fromkeys(map(one, text.split(","))))
     except (ValueError, OverflowError):
         raise ConfigError(f"{option} is {text!r}, expected {what}, comma-separated") from None
 
@@ -243,7 +243,7 @@ def _planners(args: argparse.Namespace) -> int:
     traffic = titled((_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(","))
     metrics = [METRICS.get(name, name) for name in dict.fromkeys(args.metric or ())]
     own = metric_names(metrics)
-    seeds = list(dict.fromkeys(_listed("--seeds", args.seeds or "0,1,2", int, "integers")))
+    seeds = _listed("--seeds", args.seeds or "0,1,2", int, "integers")
     source = str(place_from(args))
     window = window_of(source, args.history_steps, args.horizon_steps)
     jobs = [

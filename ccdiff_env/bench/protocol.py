@@ -100,7 +100,7 @@ class Protocol:
             begun = kept_settings(args.out / "run.json", {}).get("seeds")
             drawn = begun or [secrets.randbits(31) for _ in range(level["num_seeds"])]
             args.seeds = ",".join(map(str, drawn))
-        elif (number := len(args.seeds.split(","))) != level["num_seeds"]:
+        elif (number := len({*args.seeds.split(",")})) != level["num_seeds"]:
             raise ConfigError(
                 f"--seeds has {number}, {self.name} {args.level} takes {level['num_seeds']}"
             )
