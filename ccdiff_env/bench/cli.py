@@ -83,6 +83,13 @@ def counts(text: str) -> list[int | None]:
     return _listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
 
 
+def _steps(seconds: str) -> int:
+    steps = round(10.0 * float(seconds), 6)
+    if not steps.is_integer():
+        raise ValueError
+    return int(steps)
+
+
 def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
     try:
         return list(dict.fromkeys(map(one, text.split(","))))
@@ -144,7 +151,7 @@ def _traffic(args: argparse.Namespace) -> int:
         run.source,
         methods,
         num_controlled=counts(args.k),
-        replan_steps=_listed("--t", args.t, lambda t: round(10 * float(t)), "seconds"),
+        replan_steps=_listed("--t", args.t, _steps, "multiples of 0.1 s"),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
         weights=run.own_weights,
         seed=args.seed,
