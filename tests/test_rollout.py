@@ -198,6 +198,20 @@ def test_recording_stops_at_the_end_of_the_episode():
     assert "time_limit" in [event.kind for event in rollout.events if event.step == 3]
 
 
+def test_a_step_that_is_left_out_is_no_recording():
+    env = EgoEnv(scenes="val", terminate_at_goal=False)
+    env.reset(seed=0)
+    recorder = Recorder(env)
+    for _ in range(2):
+        env.step(np.zeros(2, np.float32))
+    with pytest.raises(errors.ResetNeededError, match="step 2 comes after 0"):
+        recorder.step()
+    recorder.start()
+    env.step(np.zeros(2, np.float32))
+    assert recorder.step()
+    assert recorder.rollout().start_step == 32
+
+
 def test_plans_of_ccdiff_are_recorded_where_they_were_made():
     options = {"horizon_steps": 12, "terminate_at_goal": False, "on_collision": "ignore"}
     rollout = record(traffic="ccdiff", ccdiff={"denoising_steps": 2}, **options)[1]

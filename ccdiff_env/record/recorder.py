@@ -142,7 +142,7 @@ class Recorder:
         Once the world has begun another episode, nothing more is recorded.
 
         Raises:
-            ResetNeededError: Before :meth:`start`.
+            ResetNeededError: Before :meth:`start`, and where a step was left out.
         """
         if self._episode is None:
             raise ResetNeededError("recorder: step before start(), which comes after a reset")
@@ -153,6 +153,11 @@ class Recorder:
             return False
         if elapsed == self._elapsed:
             return True
+        if elapsed > self._elapsed + 1:
+            raise ResetNeededError(
+                f"recorder: step {elapsed} comes after {self._elapsed}: call its step() after each "
+                "of the environment, or start()"
+            )
         self._elapsed = elapsed
         at = status.step_idx - self._start_step
         if self._worlds.last is not None:
