@@ -129,6 +129,13 @@ def test_the_time_step_is_that_of_the_time_stamps(tmp_path, rate_hz, dt_s):
     assert scene.dt == pytest.approx(dt_s, rel=1e-6)
 
 
+def test_nobody_is_there_where_a_mask_is_not_a_number(tmp_path):
+    data = scenario()
+    data["tracks"]["7"]["state"]["valid"] = np.where(np.arange(T) < 4, np.nan, 1.0)
+    (scene,) = ccdiff_env.load_scenarionet(save(tmp_path, data))
+    assert scene.tracks()["valid"][0].tolist() == [False] * 4 + [True] * 7
+
+
 def nan_at(step):
     position = track("VEHICLE", 0.0)["state"]["position"]
     position[step] = np.nan

@@ -86,7 +86,7 @@ def _states(
             raise source.fault(f"length of {where}.state.{name}", len(array), f"{num_steps}")
         return array
 
-    valid = values("valid") != 0
+    valid = np.abs(values("valid")) > 0.0  # not where it is NaN
     if valid.sum() < 2:
         source.dropped[f"{category}: fewer than 2 steps"] += 1
         return None
