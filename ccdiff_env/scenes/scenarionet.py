@@ -141,8 +141,8 @@ def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
         # 0.1 is 0.1 in spite of jitter, but 30 Hz are not 0.033 s
         return rounded if abs((rounded := round(dt, 3)) - dt) < 2e-3 * dt else dt
     rate = metadata.get("sample_rate", 0.1)
-    if not (isinstance(rate, (int, float)) and 0 < rate <= 10):
-        raise source.fault("metadata.sample_rate", rate, "seconds between steps")
+    if not (isinstance(rate, (int, float)) and 0 < rate <= 1):
+        raise source.fault("metadata.sample_rate", rate, "seconds between steps, at most 1")
     return float(rate)
 
 
