@@ -141,6 +141,14 @@ def test_windows_are_parts_of_the_log():
     assert (whole, whole.hash) == (scene, scene.hash)  # it has 18 s
     with pytest.raises(ConfigError, match="no scene has the 931 steps of a window"):
         ccdiff_env.load("embedded/val?window_s=90")
+    for asked in ("window_s=8.04", "window_s=4&stride_s=0.25", "window_s=4&history_s=0.99"):
+        name, seconds = asked.rpartition("&")[2].split("=")
+        with pytest.raises(
+            ConfigError, match=f"{name} is {seconds}, expected a whole number of st"
+        ):
+            ccdiff_env.load(f"embedded/val?{asked}")
+    cut = ccdiff_env.load("embedded/val", limit=1, window_s=0.1 * 3, history_s=0)[0]
+    assert cut.num_steps == 4
     env = ccdiff_env.EgoEnv(scenes="embedded/val?window_s=4&limit=3")
     assert env.reset(seed=0, options={"scene": f"{scene.name}@4"})[1]["scene"].endswith("@4")
 

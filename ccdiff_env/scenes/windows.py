@@ -37,8 +37,19 @@ class Windows:
 
     def steps(self, dt: float) -> tuple[int, int]:
         """Return the steps of history and those of an episode, the present one not counted."""
-        history_s = HISTORY_S if self.history_s is None else self.history_s
-        return round(history_s / dt), max(round(self.window_s / dt), 1)
+        asked = self.history_s is not None
+        history = self._whole("history_s", dt, least=0) if asked else round(HISTORY_S / dt)
+        return history, self._whole("window_s", dt)
+
+    def _whole(self, name: str, dt: float, least: int = 1) -> int:
+        """Return seconds in steps; refuse what is no whole number of them."""
+        seconds: float = getattr(self, name)
+        steps = round(seconds / dt)
+        if steps < least or abs(steps - seconds / dt) > 0.01:
+            raise ConfigError(
+                f"{name} is {seconds:g}, expected a whole number of steps of {dt:g} s"
+            )
+        return steps
 
     def cut(self, name: str, num_steps: int, dt: float) -> dict[str, tuple[int, int]]:
         """Return first step and end of every whole window, by name: ``scene-0061@8`` begins at 8 s.
@@ -48,7 +59,7 @@ class Windows:
         whole = sum(self.steps(dt)) + 1
         if whole == num_steps:
             return {name: (0, num_steps)}
-        stride = max(round((self.stride_s or self.window_s) / dt), 1)
+        stride = self._whole("window_s" if self.stride_s is None else "stride_s", dt)
         starts = range(0, num_steps - whole + 1, stride)
         return {f"{name}@{round(first * dt, 3):g}": (first, first + whole) for first in starts}
 
