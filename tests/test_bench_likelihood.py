@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from array_scenes import outline
+from array_scenes import agent, array_scene, outline
 
 from ccdiff_env import cli
 from ccdiff_env.bench.likelihood import (
@@ -25,9 +25,10 @@ from ccdiff_env.bench.likelihood import (
 )
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.bench.traffic import START_STEP, episodes
+from ccdiff_env.bench.traffic import START_STEP, episodes, traffic_jobs
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import causal
+from ccdiff_env.scenes import SceneSet
 
 VAL = "embedded/val"
 NAMES = ["cut-in-03", "left-turn-04"]
@@ -164,6 +165,17 @@ def test_samples_of_a_scene_differ_and_unknown_methods_are_refused():
         likelihood_jobs(VAL, ["nobody"])
     with pytest.raises(ConfigError, match="samples"):
         likelihood_jobs(VAL, ["idm"], num_samples=0)
+
+
+@pytest.mark.parametrize("jobs", [likelihood_jobs, traffic_jobs])
+@pytest.mark.parametrize(("dt_s", "num_steps"), [(0.2, 160), (0.1, 130), (0.1, 33), (0.05, 400)])
+def test_scenes_that_hold_no_episode_are_named(monkeypatch, jobs, dt_s, num_steps):
+    short = array_scene(agent("ego", np.arange(float(num_steps))), name="short", dt_s=dt_s)
+    scenes = SceneSet([*scenes_of(VAL, NAMES), short])
+    monkeypatch.setattr("ccdiff_env.bench.traffic.scenes_of", lambda source: scenes)
+    words = f"'short' has {num_steps} steps of {dt_s} s, expected at least 131 of 0.1 s"
+    with pytest.raises(ConfigError, match=words):
+        jobs(VAL, ["idm"])
 
 
 def test_the_command_compares_methods(tmp_path, capsys):

@@ -23,6 +23,7 @@ from ccdiff_env.bench.traffic import (
     CHUNK,
     STATIONARY_MPS,
     Episode,
+    check_steps,
     episodes,
     kept_rollouts,
     off_road,
@@ -312,6 +313,7 @@ def likelihood_jobs(
     """
     if num_samples < 1:
         raise ConfigError(f"samples is {num_samples}, expected at least 1")
+    check_steps(source)
     for name in methods:
         METHODS[name]  # refuses a name that does not exist
     given: dict[str, Any] = {"num_samples": num_samples, "seed": seed}

@@ -37,6 +37,7 @@ from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 #: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
 START_STEP: int = PAPER_PROTOCOL["history_steps"]
 HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
+STEP_S: float = WorldConfig().dt_s
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
 _PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
@@ -66,6 +67,7 @@ def traffic_jobs(
     differ is not played twice: other periods of methods that do not plan, and all vehicles by
     another ranking than that of ``ccdiff``, where that one is asked for.
     """
+    check_steps(source)
     asked = [k for k in (*num_controlled, *(replan_controlled or ())) if k is not None]
     for what, least, values in (("K", 0, asked), ("T in steps", 1, replan_steps)):
         if any(value < least for value in values):
@@ -96,6 +98,17 @@ def traffic_jobs(
             source, CHUNK, method=method, num_controlled=k, replan_steps=n, **given,
         )
     ]  # fmt: skip
+
+
+def check_steps(source: str) -> None:
+    """Refuse scenes that are too short for an episode, or in steps of which it is not so long."""
+    least = START_STEP + HORIZON_STEPS
+    for scene in scenes_of(source):
+        if scene.num_steps < least or abs(scene.dt - STEP_S) > 1e-3:
+            raise ConfigError(
+                f"scene {scene.name!r} has {scene.num_steps} steps of {scene.dt:g} s, expected at "
+                f"least {least} of {STEP_S:g} s"
+            )
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
