@@ -46,13 +46,13 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         ``info`` holds each component as ``reward_<name>``.
 
     Start
-        3.0 s into the log of a scene that the seed draws, with all agents that are there then.
+        30 steps into the log of a scene that the seed draws, with all agents that are there then.
         ``start_spread_steps`` spreads the starts; ``options={"scene": name}`` names the scene.
         With ``ego="any"`` the seed draws a vehicle that drives on for 10 m, and a step of the log.
 
     End
         Terminated: a collision, a corner off the road, or the goal (the logged position at the
-        horizon). Truncated: the horizon (10 s), or the end of the log. ``info["metrics"]`` and
+        horizon). Truncated: the horizon (100 steps), or the end of the log. ``info["metrics"]`` and
         ``info["is_success"]`` summarise the episode.
 
     Args:
