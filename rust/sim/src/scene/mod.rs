@@ -157,14 +157,22 @@ impl Scene {
                 return fail(name.into(), format!("{len} entries"), "agents x steps entries");
             }
         }
-        let mut ids: Vec<&str> = self.agents.iter().map(|a| a.id.as_str()).collect();
-        ids.sort_unstable();
-        if let Some(pair) = ids.windows(2).find(|w| w[0] == w[1]) {
-            return fail(
-                "agents[].id".into(),
-                format!("{:?} twice", pair[0]),
-                "ids that are unique in the scene",
-            );
+        let twice = |mut ids: Vec<&str>| {
+            ids.sort_unstable();
+            ids.windows(2).find(|w| w[0] == w[1]).map(|w| format!("{:?} twice", w[0]))
+        };
+        if let Some(got) = twice(self.agents.iter().map(|a| a.id.as_str()).collect()) {
+            return fail("agents[].id".into(), got, "ids that are unique in the scene");
+        }
+        if let Some(got) = twice(self.map.lanes.iter().map(|l| l.id.as_str()).collect()) {
+            return fail("map.lanes[].id".into(), got, "ids that are unique in the map");
+        }
+        let is_limit = |limit: Real| limit.is_finite() && limit > 0.0;
+        for (i, lane) in self.map.lanes.iter().enumerate() {
+            if let Some(limit) = lane.speed_limit_mps.filter(|limit| !is_limit(*limit)) {
+                let field = format!("map.lanes[{i}] {:?} speed_limit_mps", lane.id);
+                return fail(field, limit.to_string(), "a positive finite number, or none");
+            }
         }
         for (i, a) in self.agents.iter().enumerate() {
             let sides_hold = [a.length_m, a.width_m].iter().all(|side| *side > 0.0 && *side <= LARGEST_M);
