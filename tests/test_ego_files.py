@@ -1,6 +1,5 @@
 """Ego policies of files: what they say, what they refuse, what they drive, in traffic, too."""
 
-import hashlib
 import json
 
 import numpy as np
@@ -111,9 +110,7 @@ def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, 
 def test_policies_of_before_hold_a_digest_with_descriptions(path, scenes):
     tensors, metadata = read_tensors(path)
     worlds = Worlds(scenes, planners.load(path).config, num_worlds=1)
-    old = hashlib.blake2b(worlds.native.layout_json.encode(), digest_size=8).hexdigest()
-    assert old != metadata["schema"]
-    write_tensors(path, tensors, metadata | {"schema": old})
+    write_tensors(path, tensors, metadata | {"schema": "95d993079874e7cc"})  # of version 0.3.0
     Seat(planners.load(path), "policy").begin(worlds)
 
 

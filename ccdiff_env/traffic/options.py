@@ -207,7 +207,7 @@ class RewardConfig(Options):
     #: per step (in [-1000000, 1000000]).
     comfort: float = -0.004
     speed_limit: float = -0.01  #: Per m/s above the speed limit, per step (in [-1000000, 1000000]).
-    #: Per metre of distance from the route, at most 3, per step (in [-1000000, 1000000]).
+    #: Per metre of offset across the route, at most 3, per step (in [-1000000, 1000000]).
     lane_keeping: float = -0.004
     goal: float = 1.0  #: When the goal is reached (in [-1000000, 1000000]).
     #: Per m/s³ of jerk either way, at most 10, per step (in [-1000000, 1000000]).

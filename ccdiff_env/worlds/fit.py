@@ -26,6 +26,13 @@ ATTRIBUTE = "ccdiff_env"  #: Name of the attribute of a space.
 STATISTICS = "ccdiff_env_statistics"
 #: Fields of the configuration that a policy depends on.
 FIELDS = ("action", "observation", "decision_steps", "dt_s")
+#: Descriptions of columns, and what they were in version 0.3.0.
+_DESCRIBED = {
+    "offset across the route at its tracked place": "signed distance from the route",
+    "to the nearest lane centre, those of its direction first; 0": (
+        "distance to the nearest lane centre, 0"
+    ),
+}
 
 
 def schema_digest(*tables: str) -> str:
@@ -103,7 +110,10 @@ class Fit:
                     f"{_short(given)}: make them with its env_options"
                 )
         # policies of version 0.3.0 and before hold the digest with descriptions
-        if self.schema not in (schema_digest(layout_json), _digest(layout_json)):
+        described = layout_json
+        for now, then in _DESCRIBED.items():
+            described = described.replace(now, then)
+        if self.schema not in (schema_digest(layout_json), _digest(described)):
             raise ConfigError(f"{who} was trained on observations that this version does not have")
 
 

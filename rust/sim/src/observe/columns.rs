@@ -79,9 +79,14 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
     entry("speed_limit", "m/s", 20.0, POSITIVE, "of the lane, else the configured one", |e| {
         e.view.facts.place.speed_limit_mps
     }),
-    entry("route_distance", "m", 5.0, SIGNED, "signed distance from the route, left positive", |e| {
-        e.view.facts.place.route_distance_m
-    }),
+    entry(
+        "route_distance",
+        "m",
+        5.0,
+        SIGNED,
+        "offset across the route at its tracked place, left positive",
+        |e| e.view.facts.place.route_distance_m,
+    ),
     entry("route_sin", "", 1.0, SIGNED, "sine of the heading against the route", |e| e.route_turn().0),
     entry("route_cos", "", 1.0, SIGNED, "cosine of the heading against the route", |e| e.route_turn().1),
     on_request(entry("has_lane", "", 1.0, POSITIVE, "1 if a lane is near", |e| {
@@ -92,7 +97,7 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
         "m",
         5.0,
         POSITIVE,
-        "distance to the nearest lane centre, 0 without one",
+        "to the nearest lane centre, those of its direction first; 0 without one",
         |e| e.view.facts.place.lane_distance_m.unwrap_or(0.0),
     )),
     entry("off_road", "", 1.0, POSITIVE, "1 if a corner of the box is off the road", |e| {

@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 pub struct RoutePlace {
     /// It faces against the lane whose surface holds it.
     pub wrong_way: bool,
-    /// Signed distance from the route, left positive, metres.
+    /// Offset across the direction of the route at the agent's place along it, left positive, metres.
     pub route_distance_m: Real,
     /// Heading against the route, radians.
     pub heading_error_rad: Real,
-    /// Distance to the nearest lane centre, metres, where a lane is near.
+    /// Distance to the nearest lane centre, lanes of the agent's direction first, metres, where a lane is near.
     pub lane_distance_m: Option<Real>,
     /// Speed limit of that lane, else the configured one, m/s.
     pub speed_limit_mps: Real,

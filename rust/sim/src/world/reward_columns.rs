@@ -78,7 +78,7 @@ pub(crate) struct Step {
 
 /// Jerk counts up to here, m/s³.
 const MAX_JERK_MPS3: Real = 10.0;
-/// Distance from the route counts up to here, metres.
+/// Offset across the route counts up to here, metres.
 const MAX_LANE_KEEPING_M: Real = 3.0;
 
 impl Step {
@@ -87,7 +87,7 @@ impl Step {
         (self.speed_mps - self.place.speed_limit_mps).max(0.0)
     }
 
-    /// Distance from the route as far as it counts, metres.
+    /// Offset across the route as far as it counts, metres.
     fn aside_m(&self) -> Real {
         self.place.route_distance_m.abs().min(MAX_LANE_KEEPING_M)
     }
@@ -188,8 +188,8 @@ columns! {
         /// Per m/s above the speed limit, per step.
         RewardSpeedLimit, speed_limit = -0.01, "weighted reward of speed above the limit",
             |weight, s| weight * s.soft * s.speeding_mps();
-        /// Per metre of distance from the route, at most 3, per step.
-        RewardLaneKeeping, lane_keeping = -0.004, "weighted reward of distance from the route",
+        /// Per metre of offset across the route, at most 3, per step.
+        RewardLaneKeeping, lane_keeping = -0.004, "weighted reward of the offset across the route",
             |weight, s| weight * s.soft * s.aside_m();
         /// When the goal is reached.
         RewardGoal, goal = 1.0, "weighted reward of reaching the goal",
@@ -224,9 +224,9 @@ columns! {
             |s| Real::from(s.facts.reached);
         HasLane, "has_lane", "", "1 if a lane is near, else lane_distance is 0",
             |s| Real::from(s.place.lane_distance_m.is_some());
-        LaneDistance, "lane_distance", "m", "distance to the nearest lane centre, 0 without one",
+        LaneDistance, "lane_distance", "m", "to the nearest lane centre, those of its direction first; 0 without one",
             |s| s.place.lane_distance_m.unwrap_or(0.0);
-        RouteDistance, "route_distance", "m", "signed distance from the route, left positive",
+        RouteDistance, "route_distance", "m", "offset across the route at its tracked place, left positive",
             |s| s.place.route_distance_m;
         Progress, "progress", "m", "farthest position along the route since the start",
             |s| s.travelled_m;
