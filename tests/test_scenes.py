@@ -199,6 +199,52 @@ def test_arrays_make_the_same_scene_again(scenes):
         rebuilt(scene, map_layers={"lanes": [lanes[0], {**lanes[1], "id": "a"}]})
 
 
+def _lane(**changes):
+    line = np.array([[0, 0], [1, 0]], np.float32)
+    return {"lanes": [{"id": "a", "kind": "lane", "centreline": line, **changes}]}
+
+
+@pytest.mark.parametrize(
+    ("layers", "error", "words"),
+    [
+        (_lane(successors=["a"]), errors.DatasetError, r"successors of lane \"a\" is \['a'\]"),
+        (_lane(predecessors=[-1]), errors.DatasetError, r"\[-1\], expected a list of indices"),
+        (_lane(speed_limit_mps="fast"), errors.DatasetError, "'fast', expected a number or None"),
+        (_lane(speed_limit=3.0), errors.UnknownNameError, "did you mean 'speed_limit_mps'"),
+        (_lane(polygon=np.zeros((3, 2))), errors.DatasetError, "polygon of lane.*a dictionary"),
+        (_lane(id=3), errors.DatasetError, "id of a lane is 3, expected a text"),
+        ({"lanes": None}, errors.DatasetError, "lanes is None, expected a list"),
+        ({"lanes": [[]]}, errors.DatasetError, r"lane is \[\], expected a dictionary"),
+        ({"walkways": [np.zeros((3, 2))]}, errors.DatasetError, "walkways is .*a dictionary"),
+        ({"walkways": [{"exterior": []}]}, errors.ShapeError, "exterior of walkways is list"),
+        ({"walkway": []}, errors.UnknownNameError, "did you mean 'walkways'"),
+        ({3: []}, errors.DatasetError, "a key of map_layers is 3"),
+        ([], errors.DatasetError, r"map_layers is \[\], expected a dictionary"),
+        ({**_lane(), "lights": [{"lane": -1}]}, errors.DatasetError, "lane of a light is -1"),
+        ({"elevation_m": 3.0}, errors.DatasetError, "elevation_m is 3.0"),
+    ],
+)
+def test_layers_of_a_wrong_form_are_named(scenes, layers, error, words):
+    with pytest.raises(error, match=words):
+        rebuilt(scenes[0], map_layers=layers)
+
+
+@pytest.mark.parametrize("name", ["sizes", "position", "heading", "velocity", "valid"])
+def test_arrays_of_a_wrong_form_are_named(scenes, name):
+    right = {**scenes[0].tracks(), "sizes": scenes[0].sizes}[name]
+    for wrong in (right.astype(np.int64), right[0], None, right.tolist()):
+        with pytest.raises(errors.ShapeError, match=f"{name} is .*expected a (float32|bool)"):
+            rebuilt(scenes[0], **{name: wrong})
+    with pytest.raises(errors.ShapeError, match=r"heading is float64 \(.*expected a float32 array"):
+        rebuilt(scenes[0], heading=scenes[0].tracks()["heading"].astype(float))
+
+
+@pytest.mark.parametrize("step", [-1, 10**6, 2**70, 0.5, None])
+def test_steps_that_a_scene_has_not_are_named(scenes, step):
+    with pytest.raises(errors.ConfigError, match=r"step = .*, expected a whole number from 0 to"):
+        scenes[0].ranked_vehicles(step, "ccdiff")
+
+
 def test_mistakes_have_their_own_exceptions(root):
     rows = tables()
     for i in (0, 3):

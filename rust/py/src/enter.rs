@@ -1,10 +1,11 @@
 //! Entering Rust: texts, flags of numpy; with an object that owns threads: fork check, GIL release, panics as exceptions.
 
 use ccdiff_bridge::errors::py;
-use numpy::{PyReadonlyArray, PyReadonlyArrayDyn};
+use numpy::{Element, PyReadonlyArray, PyReadonlyArrayDyn};
 use pyo3::Borrowed;
-use pyo3::exceptions::{PyRuntimeError, PyUnicodeError};
+use pyo3::exceptions::{PyOverflowError, PyRuntimeError, PyTypeError, PyUnicodeError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Refuses a forked child of the process in which an object was made: its copies of the worker threads do not run.
@@ -24,6 +25,58 @@ pub(crate) fn check_process(home: u32) -> PyResult<()> {
 pub(crate) fn flags<D: ndarray::Dimension>(array: &PyReadonlyArray<'_, bool, D>) -> PyResult<Vec<bool>> {
     let bytes: PyReadonlyArrayDyn<'_, u8> = array.as_any().call_method1("view", ("uint8",))?.extract()?;
     Ok(bytes.as_array().iter().map(|byte| *byte != 0).collect())
+}
+
+/// A value in words: `a list`, or the type and shape of an array.
+fn form(value: &Bound<'_, PyAny>) -> String {
+    let of = |name| value.getattr(name).and_then(|v| v.str()).map(|text| text.to_string());
+    let array = || Ok::<_, PyErr>(format!("{} {}", of("dtype")?, of("shape")?));
+    array().or_else(|_| Ok::<_, PyErr>(value.get_type().name()?.to_string())).unwrap_or_default()
+}
+
+/// An array. `ShapeError` where it is of another type or number of axes.
+pub(crate) fn array<'py, T: Element, D: ndarray::Dimension>(
+    value: &Bound<'py, PyAny>,
+    what: &str,
+    expected: &str,
+) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    value
+        .extract()
+        .map_err(|_| py::ShapeError::new_err(format!("{what} is {}, expected a {expected}", form(value))))
+}
+
+/// A part of a dictionary. `DatasetError` where it is of another type.
+pub(crate) fn part<'a, 'py, T>(value: &'a Bound<'py, PyAny>, what: &str, expected: &str) -> PyResult<T>
+where
+    T: FromPyObject<'a, 'py>,
+{
+    value.extract().map_err(|error: T::Error| {
+        let (error, py) = (error.into(), value.py());
+        if !error.is_instance_of::<PyTypeError>(py) && !error.is_instance_of::<PyOverflowError>(py) {
+            return error;
+        }
+        let shown = value.repr().map_or_else(|_| form(value), |r| r.to_string_lossy().into_owned());
+        let shown = if shown.len() > 80 || shown.contains('\n') { form(value) } else { shown };
+        py::DatasetError::new_err(format!("{what} is {shown}, expected {expected}"))
+    })
+}
+
+/// A dictionary, all keys of which are known. `UnknownNameError` for others.
+pub(crate) fn fields<'py>(
+    value: &Bound<'py, PyAny>,
+    what: &str,
+    known: &[&str],
+) -> PyResult<Bound<'py, PyDict>> {
+    let dict: Bound<'py, PyDict> = part(value, what, "a dictionary")?;
+    for key in dict.keys() {
+        let Text(key) = part(&key, &format!("a key of {what}"), "a text")?;
+        if !known.contains(&key.as_str()) {
+            let errors = value.py().import("ccdiff_env.errors")?;
+            let error = errors.call_method1("unknown", (format!("entry of {what}"), key, known))?;
+            return Err(py::UnknownNameError::new_err(error.str()?.to_string()));
+        }
+    }
+    Ok(dict)
 }
 
 /// Runs a call without the GIL; a panic becomes a `RuntimeError`.

@@ -1,6 +1,6 @@
 //! `Scene`, and the functions that load scenes.
 
-use crate::enter::{Text, flags};
+use crate::enter::{Text, array, flags};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
@@ -11,7 +11,8 @@ use ccdiff_sim::options;
 use ccdiff_sim::scene::{Agent, AgentKind, Scene, Tracks};
 use ccdiff_sim::stage::{PreparedScene, hitches};
 use ccdiff_sim::world::{VehicleRanking, ranked_vehicles};
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
+use ndarray::{Ix2, Ix3};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyCapsule, PyDict};
@@ -64,13 +65,6 @@ fn kind(name: &str) -> PyResult<AgentKind> {
     })
 }
 
-/// Positions of agents, in single or double precision.
-#[derive(FromPyObject)]
-enum Positions<'py> {
-    Single(PyReadonlyArray3<'py, f32>),
-    Double(PyReadonlyArray3<'py, f64>),
-}
-
 /// Places farther from the origin than this get a nearer one, metres: single precision has 0.5 mm there.
 const FAR_M: f64 = 5000.0;
 
@@ -106,21 +100,28 @@ impl PyScene {
         name: Text,
         agent_ids: Vec<Text>,
         agent_types: Vec<Text>,
-        sizes: PyReadonlyArray2<'_, f32>,
-        position: Positions<'_>,
-        heading: PyReadonlyArray2<'_, f32>,
-        velocity: PyReadonlyArray3<'_, f32>,
-        valid: PyReadonlyArray2<'_, bool>,
+        sizes: &Bound<'_, PyAny>,
+        position: &Bound<'_, PyAny>,
+        heading: &Bound<'_, PyAny>,
+        velocity: &Bound<'_, PyAny>,
+        valid: &Bound<'_, PyAny>,
         dt: f32,
         agent_categories: Option<Vec<Text>>,
         token: Text,
         location: Text,
         source: Text,
         origin: (f64, f64),
-        map_layers: Option<&Bound<'_, PyDict>>,
-        elevation_m: Option<PyReadonlyArray2<'_, f32>>,
+        map_layers: Option<&Bound<'_, PyAny>>,
+        elevation_m: Option<&Bound<'_, PyAny>>,
         mend: bool,
     ) -> PyResult<Self> {
+        let sizes = array::<f32, Ix2>(sizes, "sizes", "float32 array of shape [A, 3]")?;
+        let heading = array::<f32, Ix2>(heading, "heading", "float32 array of shape [A, T]")?;
+        let velocity = array::<f32, Ix3>(velocity, "velocity", "float32 array of shape [A, T, 2]")?;
+        let valid = array::<bool, Ix2>(valid, "valid", "bool array of shape [A, T]")?;
+        let elevation_m = elevation_m
+            .map(|z| array::<f32, Ix2>(z, "elevation_m", "float32 array of shape [A, T]"))
+            .transpose()?;
         let (num_agents, num_steps) = (valid.shape()[0], valid.shape()[1]);
         let texts = |list: Vec<Text>| list.into_iter().map(|text| text.0).collect::<Vec<_>>();
         let (agent_ids, agent_types) = (texts(agent_ids), texts(agent_types));
@@ -131,10 +132,14 @@ impl PyScene {
             expect_shape(what, &[list.len()], &[num_agents])?;
         }
         expect_shape("sizes", sizes.shape(), &[num_agents, 3])?;
-        let is_single = matches!(position, Positions::Single(_));
-        let position = match position {
-            Positions::Single(array) => array.as_array().mapv(f64::from),
-            Positions::Double(array) => array.as_array().to_owned(),
+        let double = position.extract::<PyReadonlyArray3<'_, f64>>();
+        let is_single = double.is_err();
+        let position = match double {
+            Ok(double) => double.as_array().to_owned(),
+            Err(_) => {
+                let expected = "float32 or float64 array of shape [A, T, 2]";
+                array::<f32, Ix3>(position, "position", expected)?.as_array().mapv(f64::from)
+            }
         };
         expect_shape("position", position.shape(), &[num_agents, num_steps, 2])?;
         expect_shape("heading", heading.shape(), &[num_agents, num_steps])?;
@@ -297,11 +302,12 @@ impl PyScene {
         hitches(&self.scene)
     }
 
-    fn ranked_vehicles(&self, step: usize, ranking: &str) -> PyResult<Vec<usize>> {
-        if step >= self.scene.num_steps {
-            let expected = format!("below {}", self.scene.num_steps);
-            return Err(py::ConfigError::new_err(format!("step = {step}, expected {expected}")));
-        }
+    fn ranked_vehicles(&self, step: &Bound<'_, PyAny>, ranking: &str) -> PyResult<Vec<usize>> {
+        let given = step.extract().ok().filter(|step| *step < self.scene.num_steps);
+        let step: usize = given.ok_or_else(|| {
+            let last = self.scene.num_steps - 1;
+            py::ConfigError::new_err(format!("step = {step}, expected a whole number from 0 to {last}"))
+        })?;
         let ranking: VehicleRanking =
             options::read("ranking", &serde_json::Value::from(ranking).to_string()).map_err(from_sim)?;
         Ok(ranked_vehicles(&self.scene, &hitches(&self.scene), step, ranking))

@@ -1,13 +1,14 @@
 //! Map layers between Rust and Python: one shape of dictionary both ways.
 
-use crate::enter::Text;
+use crate::enter::{Text, array, fields, part};
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{
     Elevations, Lane, LaneKind, Light, LightState, Map, PartElevations, RoadParts, cut_by_level,
     level_bounds, link_lanes, range_of, road_area, road_areas,
 };
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods};
+use ndarray::{Ix1, Ix2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 
@@ -91,26 +92,22 @@ pub(crate) fn to_dict<'py>(py: Python<'py>, map: &Map) -> PyResult<Bound<'py, Py
 
 /// An array of heights, one a point.
 fn read_heights(value: &Bound<'_, PyAny>, what: &str) -> PyResult<Vec<f32>> {
-    let array: PyReadonlyArray1<'_, f32> = value.extract().map_err(|_| {
-        py::ShapeError::new_err(format!("{what}: expected elevation_m as a float32 array of shape [P]"))
-    })?;
-    Ok(array.as_array().to_vec())
+    let heights = array::<f32, Ix1>(value, &format!("elevation_m of {what}"), "float32 array of shape [P]")?;
+    Ok(heights.as_array().to_vec())
 }
 
 /// Least and greatest heights of the parts of layers, by their names.
 fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
     let mut elevations = Elevations::default();
-    for (name, value) in value.cast::<PyDict>()? {
-        let Text(name) = name.extract()?;
-        let what = format!("elevation_m of {name:?}");
-        let ranges = elevations.layers_mut().into_iter().find(|(known, _)| *known == name);
-        let Some((_, ranges)) = ranges else {
-            return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}")));
-        };
-        *ranges = read_points(&value, &what, HERE)?
-            .iter()
-            .map(|p| if p.x > p.y { [p.y, p.x] } else { [p.x, p.y] })
-            .collect();
+    let known = elevations.layers().map(|(name, _)| name);
+    let given = fields(value, "elevation_m", &known)?;
+    for (name, ranges) in elevations.layers_mut() {
+        if let Some(value) = given.get_item(name)? {
+            *ranges = read_points(&value, &format!("elevation_m of {name:?}"), HERE)?
+                .iter()
+                .map(|p| if p.x > p.y { [p.y, p.x] } else { [p.x, p.y] })
+                .collect();
+        }
     }
     Ok(elevations)
 }
@@ -119,12 +116,7 @@ fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
 fn read_points(value: &Bound<'_, PyAny>, what: &str, origin: [f64; 2]) -> PyResult<Vec<Point2>> {
     let array = match value.extract::<PyReadonlyArray2<'_, f64>>() {
         Ok(double) => double.as_array().to_owned(),
-        Err(_) => {
-            let single = value.extract::<PyReadonlyArray2<'_, f32>>().map_err(|_| {
-                py::ShapeError::new_err(format!("{what}: expected a float32 array of shape [P, 2]"))
-            })?;
-            single.as_array().mapv(f64::from)
-        }
+        Err(_) => array::<f32, Ix2>(value, what, "float32 array of shape [P, 2]")?.as_array().mapv(f64::from),
     };
     if array.shape()[1] != 2 {
         let message = format!("{what} has shape {:?}, expected [P, 2]", array.shape());
@@ -139,37 +131,47 @@ fn item<'py>(dict: &Bound<'py, PyDict>, key: &str, what: &str) -> PyResult<Bound
 }
 
 fn read_polygon(value: &Bound<'_, PyAny>, what: &str, origin: [f64; 2]) -> PyResult<Polygon> {
-    let dict = value.cast::<PyDict>()?;
-    let mut holes = Vec::new();
-    if let Some(list) = dict.get_item("holes")? {
-        for hole in list.try_iter()? {
-            holes.push(read_points(&hole?, what, origin)?);
-        }
-    }
-    Ok(Polygon { exterior: read_points(&item(dict, "exterior", what)?, what, origin)?, holes })
+    let dict = fields(value, what, &["exterior", "holes"])?;
+    let holes = dict.get_item("holes")?.map(|list| {
+        let what = format!("holes of {what}");
+        read_list(&list, &what, |hole| read_points(hole, &what, origin))
+    });
+    let exterior = read_points(&item(&dict, "exterior", what)?, &format!("exterior of {what}"), origin)?;
+    Ok(Polygon { exterior, holes: holes.transpose()?.unwrap_or_default() })
 }
 
+/// What the dictionary of a lane can have.
+const LANE_FIELDS: [&str; 8] =
+    ["id", "kind", "centreline", "polygon", "successors", "predecessors", "speed_limit_mps", "elevation_m"];
+
 fn read_lane(value: &Bound<'_, PyAny>, origin: [f64; 2]) -> PyResult<Lane> {
-    let dict = value.cast::<PyDict>()?;
-    let Text(id) = item(dict, "id", "lane")?.extract()?;
+    let dict = fields(value, "lane", &LANE_FIELDS)?;
+    let Text(id) = part(&item(&dict, "id", "lane")?, "id of a lane", "a text")?;
     let what = format!("lane {id:?}");
-    let Text(kind_name) = item(dict, "kind", &what)?.extract()?;
+    let of = |key: &str| format!("{key} of {what}");
+    let Text(kind_name) = part(&item(&dict, "kind", &what)?, &of("kind"), "a text")?;
     let kind = [LaneKind::Lane, LaneKind::Connector].into_iter().find(|k| lane_kind_name(*k) == kind_name);
     let kind = kind.ok_or_else(|| {
         let message = format!("{what}: kind is {kind_name:?}, expected \"lane\" or \"connector\"");
         py::DatasetError::new_err(message)
     })?;
     let optional = |key| dict.get_item(key).map(|v| v.filter(|v| !v.is_none()));
+    let linked = |key| -> PyResult<Vec<u32>> {
+        let lanes = optional(key)?.map(|lanes| part(&lanes, &of(key), "a list of indices of lanes"));
+        Ok(lanes.transpose()?.unwrap_or_default())
+    };
     Ok(Lane {
         kind,
-        centreline: read_points(&item(dict, "centreline", &what)?, &what, origin)?,
+        centreline: read_points(&item(&dict, "centreline", &what)?, &of("centreline"), origin)?,
         polygon: optional("polygon")?
-            .map(|p| read_polygon(&p, &what, origin))
+            .map(|p| read_polygon(&p, &of("polygon"), origin))
             .transpose()?
             .unwrap_or_default(),
-        successors: optional("successors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
-        predecessors: optional("predecessors")?.map(|s| s.extract()).transpose()?.unwrap_or_default(),
-        speed_limit_mps: optional("speed_limit_mps")?.map(|s| s.extract()).transpose()?,
+        successors: linked("successors")?,
+        predecessors: linked("predecessors")?,
+        speed_limit_mps: optional("speed_limit_mps")?
+            .map(|limit| part(&limit, &of("speed_limit_mps"), "a number or None"))
+            .transpose()?,
         elevation_m: optional("elevation_m")?
             .map(|z| read_heights(&z, &what))
             .transpose()?
@@ -180,36 +182,34 @@ fn read_lane(value: &Bound<'_, PyAny>, origin: [f64; 2]) -> PyResult<Lane> {
 
 /// The map of a dictionary as [`to_dict`] gives it, relative to an origin; layers that are left out are empty, unknown ones
 /// refused.
-pub(crate) fn from_dict(layers: &Bound<'_, PyDict>, origin: [f64; 2]) -> PyResult<Map> {
+pub(crate) fn from_dict(layers: &Bound<'_, PyAny>, origin: [f64; 2]) -> PyResult<Map> {
     let mut map = Map::default();
-    for (name, value) in layers {
-        let Text(name) = name.extract()?;
-        let polygons = match name.as_str() {
-            "drivable_area" => &mut map.drivable_area,
-            "ped_crossings" => &mut map.ped_crossings,
-            "walkways" => &mut map.walkways,
-            "stop_lines" => &mut map.stop_lines,
-            "carpark_areas" => &mut map.carpark_areas,
-            "road_dividers" | "lane_dividers" => {
-                let lines = read_list(&value, |line| read_points(line, &name, origin))?;
-                match name.as_str() {
-                    "road_dividers" => map.road_dividers = lines,
-                    _ => map.lane_dividers = lines,
-                }
-                continue;
-            }
-            "elevation_m" => {
-                map.elevation_m = read_elevations(&value)?;
-                continue;
-            }
-            "lanes" => {
-                map.lanes = read_list(&value, |lane| read_lane(lane, origin))?;
-                continue;
-            }
-            "lights" => continue,
-            _ => return Err(py::UnknownNameError::new_err(format!("unknown map layer {name:?}"))),
-        };
-        *polygons = read_list(&value, |p| read_polygon(p, &name, origin))?;
+    let others = ["lanes", "lights", "elevation_m"];
+    let known = map.elevation_m.layers().map(|(name, _)| name);
+    let layers = fields(layers, "map_layers", &[&known[..], &others].concat())?;
+    for (name, polygons) in [
+        ("drivable_area", &mut map.drivable_area),
+        ("ped_crossings", &mut map.ped_crossings),
+        ("walkways", &mut map.walkways),
+        ("stop_lines", &mut map.stop_lines),
+        ("carpark_areas", &mut map.carpark_areas),
+    ] {
+        if let Some(value) = layers.get_item(name)? {
+            *polygons = read_list(&value, name, |p| read_polygon(p, name, origin))?;
+        }
+    }
+    for (name, lines) in
+        [("road_dividers", &mut map.road_dividers), ("lane_dividers", &mut map.lane_dividers)]
+    {
+        if let Some(value) = layers.get_item(name)? {
+            *lines = read_list(&value, name, |line| read_points(line, name, origin))?;
+        }
+    }
+    if let Some(value) = layers.get_item("elevation_m")? {
+        map.elevation_m = read_elevations(&value)?;
+    }
+    if let Some(value) = layers.get_item("lanes")? {
+        map.lanes = read_list(&value, "lanes", |lane| read_lane(lane, origin))?;
     }
     if let Some(lights) = layers.get_item("lights")? {
         map.lights = read_lights(&lights, &map, origin)?;
@@ -219,20 +219,19 @@ pub(crate) fn from_dict(layers: &Bound<'_, PyDict>, origin: [f64; 2]) -> PyResul
 
 /// The lights of a map's lanes.
 pub(crate) fn read_lights(lights: &Bound<'_, PyAny>, map: &Map, origin: [f64; 2]) -> PyResult<Vec<Light>> {
-    read_list(lights, |light| read_light(light, map, origin))
+    read_list(lights, "lights", |light| read_light(light, map, origin))
 }
 
 /// A light; where it has no stop line, that lies where the lane begins.
 fn read_light(value: &Bound<'_, PyAny>, map: &Map, origin: [f64; 2]) -> PyResult<Light> {
-    let dict = value.cast::<PyDict>()?;
+    let dict = fields(value, "light", &["lane", "stop_line", "states"])?;
     let fault = |message: String| py::DatasetError::new_err(format!("light: {message}"));
-    let lane: u32 = item(dict, "lane", "light")?.extract()?;
+    let lane: u32 = part(&item(&dict, "lane", "light")?, "lane of a light", "the index of a lane")?;
     let Some(start) = map.lanes.get(lane as usize).and_then(|lane| lane.centreline.get(..2)) else {
         return Err(fault(format!("lane is {lane}, expected the index of a lane with a centre line")));
     };
-    let codes: PyReadonlyArray1<'_, u8> = item(dict, "states", "light")?
-        .extract()
-        .map_err(|_| py::ShapeError::new_err("light: expected states as a uint8 array of shape [T]"))?;
+    let codes = item(&dict, "states", "light")?;
+    let codes = array::<u8, Ix1>(&codes, "states of a light", "uint8 array of shape [T]")?;
     let state = |code: &u8| LightState::ALL.get(usize::from(*code)).copied();
     let codes = codes.as_array();
     let states = codes.iter().map(|code| {
@@ -271,14 +270,14 @@ pub(crate) fn complete_map<'py>(
     heights: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<(Bound<'py, PyDict>, &'static str, Vec<f32>)> {
     let mut map = from_dict(layers, HERE)?;
-    let edges = read_list(edges, |line| read_points(line, "edges", HERE))?;
-    let surfaces = read_list(surfaces, |p| read_polygon(p, "surfaces", HERE))?;
+    let edges = read_list(edges, "edges", |line| read_points(line, "edges", HERE))?;
+    let surfaces = read_list(surfaces, "surfaces", |p| read_polygon(p, "surfaces", HERE))?;
     let seeds = read_points(seeds, "seeds", HERE)?;
     let rings = |polygons: &[Polygon]| polygons.iter().map(|p| p.exterior.len()).collect::<Vec<_>>();
     let points = |lines: &[Vec<Point2>]| lines.iter().map(Vec::len).collect::<Vec<_>>();
     let heights = heights.map(|heights| {
         let of = |name: &str, lengths: Vec<usize>| {
-            let found = read_list(&item(heights, name, "heights")?, |z| read_heights(z, name))?;
+            let found = read_list(&item(heights, name, "heights")?, name, |z| read_heights(z, name))?;
             if found.iter().map(Vec::len).ne(lengths) {
                 return Err(py::ShapeError::new_err(format!("heights of {name}: expected one a point")));
             }
@@ -374,7 +373,8 @@ impl Heights {
 
 fn read_list<T>(
     value: &Bound<'_, PyAny>,
+    what: &str,
     read: impl Fn(&Bound<'_, PyAny>) -> PyResult<T>,
 ) -> PyResult<Vec<T>> {
-    value.cast::<PyList>()?.iter().map(|item| read(&item)).collect()
+    part::<Vec<Bound<'_, PyAny>>>(value, what, "a list")?.iter().map(read).collect()
 }
