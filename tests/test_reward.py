@@ -2,7 +2,18 @@
 
 import numpy as np
 import pytest
-from array_scenes import GOES_ON, STEPS, TIMES_S, agent, array_scene, driven, line, played
+from array_scenes import (
+    GOES_ON,
+    STEPS,
+    TIMES_S,
+    agent,
+    array_scene,
+    driven,
+    line,
+    log_env,
+    outline,
+    played,
+)
 
 import ccdiff_env
 from ccdiff_env import AgentVectorEnv, EgoEnv
@@ -150,6 +161,32 @@ def test_a_goal_that_was_reached_asks_for_nothing_more():
         reached |= bool(info["goal_reached"])
     assert reached
     assert seen["speed"] > 0.0
+
+
+def test_each_partner_is_a_contact_of_its_own():
+    """Against outlines: one comes while another one stays, and comes again."""
+    behind, ahead = -14.0 + np.minimum(2.0 * TIMES_S, 10.0), 6.0 + 2.0 * np.cos(2.0 * TIMES_S)
+    others = {1: behind, 2: ahead}
+    scene = [agent("ego", 0.0 * TIMES_S), agent("behind", behind), agent("ahead", ahead)]
+    size = (4.5, 2.0)
+    touch = [
+        {
+            j
+            for j, x in others.items()
+            if outline(0, 0, 0, size).intersects(outline(x[k], 0, 0, size))
+        }
+        for k in range(STEPS)
+    ]
+    expected = [(k, j) for k in range(31, 131) for j in touch[k] - touch[k - 1]]
+    assert {j for _, j in expected} == {1, 2}
+    assert any(touch[k] == {1, 2} for k, j in expected)
+    found, paid = [], 0.0
+    for k, _, info in played(log_env(*scene, traffic="replay", on_collision="ignore")):
+        paid += info["reward_collision"]
+        if info["collision"]:
+            found.append((k, int(info["collision_partner"]) - 1))
+    assert found == expected
+    assert paid == pytest.approx(WEIGHTS.collision * len(expected))
 
 
 def test_a_detour_counts_when_the_route_is_reached_again():

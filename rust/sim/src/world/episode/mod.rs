@@ -54,7 +54,8 @@ pub struct Slot {
     pub(crate) last_action: [Real; 3],
     /// Acceleration of the step before, for the jerk.
     pub(crate) acceleration_mps2: Real,
-    pub(crate) in_contact: bool,
+    /// The agents that it touched in the last step, but for contacts since the start.
+    pub(crate) in_contact: Vec<u32>,
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
     /// Whether it has reached its goal, without a collision or a step off the road up to then: a success.
@@ -346,7 +347,7 @@ impl Episode {
             && self.entered.len() == n
             && self.halted.len() == n
             && self.slots.len() == num_slots
-            && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range) && slot.is_sound())
+            && self.slots.iter().all(|slot| slot.agents().all(in_range) && slot.is_sound())
             && contacts.into_iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
             && self.history.as_ref().map_or(0, History::len) == drivers.history_states
             && self.history.as_ref().is_none_or(|h| h.fits(n))
@@ -366,6 +367,11 @@ impl Slot {
     /// Metrics of its agent in the present episode so far.
     pub fn metrics(&self) -> Metrics {
         self.statistics.metrics()
+    }
+
+    /// Its agent and those that it touched.
+    fn agents(&self) -> impl Iterator<Item = usize> {
+        self.agent_idx.into_iter().chain(self.in_contact.iter().map(|a| *a as usize))
     }
 
     /// Whether all numbers are such that an episode can go on with them.

@@ -109,7 +109,7 @@ impl World {
                 terminated: out.terminated[c],
                 timed_out: out.truncated[c],
             };
-            slot.in_contact = self.scratch.in_contact[c];
+            std::mem::swap(&mut slot.in_contact, &mut self.scratch.in_contact[c]);
             slot.stopped |= outcome.stands;
             let reward = reward::score(&e.states, a, slot, facts, config, columns);
             slot.statistics.add(reward, columns);
