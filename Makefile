@@ -104,9 +104,8 @@ playground: $(SO)  ## the page in which one drives the ego by keys: docs/site/pl
 	rustup target add wasm32-unknown-unknown
 	$(BIN)/python -m tools.playground docs/site/playground.html
 
-bench: $(SO)  ## speed of the world and of networks (DATAROOT= VERSION=: of loading nuScenes, too)
+bench: $(SO)  ## speed of the world and of networks
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.steps
-	$(if $(DATAROOT),$(BIN)/python benchmarks/loader.py --dataroot $(DATAROOT) --version $(or $(VERSION),v1.0-trainval))
 
 clean:  ## remove what the other verbs made
 	rm -rf $(VENV) .py123d .libtorch target dist build docs/site runs *.egg-info $(SO)
