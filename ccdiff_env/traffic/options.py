@@ -105,8 +105,8 @@ class AssistedLimits(Options):
     offset_m: tuple[float, float] = (-1.5, 1.5)
     #: Lowest and highest acceleration, about zero (m/s², in [-100, 100]).
     acceleration_mps2: tuple[float, float] = (-8.0, 2.4)
-    #: The acceleration changes no faster than this, except where the base brakes (m/s³, in (0,
-    #: 1000]).
+    #: The acceleration changes no faster than this, except down to that of the base, or up to that
+    #: of PDM (m/s³, in (0, 1000]).
     max_jerk_mps3: float = 8.0
     #: The base's own acceleration changes no faster than this, except where it brakes harder than
     #: nuPlan's comfort allows, 4.05 m/s² (m/s³, in (0, 1000]).

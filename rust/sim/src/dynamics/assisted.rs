@@ -39,7 +39,7 @@ options! {
         offset_m: [Real; 2] = [-1.5, 1.5], unit "m", range MOTION;
         /// Lowest and highest acceleration, about zero.
         acceleration_mps2: [Real; 2] = [-8.0, 2.4], unit "m/s²", range MOTION;
-        /// The acceleration changes no faster than this, except where the base brakes.
+        /// The acceleration changes no faster than this, except down to that of the base, or up to that of PDM.
         max_jerk_mps3: Real = 8.0, unit "m/s³", range within(0.0, 1000.0).open_below();
         /// The base's own acceleration changes no faster than this, except where it brakes harder than nuPlan's comfort
         /// allows, 4.05 m/s².
