@@ -54,8 +54,6 @@ pub struct Slot {
     pub(crate) last_action: [Real; 3],
     /// Acceleration of the step before, for the jerk.
     pub(crate) acceleration_mps2: Real,
-    /// The agents that it touched in the last step, but for contacts since the start.
-    pub(crate) in_contact: Vec<u32>,
     pub(crate) ever_collided: bool,
     pub(crate) ever_off_road: bool,
     /// Whether it has reached its goal, without a collision or a step off the road up to then: a success.
@@ -92,7 +90,9 @@ pub(crate) struct Episode {
     pub(crate) entered: Vec<bool>,
     /// Pairs that touch since the start and are no collisions until they have parted.
     pub(crate) initial_contacts: Vec<(u32, u32)>,
-    /// The same for all agents, where contacts stop the traffic.
+    /// Slots and the agents that theirs touched in the last step, but for these.
+    pub(crate) contacts: Vec<(u32, u32)>,
+    /// Pairs since the start for all agents, where contacts stop the traffic.
     pub(crate) given_contacts: Vec<(u32, u32)>,
     /// Whether a contact has stopped an agent without a slot.
     pub(crate) halted: Vec<bool>,
@@ -171,6 +171,7 @@ impl Episode {
         }
         self.states.chain.clone_from(&scene.chains);
         self.initial_contacts.clear();
+        self.contacts.clear();
         let len = drivers.history_states;
         self.history = (len > 0).then(|| History::from_log(log, self.step_idx, len));
         self.plans.clear();
@@ -347,8 +348,9 @@ impl Episode {
             && self.entered.len() == n
             && self.halted.len() == n
             && self.slots.len() == num_slots
-            && self.slots.iter().all(|slot| slot.agents().all(in_range) && slot.is_sound())
+            && self.slots.iter().all(|slot| slot.agent_idx.is_none_or(in_range) && slot.is_sound())
             && contacts.into_iter().all(|(i, j)| in_range(*i as usize) && in_range(*j as usize))
+            && self.contacts.iter().all(|(_, a)| in_range(*a as usize))
             && self.history.as_ref().map_or(0, History::len) == drivers.history_states
             && self.history.as_ref().is_none_or(|h| h.fits(n))
             && self.plans.len() == drivers.len()
@@ -367,11 +369,6 @@ impl Slot {
     /// Metrics of its agent in the present episode so far.
     pub fn metrics(&self) -> Metrics {
         self.statistics.metrics()
-    }
-
-    /// Its agent and those that it touched.
-    fn agents(&self) -> impl Iterator<Item = usize> {
-        self.agent_idx.into_iter().chain(self.in_contact.iter().map(|a| *a as usize))
     }
 
     /// Whether all numbers are such that an episode can go on with them.

@@ -29,8 +29,7 @@ impl World {
         let (e, scene) = (&mut self.episode, &*self.scene);
         self.scratch.contacts.clear();
         self.scratch.contacts.resize(e.slots.len(), None);
-        self.scratch.in_contact.resize(e.slots.len(), Vec::new());
-        self.scratch.in_contact.iter_mut().for_each(Vec::clear);
+        self.scratch.touched.clear();
         let there = |s: &&mut Slot| s.agent_idx.is_some_and(|a| e.states.active[a]);
         for slot in e.slots.iter_mut().filter(there) {
             (slot.off_road, slot.off_road_centroid) = (false, false);
@@ -61,8 +60,8 @@ impl World {
             let touch = |i: u32, j: u32| pairs.contains(&(i.min(j), i.max(j)));
             let both_there = |i: u32, j: u32| states.active[i as usize] && states.active[j as usize];
             e.initial_contacts.retain(|(i, j)| touch(*i, *j) || !both_there(*i, *j));
-            let found = self.scratch.contacts.iter_mut().zip(&mut self.scratch.in_contact);
-            for (slot, (contact, touched)) in e.slots.iter_mut().zip(found) {
+            let found = self.scratch.contacts.iter_mut();
+            for (c, (slot, contact)) in e.slots.iter_mut().zip(found).enumerate() {
                 let Some(a) = slot.agent_idx.filter(|a| states.active[*a]) else { continue };
                 if part < parts {
                     leave_road(states, scene, a, slot);
@@ -77,12 +76,15 @@ impl World {
                     let pair = (own as u32, other as u32);
                     if at_start {
                         e.initial_contacts.push(pair);
-                    } else if !touched.contains(&pair.1) && !e.initial_contacts.contains(&pair) {
-                        touched.push(pair.1);
-                        if contact.is_none() && !slot.in_contact.contains(&pair.1) {
+                    } else if !e.initial_contacts.contains(&pair) {
+                        let partner = (c as u32, other as u32);
+                        if contact.is_none() && !e.contacts.contains(&partner) {
                             let straddles = || straddles_lanes(states, scene, own);
                             *contact =
                                 Some(Contact::between(states, &scene.footprints, own, other, straddles));
+                        }
+                        if !self.scratch.touched.contains(&partner) {
+                            self.scratch.touched.push(partner);
                         }
                     }
                 }

@@ -62,9 +62,9 @@ pub(super) struct Scratch {
     pub(super) actions: Vec<Action>,
     /// Agents with slots that are there.
     pub(super) present: Vec<u32>,
-    /// Contact of each slot that begins in the step, and the agents that it touches in it.
+    /// Contact of each slot that begins in the step, and slots with the agents that theirs touch in it.
     pub(super) contacts: Vec<Option<Contact>>,
-    pub(super) in_contact: Vec<Vec<u32>>,
+    pub(super) touched: Vec<(u32, u32)>,
     /// Distance of each slot's agent from its place on the route, metres.
     pub(super) from_route_m: Vec<Real>,
     /// The slot of each agent that has one.

@@ -39,7 +39,7 @@ impl World {
                 last_action: [slot.last_action[0], slot.last_action[1]],
                 place: slot.place,
                 off_road: slot.off_road,
-                collided: !slot.in_contact.is_empty(),
+                collided: e.contacts.iter().any(|(of, _)| *of as usize == c),
                 route_remaining_m: slot.progress.remaining_m(e.route_s_m[a]),
                 goal_ahead_m: slot.progress.ahead_m(e.route_s_m[a]),
                 time_remaining: left_steps as Real / (e.elapsed_steps + left_steps).max(1) as Real,

@@ -109,7 +109,6 @@ impl World {
                 terminated: out.terminated[c],
                 timed_out: out.truncated[c],
             };
-            std::mem::swap(&mut slot.in_contact, &mut self.scratch.in_contact[c]);
             slot.stopped |= outcome.stands;
             let reward = reward::score(&e.states, a, slot, facts, config, columns);
             slot.statistics.add(reward, columns);
@@ -122,6 +121,7 @@ impl World {
                 e.states.active[a] &= !outcome.leaves;
             }
         }
+        e.contacts.clone_from(&self.scratch.touched);
         tow::leave(e, &self.scene);
         let done = e.slots.iter().all(|s| !s.alive);
         if done {
