@@ -4,11 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from array_scenes import rebuilt
 from view_rollouts import plan_of
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder, Rollout, errors, metrics
 from ccdiff_env.scenes.scenarionet import load_scenario_dict
+from ccdiff_env.scenes.scenarionet_export import write_scenario
 
 NAMES = ("position", "heading", "velocity", "valid", "drivers")
 
@@ -157,6 +159,9 @@ def test_scenarionet_gives_the_same_scene(driven, tmp_path):
     env = EgoEnv(scenes=[loaded], traffic="idm")
     obs, _ = env.reset(seed=0)
     assert np.isfinite(obs).all()
+    twins = rebuilt(scene, map_layers={**ours, "lanes": [*ours["lanes"], ours["lanes"][0]]})
+    with pytest.raises(errors.DatasetError, match="'exported': lanes share an id"):
+        write_scenario(twins, tmp_path / "twins.pkl")
 
 
 def test_scenarionets_own_rules_hold(driven, tmp_path):

@@ -195,8 +195,6 @@ def test_arrays_make_the_same_scene_again(scenes):
     for limit in (np.nan, 0.0, -3.0, np.inf, 1e300):
         with pytest.raises(errors.SceneError, match=r"lanes\[1\] \"b\" speed_limit_mps is"):
             rebuilt(scene, map_layers={"lanes": [lanes[0], {**lanes[1], "speed_limit_mps": limit}]})
-    with pytest.raises(errors.SceneError, match=r'lanes\[\].id is "a" twice'):
-        rebuilt(scene, map_layers={"lanes": [lanes[0], {**lanes[1], "id": "a"}]})
 
 
 def _lane(**changes):

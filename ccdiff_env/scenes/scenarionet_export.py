@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ccdiff_env.errors import DatasetError
 from ccdiff_env.scenes import Scene
 from ccdiff_env.scenes.scenario_lights import write_lights
 from ccdiff_env.scenes.scene_types import OWN_LAYERS, Lane, Polygon
@@ -94,6 +95,10 @@ def _features(scene: Scene, origin: F64) -> dict[str, dict[str, Any]]:
     layers = scene.map_layers()
     lanes = layers.get("lanes", [])
     features = {lane["id"]: _lane(lane, lanes, origin) for lane in lanes}
+    if len(features) < len(lanes):
+        raise DatasetError(
+            f"scene {scene.name!r}: lanes share an id, by which ScenarioNet tells them"
+        )
     for name, kind in (
         ("road_dividers", "ROAD_LINE_SOLID_SINGLE_YELLOW"),
         ("lane_dividers", "ROAD_LINE_BROKEN_SINGLE_WHITE"),

@@ -157,15 +157,14 @@ impl Scene {
                 return fail(name.into(), format!("{len} entries"), "agents x steps entries");
             }
         }
-        let twice = |mut ids: Vec<&str>| {
-            ids.sort_unstable();
-            ids.windows(2).find(|w| w[0] == w[1]).map(|w| format!("{:?} twice", w[0]))
-        };
-        if let Some(got) = twice(self.agents.iter().map(|a| a.id.as_str()).collect()) {
-            return fail("agents[].id".into(), got, "ids that are unique in the scene");
-        }
-        if let Some(got) = twice(self.map.lanes.iter().map(|l| l.id.as_str()).collect()) {
-            return fail("map.lanes[].id".into(), got, "ids that are unique in the map");
+        let mut ids: Vec<&str> = self.agents.iter().map(|a| a.id.as_str()).collect();
+        ids.sort_unstable();
+        if let Some(pair) = ids.windows(2).find(|w| w[0] == w[1]) {
+            return fail(
+                "agents[].id".into(),
+                format!("{:?} twice", pair[0]),
+                "ids that are unique in the scene",
+            );
         }
         let is_limit = |limit: Real| limit.is_finite() && limit > 0.0;
         for (i, lane) in self.map.lanes.iter().enumerate() {
