@@ -30,7 +30,7 @@ from ccdiff_env.scenes.arguments import (
     scenes_from,
 )
 from ccdiff_env.system.table import document
-from ccdiff_env.training.networks import LICENCE
+from ccdiff_env.training.networks import licence_of
 from ccdiff_env.training.selection_policy import CandidatePolicy, save_policy
 
 #: Cost per metre of move, one stage of the training after the other.
@@ -88,8 +88,7 @@ def train(args: argparse.Namespace, scenes, options: dict, path: Path, seed: int
     print(f"{seconds:.0f} CPU seconds, {curve[-1][0] / seconds:.0f} decisions a second")
     path.with_name(f"curve-{seed}.json").write_text(json.dumps(curve))
     notes = {"ego": args.ego, "steps": args.steps, "costs": MOVE_COSTS, "seed": seed}
-    if str(place_from(args)).startswith("nuscenes:"):
-        notes["licence"] = LICENCE
+    notes |= licence_of(place_from(args))
     save_policy(model, path.with_suffix(".safetensors"), env.strengths, **notes)
     model.save(path)
 

@@ -29,6 +29,11 @@ _COOLDOWN_SHARE = 0.2
 LICENCE = "CC-BY-NC-SA-4.0"
 
 
+def licence_of(*sources: object) -> dict[str, str]:
+    """Return the note of weights that saw these sources: nuScenes is not for commercial use."""
+    return {"licence": LICENCE} if any("nuscenes:" in str(place) for place in sources) else {}
+
+
 def train(
     scenes: Sequence[Scene],
     *,

@@ -29,7 +29,7 @@ from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
 from ccdiff_env.training.cloning import demonstrations
 from ccdiff_env.training.ego_network import Agent
-from ccdiff_env.training.networks import LICENCE
+from ccdiff_env.training.networks import licence_of
 from ccdiff_env.training.outcomes import Learning, outcomes
 from ccdiff_env.training.recipe import (
     BANK,
@@ -228,9 +228,9 @@ def train(args: argparse.Namespace) -> None:
         )
         agent.begin(obs, actions, args.seed)
 
-    # weights that saw nuScenes, or began with such, are not for commercial use
-    of_nuscenes = "nuscenes:" in f"{place_from(args)} {args.more_scenes}"
-    is_bound = of_nuscenes or (given is not None and "licence" in given.about)
+    bound = licence_of(place_from(args), args.more_scenes)
+    if given is not None and "licence" in given.about:
+        bound = {"licence": given.about["licence"]}
 
     def keep() -> None:
         if not all(bool(weights.isfinite().all()) for weights in agent.parameters()):
@@ -241,7 +241,7 @@ def train(args: argparse.Namespace) -> None:
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
-        about = {"done": done, **({"licence": LICENCE} if is_bound else {})}
+        about = {"done": done, **bound}
         save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, about)
 
     keep_settings(args.out / "run.json", settings)
