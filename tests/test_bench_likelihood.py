@@ -25,7 +25,7 @@ from ccdiff_env.bench.likelihood import (
 )
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.bench.traffic import START_STEP, episodes, traffic_jobs
+from ccdiff_env.bench.traffic import PAPER_WINDOW, episodes, traffic_jobs, window_of
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.metrics import causal
 from ccdiff_env.scenes import SceneSet
@@ -131,8 +131,8 @@ def test_times_to_contact_are_those_of_the_causal_graph():
     there = found["speed"][:, step] >= 0.0
     assert there.sum() > 2
     seconds = causal.ttc(
-        tracks["position"][agents, START_STEP + step],
-        tracks["heading"][agents, START_STEP + step],
+        tracks["position"][agents, PAPER_WINDOW["history_steps"] + step],
+        tracks["heading"][agents, PAPER_WINDOW["history_steps"] + step],
         np.nan_to_num(found["speed"][:, step]),
         episode.scene.sizes[agents][:, :2],
         there,
@@ -173,9 +173,19 @@ def test_scenes_that_hold_no_episode_are_named(monkeypatch, jobs, dt_s, num_step
     short = array_scene(agent("ego", np.arange(float(num_steps))), name="short", dt_s=dt_s)
     scenes = SceneSet([*scenes_of(VAL, NAMES), short])
     monkeypatch.setattr("ccdiff_env.bench.traffic.scenes_of", lambda source: scenes)
-    words = f"'short' has {num_steps} steps of {dt_s} s, expected at least 131 of 0.1 s"
+    words = f"'short' has {num_steps} steps of {dt_s} s, expected at least 131 of 0.1 s, or 91 to 1"
     with pytest.raises(ConfigError, match=words):
         jobs(VAL, ["idm"])
+
+
+@pytest.mark.parametrize("num_steps", [(90,), (91, 90), (91, 131)])
+def test_short_scenes_are_all_short_and_hold_eight_seconds(monkeypatch, num_steps):
+    scenes = [array_scene(agent("ego", np.arange(float(n))), name=f"of-{n}") for n in num_steps]
+    monkeypatch.setattr("ccdiff_env.bench.traffic.scenes_of", lambda source: SceneSet(scenes))
+    last = num_steps[-1]
+    words = f"'of-{last}' has {last} steps of 0.1 s, expected .* 91 to 130 in every scene"
+    with pytest.raises(ConfigError, match=words):
+        window_of("any")
 
 
 def test_the_command_compares_methods(tmp_path, capsys):

@@ -174,6 +174,44 @@ def test_a_run_drives_as_long_as_it_was_asked_to_or_refuses_the_scene(tmp_path, 
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.parametrize("kind", ["traffic", "realism"])
+def test_traffic_is_measured_for_eight_seconds_after_one(tmp_path, capsys, kind):
+    save(tmp_path / "waymo_1.json")
+    words = ["bench", kind, "--scenes", f"gpudrive:{tmp_path}/waymo_?.json", "--quiet", "--keep"]
+    words += {"traffic": ["--k", "Full"], "realism": ["--samples", "2"]}[kind]
+    words += ["--methods", "constant_velocity,ccdiff_one_sample", "--out", str(tmp_path / "run")]
+    assert main(words) == 0
+    assert f"{kind}, 80 steps after 10" in capsys.readouterr().out
+    assert ", 80 steps after 10</title>" in (tmp_path / "run/report.html").read_text("utf-8")
+    kept = json.loads((tmp_path / "run/run.json").read_text("utf-8"))["window"]
+    assert kept == {"history_steps": 10, "horizon_steps": 80}
+    found = [
+        (given["arguments"]["method"], row)
+        for file in (tmp_path / "run" / "raw").glob("*.json")
+        for given in [json.loads(file.read_text("utf-8"))]
+        for row in given["result"]
+    ]
+    (row,) = (row for method, row in found if method == "constant_velocity")
+    # those who are there at step 10 keep their speed for 8 s, or as long as they are logged
+    rollout = ccdiff_env.Rollout.load(tmp_path / "run/rollouts" / row["kept"][0])
+    assert (rollout.start_step, rollout.num_steps) == (10, 81)
+    tracks = ccdiff_env.load_gpudrive(tmp_path / "waymo_1.json")[0].tracks()
+    errors = []
+    for name, last in (("ego", 90), ("11", 60)):
+        at = rollout.agent_ids.index(name)
+        position, velocity = tracks["position"][at], tracks["velocity"][at]
+        straight = position[10] + velocity[10] * 0.1 * (last - 10)
+        errors.append(np.linalg.norm(straight - position[last]))
+        assert np.linalg.norm(rollout.position[at, last - 10] - straight) < 0.1
+    if kind == "traffic":
+        assert row["fde"] == pytest.approx(np.mean(errors), abs=0.1)
+    else:
+        (sampled,) = (row for method, row in found if method == "ccdiff_one_sample")
+        assert "ranks_5s" in sampled
+        assert "ranks_10s" not in sampled
+    assert main(["bench", "verify", str(tmp_path / "run")]) == 0
+
+
 def test_networks_and_images_see_the_road(loaded):
     env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=20, traffic="ccdiff")
     env.reset(seed=0)

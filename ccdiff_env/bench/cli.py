@@ -137,7 +137,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench import traffic_report as report
-    from ccdiff_env.bench.traffic import traffic_jobs
+    from ccdiff_env.bench.traffic import traffic_jobs, window_of
 
     methods = list(PAPER_METHODS) if args.methods == "all" else titled(args.methods.split(","))
     match = _listed("--match", args.match, float, "rates") if args.match else []
@@ -147,6 +147,7 @@ def _traffic(args: argparse.Namespace) -> int:
     if match and len(set(strengths)) < 2:
         raise ConfigError(f"--strengths is {args.strengths!r}, expected two at least")
     run = Run(args, "traffic")
+    run.tell_window(window_of(run.source))
     jobs = traffic_jobs(
         run.source,
         methods,
@@ -271,10 +272,8 @@ def _planners(args: argparse.Namespace) -> int:
     if fixed:
         PROTOCOL.check(args.level, scenes)
     title = f"Planners in traffic, {PROTOCOL.name} {args.level}" if fixed else "Planners in traffic"
-    if window is not None:
-        title += ", {horizon_steps} steps after {history_steps}".format(**window)
-        print(title)
     run = Run(args, "planners", seeds=seeds, window=window, **fixed)
+    run.tell_window(window)
     run.note(
         planners={job.arguments["planner"]: job.arguments["sources"]["planner"] for job in jobs},
         traffic={job.arguments["traffic"]: job.arguments["sources"]["traffic"] for job in jobs},
@@ -409,8 +408,10 @@ def _realism(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.intervals import figures, grouped
     from ccdiff_env.bench.likelihood import likelihood_jobs
     from ccdiff_env.bench.realism_report import COLUMNS, comparison, pairs_table, plots, tables
+    from ccdiff_env.bench.traffic import window_of
 
     run = Run(args, "realism", samples=args.samples)
+    run.tell_window(window_of(run.source))
     jobs = likelihood_jobs(
         run.source,
         titled(args.methods.split(",")),

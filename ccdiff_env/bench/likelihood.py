@@ -23,10 +23,10 @@ from ccdiff_env.bench.traffic import (
     CHUNK,
     STATIONARY_MPS,
     Episode,
-    check_steps,
     episodes,
     kept_rollouts,
     off_road,
+    window_of,
 )
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.metrics import Motion, causal
@@ -290,9 +290,11 @@ def scene_likelihoods(played: Sequence[Episode], num_samples: int) -> dict[str, 
             counts = np.bincount(bins, minlength=FEATURES[name].num_bins)
             numbers[f"{whose}{name}_shares"] = (counts / max(counts.sum(), 1)).tolist()
     moved = np.nan_to_num(log["speed"][:, 1]) > STATIONARY_MPS
+    num_steps = log["speed"].shape[1]
     for seconds in RANK_SECONDS if len(played) > 1 else ():
-        # speeds are known up to the last step but one
-        step = min(round(seconds / first.scene.dt), log["speed"].shape[1] - 2)
+        if (step := round(seconds / first.scene.dt)) > num_steps:
+            break
+        step = min(step, num_steps - 2)  # speeds are known up to the last step but one
         speeds = [s["speed"][moved, step] for s in samples]
         numbers[f"ranks_{seconds}s"] = ranks(speeds, log["speed"][moved, step]).tolist()
     return numbers
@@ -313,7 +315,7 @@ def likelihood_jobs(
     """
     if num_samples < 1:
         raise ConfigError(f"samples is {num_samples}, expected at least 1")
-    check_steps(source)
+    window_of(source)
     for name in methods:
         METHODS[name]  # refuses a name that does not exist
     given: dict[str, Any] = {"num_samples": num_samples, "seed": seed}

@@ -135,6 +135,11 @@ def window_of(
     return None if window == _USUAL_WINDOW else window
 
 
+def window_title(window: Mapping[str, int] | None) -> str:
+    """Return what a title adds for a window that is not the usual one."""
+    return ", {horizon_steps} steps after {history_steps}".format(**window) if window else ""
+
+
 def usual_window(scene: Scene) -> dict[str, int]:
     """Return the window of a scene and longer ones: that of the protocol, else of Waymo."""
 

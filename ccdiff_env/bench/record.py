@@ -23,7 +23,13 @@ from ccdiff_env.bench.planner_report import (
     verdict,
 )
 from ccdiff_env.bench.planner_score import score_of
-from ccdiff_env.bench.planners import SHORT_WINDOW, TRAFFIC, is_privileged, metric_name
+from ccdiff_env.bench.planners import (
+    SHORT_WINDOW,
+    TRAFFIC,
+    is_privileged,
+    metric_name,
+    window_title,
+)
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.scenes import place_of, source_title
 from ccdiff_env.errors import CcdiffError, ConfigError, DatasetError, DatasetNotFoundError
@@ -174,8 +180,7 @@ class Record:
             heading = source_title(first.source, coverage(place_of(first.source), scenes))
             heading += f", no protocol, weights {str(made.get('weights'))[:8]}"
         heading += f", seed {', '.join(map(str, seeds))}, version {made.get('version')}"
-        if window is not None:
-            heading += ", {horizon_steps} steps after {history_steps}".format(**window)
+        heading += window_title(window)
         same = [made.get(name) for name in ("protocol", "weights", "package")]
         return json.dumps([heading, sorted(rows), scenes, *same], sort_keys=True), rows
 

@@ -15,7 +15,7 @@ from typing import Any
 from ccdiff_env.bench.jobs import Job, run_jobs
 from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.page import write_report_page
-from ccdiff_env.bench.planners import TRAFFIC
+from ccdiff_env.bench.planners import TRAFFIC, window_title
 from ccdiff_env.bench.provenance import made_with, scene_hashes, sha256_of, source_digest
 from ccdiff_env.bench.replays import Pages, make_replays
 from ccdiff_env.bench.scenes import scenes_of, source_title
@@ -58,6 +58,7 @@ class Run:
         self.coverage = coverage(place, scenes.names)
         if place.window is not None:
             print(self.coverage)
+        self._window = ""  #: What titles say of the window.
         self.folder: Path = args.out
         files = weight_files()  #: SHA-256 of the shipped weights.
         self.weights = sha256_of(*(f for f in files if f.stem.endswith("_fast")))
@@ -85,6 +86,13 @@ class Run:
         self._begun = True
         self.folder.mkdir(parents=True, exist_ok=True)
         write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
+
+    def tell_window(self, window: Mapping[str, int] | None) -> None:
+        """Say which steps episodes have, in titles, too, where these are not the usual ones."""
+        self._window = window_title(window)
+        if window is not None:
+            self.note(window=window)
+            print(f"{self._benchmark}{self._window}")
 
     def note(self, **facts: Any) -> None:
         """Write into ``run.json`` what the results were made from; refuses nothing."""
@@ -176,7 +184,7 @@ class Run:
         )
         write_report_page(
             page,
-            title=title,
+            title=f"{title}{self._window}",
             line=" · ".join(facts),
             plots=[plot for plot in plots if plot is not None],
             parts=texts,

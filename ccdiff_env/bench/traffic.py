@@ -1,8 +1,9 @@
 """The paper's experiments: who drives K vehicles of each scene, and what comes of it.
 
 The protocol is that of the released evaluation (reference.md#closed-loop-evaluation): an episode
-starts at step 31 of the log with the vehicles that are there then and lasts 10 s; nobody enters
-later, vehicles vanish with their log, contacts and departures from the road have no consequence.
+starts at step 31 of the log with the vehicles that are there then and lasts 10 s, in scenes of
+9.1 s as those of planners (:data:`.SHORT_WINDOW`); nobody enters later, vehicles vanish with their
+log, contacts and departures from the road have no consequence.
 The K vehicles of the control set are driven by the method, all others replay the log.
 
 Differs from the paper: control sets are found at the start of the episode from the logged history,
@@ -23,6 +24,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device, resolved
+from ccdiff_env.bench.planners import SHORT_WINDOW
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
@@ -34,9 +36,8 @@ from ccdiff_env.system.files import file_name
 from ccdiff_env.system.settings import sha256
 from ccdiff_env.traffic import NETWORKS, PAPER_PROTOCOL, SWIFT, TrafficPlan
 
-#: Step of the log at which an episode starts (released: ``history_num_frames + 1``).
-START_STEP: int = PAPER_PROTOCOL["history_steps"]
-HORIZON_STEPS: int = PAPER_PROTOCOL["horizon_steps"]
+#: Step of the log at which an episode starts (released: ``history_num_frames + 1``), and its steps.
+PAPER_WINDOW: dict[str, int] = {name: PAPER_PROTOCOL[name] for name in SHORT_WINDOW}
 STEP_S: float = WorldConfig().dt_s
 #: Scenes that share a batch of the network: fixed, so that results do not depend on the workers.
 CHUNK = 12
@@ -67,7 +68,7 @@ def traffic_jobs(
     differ is not played twice: other periods of methods that do not plan, and all vehicles by
     another ranking than that of ``ccdiff``, where that one is asked for.
     """
-    check_steps(source)
+    window_of(source)
     asked = [k for k in (*num_controlled, *(replan_controlled or ())) if k is not None]
     for what, least, values in (("K", 0, asked), ("T in steps", 1, replan_steps)):
         if any(value < least for value in values):
@@ -100,22 +101,35 @@ def traffic_jobs(
     ]  # fmt: skip
 
 
-def check_steps(source: str) -> None:
-    """Refuse scenes that are too short for an episode, or in steps of which it is not so long."""
-    least = START_STEP + HORIZON_STEPS
+def window(scene: Scene) -> dict[str, int]:
+    """Return the steps of a scene before its episode and those that it lasts."""
+    return PAPER_WINDOW if scene.num_steps >= sum(PAPER_WINDOW.values()) else SHORT_WINDOW
+
+
+def window_of(source: str) -> dict[str, int] | None:
+    """Return the window that all scenes have, ``None`` where it is the paper's.
+
+    Raises:
+        ConfigError: If a scene has another one, is too short or has other steps; names it.
+    """
+    wanted, most = window(scenes_of(source)[0]), sum(PAPER_WINDOW.values())
+    least = sum(SHORT_WINDOW.values()) + 1
     for scene in scenes_of(source):
-        if scene.num_steps < least or abs(scene.dt - STEP_S) > 1e-3:
+        short = scene.num_steps < least or abs(scene.dt - STEP_S) > 1e-3
+        if short or window(scene) is not wanted:
             raise ConfigError(
                 f"scene {scene.name!r} has {scene.num_steps} steps of {scene.dt:g} s, expected at "
-                f"least {least} of {STEP_S:g} s"
+                f"least {most} of {STEP_S:g} s, or {least} to {most - 1} in every scene"
             )
+    return None if wanted is PAPER_WINDOW else wanted
 
 
 def _vehicles(scene: Scene) -> npt.NDArray[np.int64]:
     """Vehicles that are there, and on the road, at the start; the ego in any case (as released)."""
-    there = scene.tracks()["valid"][:, START_STEP] & (np.array(scene.agent_types) == "vehicle")
+    step = window(scene)["history_steps"]
+    there = scene.tracks()["valid"][:, step] & (np.array(scene.agent_types) == "vehicle")
     agents = np.flatnonzero(there)
-    start = motion_of(scene, scene.tracks(), agents, slice(START_STEP, START_STEP + 1))
+    start = motion_of(scene, scene.tracks(), agents, slice(step, step + 1))
     road = off_road(scene, start)
     if road is None:
         return agents
@@ -131,10 +145,10 @@ def control_set(scene: Scene, ranking: str, top_k: int | None, seed: int = 0) ->
     never move in CCDiff traffic: all rankings pass them over. ``None`` is all vehicles, the
     standing ones last. A random ranking is drawn by the scene's content and the seed.
     """
-    agents = _vehicles(scene)
-    velocity = scene.tracks()["velocity"][agents, START_STEP]
+    agents, step = _vehicles(scene), window(scene)["history_steps"]
+    velocity = scene.tracks()["velocity"][agents, step]
     moving = np.linalg.norm(velocity, axis=-1) > STATIONARY_MPS
-    ttc, distance = relations(scene, agents, START_STEP)
+    ttc, distance = relations(scene, agents, step)
     ranked = causal.rank(
         ranking,  # type: ignore[arg-type]
         top_k=len(agents),
@@ -181,6 +195,7 @@ def episodes(
     config = WorldConfig().with_options(
         **{
             **PAPER_PROTOCOL,
+            **window(scenes[0]),
             "traffic": method.driver,
             "driver": "replay",
             "autoreset": "disabled",
@@ -207,7 +222,7 @@ def episodes(
         if method.driver in NETWORKS and not own:
             native.override_plan(i, guided=chosen[i], criticality=None)
     recorders = recorders_of(worlds, scenes.names)
-    for _ in play(worlds, recorders=recorders, most=HORIZON_STEPS):
+    for _ in play(worlds, recorders=recorders, most=window(scenes[0])["horizon_steps"]):
         pass
     rollouts = [recorder.rollout() for recorder in recorders.values()]
     if own:
@@ -288,7 +303,7 @@ def relations(
     Both are [T, A, A], in [0, 1].
     """
     tracks = scene.tracks()
-    past = slice(step - PAST_STEPS, step + 1)
+    past = slice(max(step - PAST_STEPS, 0), step + 1)
     position, heading, velocity, valid = (
         tracks[name][agents, past].swapaxes(0, 1)
         for name in ("position", "heading", "velocity", "valid")
@@ -371,12 +386,13 @@ def measure(episode: Episode, replan_steps: int = 5) -> dict[str, Any]:
     hard, jerky = motion.harsh(counted=controlled)
     tracks = episode.scene.tracks()
     speed = np.linalg.norm(tracks["velocity"][episode.agents], axis=-1)
+    start = window(episode.scene)["history_steps"]
     limit = speed_limit(np.where(tracks["valid"][episode.agents], speed, np.nan))
     known = bool(np.isfinite(limit))
     return {
         "scene": episode.scene.name,
         "num_agents": len(episode.agents),
-        "num_moving": int((speed[:, START_STEP] > STATIONARY_MPS).sum()),
+        "num_moving": int((speed[:, start] > STATIONARY_MPS).sum()),
         "num_controlled": int(controlled.sum()),
         "scr": found.any(),
         "scr_new": found.any("new"),
