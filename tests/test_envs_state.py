@@ -34,6 +34,20 @@ def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
             other.restore(wrong)
     assert other.worlds.native.digest(0) == digest
     assert np.array_equal(other.observation(), obs)
+    before, drives = env.worlds.native.digest(0), ccdiff_env.parallel_env(agents=2, scenes=scenes)
+    vector = ccdiff_env.make_vec(1, scenes=scenes)
+    drives.reset(seed=0)
+    vector.reset(seed=0)
+    for restore, kept in (
+        (env.restore, saved),
+        (lambda wrong: env.worlds.native.restore(0, wrong), env.worlds.native.snapshot(0)),
+        (lambda wrong: vector.restore(0, wrong), vector.snapshot(0)),
+        (drives.restore, drives.snapshot()),
+    ):
+        for wrong in (kept[:-1], kept + b"\0", kept + kept):
+            with pytest.raises(SnapshotError, match="damaged bytes"):
+                restore(wrong)
+    assert env.worlds.native.digest(0) == before
     for options in ({"scenes": list(scenes)[::-1]}, {"scenes": scenes, "observation": "bev"}):
         with pytest.raises(SnapshotError):
             EgoEnv(**options).restore(saved)

@@ -103,6 +103,11 @@ def test_a_file_gives_the_same_episode(driven, tmp_path):
     (again,) = loaded.plans
     for field in dataclasses.fields(plan):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(plan, field.name))
+    whole = (tmp_path / "a.npz").read_bytes()
+    for wrong in (whole[:-1], whole + b"\0", whole[:100]):
+        (tmp_path / "a.npz").write_bytes(wrong)
+        with pytest.raises(errors.DatasetError, match="cut off, or with bytes after the end"):
+            Rollout.load(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("name", ["graph", "losses", "samples", "ranking", "selected_sample"])

@@ -160,6 +160,11 @@ def test_scene_is_pickled_compared_and_hashed_by_content(scenes, root):
     assert Scene.from_bytes(scenes[0].to_bytes()) == scenes[0]
     with pytest.raises(errors.DatasetError):
         Scene.from_bytes(scenes[0].to_bytes()[:40])
+    for scene in (scenes[0], ccdiff_env.embedded_scenes("city-lights")[0]):
+        whole = scene.to_bytes()
+        for wrong in (whole[:-1], whole + b"\0", whole + b"\1", whole + whole):
+            with pytest.raises(errors.DatasetError, match="scene bytes"):
+                Scene.from_bytes(wrong)
 
 
 def test_arrays_make_the_same_scene_again(scenes):

@@ -288,6 +288,8 @@ class Rollout:
         """
         with reading("rollout", path):
             data = read_bytes(path)
+            if data[-22:-18] != b"PK\x05\x06":  # numpy's archives end with their directory's end
+                raise DatasetError("cut off, or with bytes after the end")
             with zipfile.ZipFile(io.BytesIO(data)) as archive:
                 size = sum(member.file_size for member in archive.infolist())
             if size > MOST_BYTES:

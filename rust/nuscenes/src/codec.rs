@@ -37,7 +37,10 @@ pub fn decode_scene(bytes: &[u8]) -> Result<Scene> {
     let fault = |e: postcard::Error| NuscenesError::Bytes(e.to_string());
     let (mut scene, rest) = postcard::take_from_bytes::<Scene>(contents).map_err(fault)?;
     if !rest.is_empty() {
-        let lights: Vec<Light> = postcard::from_bytes(rest).map_err(fault)?;
+        let (lights, rest) = postcard::take_from_bytes::<Vec<Light>>(rest).map_err(fault)?;
+        if lights.is_empty() || !rest.is_empty() {
+            return Err(NuscenesError::Bytes("bytes after the end".into()));
+        }
         Arc::make_mut(&mut scene.map).lights = lights;
     }
     Ok(scene.validated()?)

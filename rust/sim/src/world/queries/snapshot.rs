@@ -59,7 +59,10 @@ impl VecWorld {
         if version != VERSION {
             return refuse(format!("layout {version} of another release, this one reads {VERSION}"));
         }
-        let snapshot: Snapshot = postcard::from_bytes(bytes).map_err(damaged)?;
+        let (snapshot, rest) = postcard::take_from_bytes::<Snapshot>(bytes).map_err(damaged)?;
+        if !rest.is_empty() {
+            return refuse(format!("damaged bytes ({} after the end)", rest.len()));
+        }
         let (then, now) = (serde_json::from_str(&snapshot.config), self.config_fingerprint());
         if let Some(name) = then.map_or(Some("fingerprint".into()), |then| different(&then, &now)) {
             return refuse(format!("taken under another configuration: another {name}"));
