@@ -45,6 +45,19 @@ pub(crate) fn array<'py, T: Element, D: ndarray::Dimension>(
         .map_err(|_| py::ShapeError::new_err(format!("{what} is {}, expected a {expected}", form(value))))
 }
 
+/// An array in double precision, and whether it was given in single. `ShapeError` as of [`array`].
+pub(crate) fn doubles<D: ndarray::Dimension>(
+    value: &Bound<'_, PyAny>,
+    what: &str,
+    shape: &str,
+) -> PyResult<(ndarray::Array<f64, D>, bool)> {
+    if let Ok(double) = value.extract::<PyReadonlyArray<'_, f64, D>>() {
+        return Ok((double.as_array().to_owned(), false));
+    }
+    let single = array::<f32, D>(value, what, &format!("float32 or float64 array of shape {shape}"))?;
+    Ok((single.as_array().mapv(f64::from), true))
+}
+
 /// A part of a dictionary. `DatasetError` where it is of another type.
 pub(crate) fn part<'a, 'py, T>(value: &'a Bound<'py, PyAny>, what: &str, expected: &str) -> PyResult<T>
 where

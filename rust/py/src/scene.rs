@@ -1,6 +1,6 @@
 //! `Scene`, and the functions that load scenes.
 
-use crate::enter::{Text, array, flags};
+use crate::enter::{Text, array, doubles, flags};
 use crate::scene_map;
 use ccdiff_bridge::errors::{from_sim, py};
 use ccdiff_nuscenes::{
@@ -132,15 +132,7 @@ impl PyScene {
             expect_shape(what, &[list.len()], &[num_agents])?;
         }
         expect_shape("sizes", sizes.shape(), &[num_agents, 3])?;
-        let double = position.extract::<PyReadonlyArray3<'_, f64>>();
-        let is_single = double.is_err();
-        let position = match double {
-            Ok(double) => double.as_array().to_owned(),
-            Err(_) => {
-                let expected = "float32 or float64 array of shape [A, T, 2]";
-                array::<f32, Ix3>(position, "position", expected)?.as_array().mapv(f64::from)
-            }
-        };
+        let (position, is_single) = doubles::<Ix3>(position, "position", "[A, T, 2]")?;
         expect_shape("position", position.shape(), &[num_agents, num_steps, 2])?;
         expect_shape("heading", heading.shape(), &[num_agents, num_steps])?;
         expect_shape("velocity", velocity.shape(), &[num_agents, num_steps, 2])?;

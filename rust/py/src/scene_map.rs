@@ -1,6 +1,6 @@
 //! Map layers between Rust and Python: one shape of dictionary both ways.
 
-use crate::enter::{Text, array, fields, part};
+use crate::enter::{Text, array, doubles, fields, part};
 use ccdiff_bridge::errors::py;
 use ccdiff_sim::geom::{Point2, Polygon};
 use ccdiff_sim::scene::{
@@ -114,10 +114,7 @@ fn read_elevations(value: &Bound<'_, PyAny>) -> PyResult<Elevations> {
 
 /// Points of single or double precision, relative to an origin.
 fn read_points(value: &Bound<'_, PyAny>, what: &str, origin: [f64; 2]) -> PyResult<Vec<Point2>> {
-    let array = match value.extract::<PyReadonlyArray2<'_, f64>>() {
-        Ok(double) => double.as_array().to_owned(),
-        Err(_) => array::<f32, Ix2>(value, what, "float32 array of shape [P, 2]")?.as_array().mapv(f64::from),
-    };
+    let (array, _) = doubles::<Ix2>(value, what, "[P, 2]")?;
     if array.shape()[1] != 2 {
         let message = format!("{what} has shape {:?}, expected [P, 2]", array.shape());
         return Err(py::ShapeError::new_err(message));
