@@ -107,11 +107,12 @@ def test_worlds_that_do_not_fit_are_refused_in_one_line(options, message, path, 
     assert "env_options" in str(caught.value)
 
 
-def test_policies_of_before_hold_a_digest_with_descriptions(path, scenes):
+def test_policies_of_other_observations_are_refused(path, scenes):
     tensors, metadata = read_tensors(path)
     worlds = Worlds(scenes, planners.load(path).config, num_worlds=1)
-    write_tensors(path, tensors, metadata | {"schema": "95d993079874e7cc"})  # of version 0.3.0
-    Seat(planners.load(path), "policy").begin(worlds)
+    write_tensors(path, tensors, metadata | {"schema": "95d993079874e7cc"})
+    with pytest.raises(ConfigError, match="observations that this version does not have"):
+        Seat(planners.load(path), "policy").begin(worlds)
 
 
 def test_limits_of_ones_own_are_kept(agent, tmp_path):

@@ -26,13 +26,6 @@ ATTRIBUTE = "ccdiff_env"  #: Name of the attribute of a space.
 STATISTICS = "ccdiff_env_statistics"
 #: Fields of the configuration that a policy depends on.
 FIELDS = ("action", "observation", "decision_steps", "dt_s")
-#: Descriptions of columns, and what they were in version 0.3.0.
-_DESCRIBED = {
-    "offset across the route at its tracked place": "signed distance from the route",
-    "to the nearest lane centre, those of its direction first; 0": (
-        "distance to the nearest lane centre, 0"
-    ),
-}
 
 
 def schema_digest(*tables: str) -> str:
@@ -45,11 +38,7 @@ def schema_digest(*tables: str) -> str:
         return {name: value for name, value in entry.items() if name != "doc"}
 
     meant = [json.loads(table, object_hook=without_doc) for table in tables]
-    return _digest(json.dumps(meant))
-
-
-def _digest(text: str) -> str:
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+    return hashlib.blake2b(json.dumps(meant).encode(), digest_size=8).hexdigest()
 
 
 def fitting_fields(config: WorldConfig) -> dict[str, Any]:
@@ -109,11 +98,7 @@ class Fit:
                     f"{who} was trained with {part} = {_short(wanted)}, the worlds have "
                     f"{_short(given)}: make them with its env_options"
                 )
-        # policies of version 0.3.0 and before hold the digest with descriptions
-        described = layout_json
-        for now, then in _DESCRIBED.items():
-            described = described.replace(now, then)
-        if self.schema not in (schema_digest(layout_json), _digest(described)):
+        if self.schema != schema_digest(layout_json):
             raise ConfigError(f"{who} was trained on observations that this version does not have")
 
 
