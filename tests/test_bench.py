@@ -238,7 +238,7 @@ def test_the_command_writes_tables_and_refuses_another_runs_folder(tmp_path, cap
         assert (tmp_path / name).stat().st_size > 0
     assert cli.main([*command, "--methods", "idm", "--seed", "1"]) == 2
     assert "other settings: seed" in capsys.readouterr().err
-    for t in ("abc", "0.55", "inf"):
+    for t in ("abc", "0.55", "inf", "nan", "0.5,0"):
         assert cli.main([*command, "--methods", "idm", "--t", t]) == 2
         assert f"--t is '{t}', expected multiples of 0.1 s" in capsys.readouterr().err
 

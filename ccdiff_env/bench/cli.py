@@ -14,6 +14,7 @@ from ccdiff_env.bench.run import Run, add_weights, weights_from
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
+from ccdiff_env.scenes.windows import whole_steps
 from ccdiff_env.system.table import escaped
 from ccdiff_env.system.terminal import say
 
@@ -83,13 +84,6 @@ def counts(text: str) -> list[int | None]:
     return _listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
 
 
-def _steps(seconds: str) -> int:
-    steps = round(10.0 * float(seconds), 6)
-    if not steps.is_integer():
-        raise ValueError
-    return int(steps)
-
-
 def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
     try:
         return list(dict.fromkeys(map(one, text.split(","))))
@@ -152,7 +146,9 @@ def _traffic(args: argparse.Namespace) -> int:
         run.source,
         methods,
         num_controlled=counts(args.k),
-        replan_steps=_listed("--t", args.t, _steps, "multiples of 0.1 s"),
+        replan_steps=_listed(
+            "--t", args.t, lambda t: whole_steps("--t", float(t), 0.1), "multiples of 0.1 s"
+        ),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
         weights=run.own_weights,
         seed=args.seed,

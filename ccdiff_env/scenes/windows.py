@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,14 @@ from ccdiff_env.scenes import Scene, with_tracks
 from ccdiff_env.scenes.scene_set import SceneSet
 
 HISTORY_S = 3.0  #: History of a window where none is asked for: what environments look back on.
+
+
+def whole_steps(name: str, seconds: float, dt: float, least: int = 1) -> int:
+    """Return seconds in steps; refuse what is no whole number of them."""
+    steps = round(seconds / dt) if math.isfinite(seconds) else -1
+    if steps < least or abs(steps - seconds / dt) > 0.01:
+        raise ConfigError(f"{name} is {seconds:g}, expected a whole number of steps of {dt:g} s")
+    return steps
 
 
 @dataclass(frozen=True)
@@ -37,19 +46,10 @@ class Windows:
 
     def steps(self, dt: float) -> tuple[int, int]:
         """Return the steps of history and those of an episode, the present one not counted."""
-        asked = self.history_s is not None
-        history = self._whole("history_s", dt, least=0) if asked else round(HISTORY_S / dt)
-        return history, self._whole("window_s", dt)
-
-    def _whole(self, name: str, dt: float, least: int = 1) -> int:
-        """Return seconds in steps; refuse what is no whole number of them."""
-        seconds: float = getattr(self, name)
-        steps = round(seconds / dt)
-        if steps < least or abs(steps - seconds / dt) > 0.01:
-            raise ConfigError(
-                f"{name} is {seconds:g}, expected a whole number of steps of {dt:g} s"
-            )
-        return steps
+        history = round(HISTORY_S / dt)
+        if self.history_s is not None:
+            history = whole_steps("history_s", self.history_s, dt, least=0)
+        return history, whole_steps("window_s", self.window_s, dt)
 
     def cut(self, name: str, num_steps: int, dt: float) -> dict[str, tuple[int, int]]:
         """Return first step and end of every whole window, by name: ``scene-0061@8`` begins at 8 s.
@@ -59,8 +59,8 @@ class Windows:
         whole = sum(self.steps(dt)) + 1
         if whole == num_steps:
             return {name: (0, num_steps)}
-        stride = self._whole("window_s" if self.stride_s is None else "stride_s", dt)
-        starts = range(0, num_steps - whole + 1, stride)
+        stride = self.window_s if self.stride_s is None else self.stride_s
+        starts = range(0, num_steps - whole + 1, whole_steps("stride_s", stride, dt))
         return {f"{name}@{round(first * dt, 3):g}": (first, first + whole) for first in starts}
 
     def of(self, scenes: SceneSet) -> SceneSet:
