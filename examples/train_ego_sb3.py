@@ -100,7 +100,7 @@ def main() -> None:
         worlds, decisions, tests, held_out, args.shown = 4, 8, 2, held_out[:1], min(args.shown, 100)
         settings = settings | ({} if is_sac else {"n_steps": 2, "batch_size": 8})
     guided = {"criticality": args.criticality} if args.criticality is not None else {}
-    traffic = {"traffic": traffic_options(args.traffic, 1.0)["traffic"]} | guided
+    traffic = traffic_options(args.traffic) | guided
     given = {n: json.loads(v) for n, _, v in (word.partition("=") for word in args.option)}
     settings = settings | {n: given.pop(n) for n in [*given] if n in settings}
     given = {n: ccdiff_env.WorldConfig(**v) if n == "config" else v for n, v in given.items()}

@@ -66,10 +66,11 @@ LIGHTS: dict[str, Any] = {
 }  # fmt: skip
 
 
-def traffic_options(traffic: str, criticality: float) -> dict[str, Any]:
+def traffic_options(traffic: str, criticality: float | None = None) -> dict[str, Any]:
     """Return what :func:`ccdiff_env.make_vec` takes for an entry of ``--traffic``.
 
-    A network draws the criticality of each episode from 0 to this one, unless its options fix it.
+    A network draws the criticality of each episode from 0 to this one, if one is given, unless its
+    options fix it.
     CCDiff denoises in one step, two to three times as fast, unless its options say otherwise.
     """
     name, options = read_driver(traffic, "--traffic")
@@ -79,7 +80,7 @@ def traffic_options(traffic: str, criticality: float) -> dict[str, Any]:
         name, traffic = "ccdiff", f"ccdiff?replan_steps=20&adversary_policy={LEARNED}"
     if name == "ccdiff" and "denoising_steps" not in options:
         traffic += f"{'&' if '?' in traffic else '?'}denoising_steps=1"
-    draws = name in NETWORKS and "criticality" not in options
+    draws = criticality is not None and name in NETWORKS and "criticality" not in options
     return {"traffic": traffic, **({"criticality": (0.0, criticality)} if draws else {})}
 
 
