@@ -98,10 +98,12 @@ def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
     longest = tmp_path / ("é" * 125 + ".html")  # 255 bytes, the most that a name may have
     files.write_aside(longest, "whole")
     assert longest.read_text() == "whole"
-    for folder in (tmp_path, Path(".")):
+    for folder in (tmp_path, Path("."), path / "below a file"):
         with pytest.raises(OSError, match=r"'.*'$"):
             files.write_aside(folder, "no file")
     assert len([*tmp_path.iterdir()]) == 3
+    files.write_aside(tmp_path / "new" / "folder" / "a.csv", "1,2")
+    assert (tmp_path / "new" / "folder" / "a.csv").read_text() == "1,2"
 
 
 # scenes

@@ -293,7 +293,7 @@ def test_the_verb_writes_an_index_of_a_folder(tmp_path, capsys):
     ("words", "out", "message"),
     [
         ("left-turn-00 --step 100000", "a.png", "expected 0 to"),
-        ("left-turn-00 --step 0 --follow nobody", "a.png", "no agent 'nobody'"),
+        ("left-turn-00 --step 0 --follow nobody", "a.png", "a name on its page: ego, 1, 2"),
         ("left-turn-00 --step 0", "a.gif", "--step is of an image"),
         ("left-turn-00 --open", "a.png", "--open shows pages"),
         ("left-turn-00", "a.xyz", "expected a file that ends in"),

@@ -50,6 +50,8 @@ def test_the_address_follows_what_is_shown_and_opens_it_again(visit):
     page.until("replay.time === replay.end")
     assert page.state("follow") == second
     assert page.state("layers.graph") is True
+    page.evaluate("location.hash = '#follow=2'")
+    page.until(f"replay.follow === {planned_rollout().agent_ids[2]!r}")
 
 
 def test_steps_and_the_time_line_move_the_cursor(visit):

@@ -74,6 +74,5 @@ if __name__ == "__main__":
     if not target_is_installed():
         raise SystemExit(f"no playground: rustup target add {TARGET}")
     MODULE.write_bytes(compiled())
-    args.page.parent.mkdir(parents=True, exist_ok=True)
     write_playground(args.page)
     print(args.page)

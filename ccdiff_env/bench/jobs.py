@@ -116,7 +116,6 @@ def run_jobs(
     by_name = {job.name: job for job in jobs}
     if len(by_name) != len(jobs):
         raise ConfigError("jobs: two have the same name")
-    folder.mkdir(parents=True, exist_ok=True)
     done: dict[str, Any] = {}
     stale: list[str] = []
     for job in jobs:

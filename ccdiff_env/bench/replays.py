@@ -42,7 +42,6 @@ def write_replay(rollout: Rollout, path: Path) -> str:
     It opens two seconds before what matters, see :class:`~ccdiff_env.view.outcome.Outcome`, and
     follows who it is about.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_page(rollout, path, home=("../report.html", "report"))
     fate = outcome(rollout)
     follow, time_s = None, fate.opening_s

@@ -84,7 +84,6 @@ class Run:
     def _begin(self) -> None:
         """Write what the run is, now that work begins: what is refused before leaves no folder."""
         self._begun = True
-        self.folder.mkdir(parents=True, exist_ok=True)
         write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
 
     def tell_window(self, window: Mapping[str, int] | None) -> None:

@@ -93,9 +93,7 @@ def generate(
     drivers = on_device(TRAFFIC[traffic].with_weights(weights or {}), device)
     scenes = scenes_of(source, names)
     _, rollouts = drive(scenes, generator, drivers, seed=seed, options=OPTIONS, record=names)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    found = []
+    place, found = Path(folder), []
     for scene in scenes:
         rollout, file = rollouts[scene.name], file_name(scene.name, ".npz")
         rollout.save(place / file)

@@ -288,7 +288,6 @@ def kept_rollouts(
     if not keep:
         return {"kept": [motion_hash(rollout) for rollout in rollouts.values()]}
     folder, names = Path(keep), list[str]()
-    folder.mkdir(parents=True, exist_ok=True)
     for seed, rollout in rollouts.items():
         names.append(file_name(f"{condition}-{rollout.scene.name}-{seed}", ".npz"))
         rollout.save(folder / names[-1])

@@ -19,7 +19,7 @@ from ccdiff_env.record.counterfactual import with_rescue
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
-from ccdiff_env.system.files import file_name, naming, write_aside
+from ccdiff_env.system.files import file_name, write_aside, writing
 from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import NETWORKS
 from ccdiff_env.view import render
@@ -123,7 +123,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     draw.add_argument(
         "--step", type=int, help="step of an image (default: the accident, or the middle)"
     )
-    draw.add_argument("--follow", metavar="ID", help="agent in the middle (default: the ego)")
+    draw.add_argument("--follow", metavar="NAME", help="agent in the middle (default: the ego)")
     draw.add_argument(
         "--show",
         choices=("graph",),
@@ -293,7 +293,7 @@ def _image(
     if kind == "png":
         videos[0].frame(step)  # says what is wrong with the step
         image = render.pillow().fromarray(side_by_side(videos, step))
-        with naming(out):
+        with writing(out):
             image.save(out)
     elif len(videos) > 1:
         raise ConfigError("an SVG shows one run: write each by itself")

@@ -85,6 +85,4 @@ def shipped(file: str = SHIPPED, member: str | None = None) -> dict[str, bytes]:
 def unpack(folder: Path, file: str = SHIPPED) -> None:
     """Write a shipped data set below a folder."""
     for name, data in shipped(file).items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_aside(path, data)
+        write_aside(folder / name, data)

@@ -132,9 +132,12 @@ def _integer(text: str) -> int:
 
 
 @contextmanager
-def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Let an ``OSError`` of what is written name its file, which a full disk's does not."""
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make the folder of a file that is written in the block, and let an ``OSError`` name the file,
+    which a full disk's does not.
+    """
     try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
         yield
     except OSError as fault:
         said = fault.strerror or str(fault)
@@ -145,7 +148,7 @@ def write_aside(path: Path, data: str | bytes) -> None:
     """Write a file under another name first: a run that ends in the middle leaves no half of it."""
     short = os.fsdecode(os.fsencode(path.name)[:200])
     aside = path.parent / f".{short}.{os.getpid()}"
-    with naming(path):
+    with writing(path):
         try:
             aside.unlink(missing_ok=True)
             with aside.open("xb") as file:

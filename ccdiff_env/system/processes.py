@@ -10,7 +10,7 @@ from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import TypeVar
 
-from ccdiff_env.system.files import naming
+from ccdiff_env.system.files import writing
 
 _Work = TypeVar("_Work")
 _Result = TypeVar("_Result")
@@ -26,7 +26,7 @@ def results_of_processes(
     """
     # forked children may not enter worlds that hold threads
     context, others = get_context("spawn"), set(active_children())
-    with naming("/dev/shm"):
+    with writing("/dev/shm"):
         made = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
     with made as pool:
         try:

@@ -32,7 +32,6 @@ def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         DatasetError: If the file is damaged.
     """
     known = {**kept_settings(path, settings), **settings}
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_aside(path, json.dumps(known, indent=1, default=dict))
     return known
 

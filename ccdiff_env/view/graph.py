@@ -93,7 +93,7 @@ def _overlay(run: Rollout, step: int, plan: TrafficPlan, video: Video) -> Iterat
             x, y = places[agent]
             yield (
                 f'<text {style} {halo} x="{x:.1f}" y="{y + 22:.1f}" '
-                f'fill="{colours["adversary"]}">moved {moved:.1f} m</text>'
+                f'fill="{colours["ink"]}">moved {moved:.1f} m</text>'
             )
 
 

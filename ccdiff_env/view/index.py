@@ -62,7 +62,6 @@ def write_index(
 
     ``home`` is address and title of the page above.
     """
-    out.mkdir(parents=True, exist_ok=True)
     pages, collide, cards, facts = set[Path](), 0, list[str](), list[dict[str, str]]()
     for path, titles, (rollout, *others) in shown:
         name = path.replace("/", "-")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import MissingFeatureError
-from ccdiff_env.system.files import naming
+from ccdiff_env.system.files import writing
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -51,7 +51,7 @@ def save_gif(stack: Image, path: Path, fps: float) -> None:
     palette = _palette(few, 128)
     images = [library.fromarray(frame).quantize(palette=palette, dither=0) for frame in stack]
     options = {"duration": max(20, round(1000.0 / fps)), "loop": 0}
-    with naming(path):
+    with writing(path):
         images[0].save(path, save_all=True, append_images=images[1:], **options)
 
 
@@ -71,7 +71,8 @@ def save_mp4(stack: Image, path: Path, fps: float) -> None:
     _, height, width, _ = stack.shape
     stack = np.pad(stack, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
     how: Any = {"codec": "libx264", "quality": 8, "pixelformat": "yuv420p", "macro_block_size": 1}
-    imageio.mimwrite(path, list(stack), fps=fps, **how)
+    with writing(path):
+        imageio.mimwrite(path, list(stack), fps=fps, **how)
 
 
 def pillow() -> ModuleType:

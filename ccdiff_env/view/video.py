@@ -29,10 +29,10 @@ FPS = 10.0  #: Images per second.
 class Video:
     """Draws steps of one rollout.
 
-    ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id;
-    the first agent by default), or the point ``centre_m`` of the scene. ``captions`` are title,
-    time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or ``"dark"``. A
-    :class:`ConfigError` names an agent that is not there.
+    ``size`` in pixels shows ``span_m`` metres across; in the middle is the agent ``follow`` (an id
+    or a name on its page; the first agent by default), or the point ``centre_m`` of the scene.
+    ``captions`` are title, time, verdict, names, scale bar and legend; ``theme`` is ``"light"`` or
+    ``"dark"``. A :class:`ConfigError` names an agent that is not there.
     """
 
     def __init__(
@@ -47,12 +47,15 @@ class Video:
         theme: str = "light",
         title: str | None = None,
     ) -> None:
-        follow = follow if follow is not None else rollout.agent_ids[0]
-        if follow not in rollout.agent_ids:
-            raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}")
+        self._names = [short for short, _ in agent_titles(rollout.scene)]
+        known = [*rollout.agent_ids, *self._names]
+        if follow is not None and follow not in known:
+            expected = f"expected an id or a name on its page: {', '.join(self._names)}"
+            raise ConfigError(f"no agent {follow!r} in {rollout.scene.name}, {expected}")
         self._rollout, self.num_steps, self.dt_s = rollout, rollout.num_steps, rollout.dt_s
         self._size, self._span_m = size, span_m
-        self.middle = rollout.agent_ids.index(follow)  #: Index of who is followed.
+        #: Index of who is followed.
+        self.middle = 0 if follow is None else known.index(follow) % len(self._names)
         self._captions, self.theme = captions, theme
         self._title = rollout.scene.name if title is None else title
         self._fate = outcome(rollout)
@@ -65,7 +68,6 @@ class Video:
         if centre_m is not None:
             self._centres = np.tile(np.asarray(centre_m, np.float32), (rollout.num_steps, 1))
         self._drivers = [driver_of(rollout, i) for i in range(len(rollout.agent_ids))]
-        self._names = [short for short, _ in agent_titles(rollout.scene)]
         colours = render.all_colours(theme)
         self._legend = [(colours[name], title) for name, title in _legend(rollout, self._drivers)]
         self._number = {name: i for i, name in enumerate(rollout.agent_ids)}

@@ -90,14 +90,15 @@ async function main() {
 }
 
 /**
- * What the address asks for: page.html#t=4.2&follow=ID&show=graph (t in seconds from the
+ * What the address asks for: page.html#t=4.2&follow=1&show=graph (t in seconds from the
  * start), also hide=trails, run=2 (that run alone), play=1, up=heading or up=north.
  */
 function readAddress(player) {
   const wishes = new URLSearchParams(location.hash.slice(1));
   if (wishes.has("t")) player.seek(player.start + (Number(wishes.get("t")) || 0));
-  const id = wishes.get("follow");
-  if (id !== null && player.runs.some((run) => run.indexOf.has(id))) player.followAgent(id);
+  const name = wishes.get("follow"), agents = player.runs.flatMap((run) => run.agents);
+  const found = agents.find(({ id }) => id === name) || agents.find(({ label }) => label === name);
+  if (found) player.followAgent(found.id);
   for (const [word, wanted] of [["show", true], ["hide", false]])
     for (const layer of (wishes.get(word) || "").split(","))
       if (LAYERS.includes(layer)) player.layers[layer] = wanted;
