@@ -107,6 +107,7 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
         ("--planners desk_own:Brakes,desk_own:Brakes?title=Ours%2C%20braking", "is another one's"),
         ("--planners pdm?title=Ours", "the title 'Ours' is another one's"),
         ("--planners idm --traffic ccdif-1", "did you mean 'ccdiff-1'"),
+        ("--planners idm --metric avoidble", "expected module:function of a rollout, or avoidable"),
         ("--planners idm --metric EPDMS", "metric 'EPDMS' cannot be had: NAVSIM"),
     ],
 )
@@ -238,6 +239,12 @@ def test_reports_have_scores_by_tag_and_papers_whole_tables(desk):
     column = head.split(" | ").index(next(h for h in head.split(" | ") if "rare" in h))
     line = next(line for line in lines if line.startswith("| IDM on"))
     assert line.split(" | ")[column].startswith(f"{mean:.2f}")
+    # a tag of few scenes has no interval
+    few = min(int(count) for count in re.findall(r"\((\d+)\)", head)) < 10
+    assert few == ("Fewer than 10 scenes" in table.partition("\n## ")[0])
+    pairs = table.partition("## Planners against")[2].partition("\n## ")[0]
+    assert pairs.count("| Log replay | IDM on the log's path |") == 1
+    assert "| IDM on" not in pairs.replace("| Log replay | IDM on", "")
     text = (desk / "run/table.tex").read_text()
     tables = text.split(r"\begin{table}")[1:]
     assert len(tables) > 4
@@ -273,7 +280,11 @@ def test_methods_of_realism_are_compared_in_pairs(desk):
     assert "Constant velocity" in drawn
     assert "dashed: the log" in drawn
     assert "the log" in (desk / "run/densities.svg").read_text()
-    assert "| Log replay |" in (desk / "run/table.md").read_text().partition("against one")[2]
+    compared = (desk / "run/table.md").read_text().partition("against one")[2]
+    heads = [line.split(" | ")[:2] for line in compared.splitlines() if line.startswith("| ")][1:]
+    # with the best that is not the log, once
+    assert heads == [["| Log replay", "IDM"], ["| IDM", "Constant velocity"]]
+    assert " | significant |" in compared
 
 
 @pytest.mark.parametrize(

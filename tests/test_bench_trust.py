@@ -50,7 +50,9 @@ def test_a_file_that_was_trained_again_is_driven_anew(tmp_path, capsys):
     policy.write_bytes(SHIPPED["ego_replay"].read_bytes())
     capsys.readouterr()
     assert run(tmp_path / "run", "--planners", str(policy)) == 0
-    assert "1 result is made again" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "1 result is made again" in told
+    assert told.endswith(" because sources planner has changed\n")
     after = json.loads(first.read_text())
     digests = [row["digest"] for made in (before, after) for row in made["result"]]
     assert len(set(digests)) == 4

@@ -74,6 +74,11 @@ def difference(pairs: F64) -> tuple[Figure, float]:
     return mean_of(pairs), np.nan if few else permutation_p(pairs)
 
 
+def significance(p: float, level: float) -> str:
+    """Return what tables say of a p; nothing where it is unknown."""
+    return "" if np.isnan(p) else "not significant" if p >= level else "significant"
+
+
 def mean_of(values: F64) -> Figure:
     """Return the mean of values by scene [S] and its interval, as :func:`mean_interval`."""
     if len(values) < LEAST_SCENES:

@@ -6,6 +6,7 @@ import importlib
 import json
 import os
 import random
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +21,8 @@ from ccdiff_env.system.files import parse_object, read_text, reading, write_asid
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.progress import shown
 from ccdiff_env.system.settings import first_change
+
+_DIGEST = re.compile("[0-9a-f]{32,}")
 
 
 def use_one_thread() -> None:
@@ -124,7 +127,7 @@ def run_jobs(
             with reading("result", path):
                 known = parse_object(read_text(path))
                 if changed := _changed(known, job.description()):
-                    stale.append(f"{job.name} because of: {changed}")
+                    stale.append(f"{job.name} because {changed}")
                 else:
                     done[job.name] = known["result"]
     if stale:
@@ -147,7 +150,12 @@ def run_jobs(
 def _changed(then: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
     """Say in what two descriptions of a job differ first, by names in words."""
     changed = first_change(*map(_decides, (then, now)))
-    return None if changed is None else "{} was {!s:.60}, now {!s:.60}".format(*changed)
+    if changed is None:
+        return None
+    name, old, new = changed
+    if any(isinstance(value, str) and _DIGEST.fullmatch(value) for value in (old, new)):
+        return f"{name} {'is new' if old is None else 'is gone' if new is None else 'has changed'}"
+    return f"{name} was {old!s:.60}, now {new!s:.60}"
 
 
 def _decides(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ TERMS = {
     "CFD": "comfort distance from the log, x 100",
     "SOR": "share of scenes in which a controlled vehicle exceeds the speed limit",
     "K": "number of controlled vehicles",
-    "ttc": "share of scenes without a time to contact below 0.95 s",
+    "ttc": "time to contact; of planners the share of scenes without one below 0.95 s",
     "IDM": "intelligent driver model",
     "PDM-Closed": "rule-based planner that tries proposals in simulation and drives the best",
     "CCDiff": "the diffusion model that drives the traffic",

@@ -20,6 +20,7 @@ from ccdiff_env.bench.intervals import (
     mean_interval,
     mean_of,
     scene_means,
+    significance,
 )
 from ccdiff_env.bench.planners import TRAFFIC
 from ccdiff_env.bench.protocol import PROTOCOL
@@ -121,8 +122,8 @@ def comparison(
         for planner, other in _pairs(planners, bases, order):
             pairs = _paired(found, planner, other, traffic, name)
             figure, p = difference(pairs)
-            same = "not significant" if p >= level else ""
-            rows.append([short_name(planner), short_name(other), figure, p, same])
+            names = short_name(planner), short_name(other)
+            rows.append([*names, figure, p, significance(p, level)])
         title = "" if name == "score" else name.replace("_", " ")
         tables.append(Table(["planner", "against", *columns, "verdict"], rows, title))
     count = len(scene_means(found[planners[0], traffic[0]], "score"))
@@ -136,11 +137,14 @@ def comparison(
 def _pairs(
     planners: Sequence[str], bases: Sequence[str], order: Mapping[str, float]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each planner with those of ``bases``, and with the best of the others."""
-    for planner in planners:
+    """Yield each planner with ``bases`` and with the best of the others; no pair twice."""
+    seen = set[frozenset[str]]()
+    for planner in sorted(planners, key=lambda p: p in bases):
         best = max((p for p in planners if p != planner), key=order.__getitem__)
-        for other in dict.fromkeys([*bases, best]):
-            if other in order and other != planner:
+        for other in [*bases, best]:
+            pair = frozenset((planner, other))
+            if other in order and other != planner and pair not in seen:
+                seen.add(pair)
                 yield planner, other
 
 
@@ -210,15 +214,17 @@ def tags_table(found: Results, tags: Mapping[str, Sequence[str]]) -> list[Block]
     names += cities if len(cities) > 1 else []
     counts = {name: sum(name in of for of in tags.values()) for name in names}
     rows: TableRows = []
+    notes = set[str]()
     for planner in planners:
         own = [row for t in traffic for row in found[planner, t]]
-        cells = [mean_interval([r for r in own if n in tags[r["scene"]]], "score") for n in names]
-        rows.append([short_name(planner), *cells])
+        tagged = [[row for row in own if name in tags[row["scene"]]] for name in names]
+        rows.append([short_name(planner), *(mean_interval(of, "score") for of in tagged)])
+        notes |= {brackets([of]) for of in tagged}
     columns = [Column(name, f"{name} ({counts[name]})") for name in names]
     if not names:
         return []
-    note = f"Number of scenes in brackets after a tag. {brackets(found.values())}"
-    return [Table(["score", *columns], rows), note]
+    note = "Number of scenes in brackets after a tag."
+    return [Table(["score", *columns], rows), " ".join([note, *sorted(notes)])]
 
 
 class Label(str):

@@ -239,8 +239,9 @@ def metric_names(metrics: Sequence[str]) -> list[str]:
     for path in metrics:
         if (why := NO_METRICS.get(path.lower())) is not None:
             raise ConfigError(f"metric {path!r} cannot be had: {why}")
-        if not callable(named_object(path, "metric")):
-            raise ConfigError(f"metric {path!r}: expected a function of a rollout")
+        if ":" not in path or not callable(named_object(path, "metric")):
+            expected = "module:function of a rollout, or avoidable"
+            raise ConfigError(f"metric {path!r}: expected {expected}")
         name = metric_name(path)
         if not name.isidentifier() or name in (*found, *ROW):
             raise ConfigError(f"metric {path!r}: the column {name!r} is taken or no name")

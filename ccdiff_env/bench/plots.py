@@ -238,6 +238,8 @@ def plot_ranks(
             if number == 0:
                 axes.set_title(moment, fontsize=9)
         row[0].set_ylabel(labels[method], rotation=0, ha="right", va="center", fontsize=8)
+    across = "share of logged speeds in each fifth of the samples', slowest first"
+    figure.supxlabel(across, fontsize=9)
     return save_plot(figure, path)
 
 
@@ -287,7 +289,8 @@ def plot_front(
     for (method, of), (color, marker) in zip(points.items(), looks(points), strict=True):
         x, y, sizes = zip(*of, strict=True)
         axes.plot(x, y, color=color, lw=0.8, alpha=0.6)
-        axes.scatter(x, y, s=[14.0 + 9.0 * size for size in sizes], color=color, marker=marker)
+        area = [14.0 + 9.0 * size for size in sizes]
+        axes.scatter(x, y, s=area, color=color, marker=marker, zorder=2)  # on the grid
         ends.append((y[-1], x[-1], labels[method], color))
     axes.set_xlabel(titles[0])
     axes.set_ylabel(titles[1])

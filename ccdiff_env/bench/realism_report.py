@@ -16,6 +16,7 @@ from ccdiff_env.bench.intervals import (
     difference,
     mean_interval,
     scene_means,
+    significance,
 )
 from ccdiff_env.bench.likelihood import DENSITIES, FEATURES, GROUPS, RANK_BINS, RANK_SECONDS
 from ccdiff_env.bench.methods import label_of
@@ -131,19 +132,24 @@ def pairs_table(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Table:
 
 
 def comparison(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
-    """Return paired differences in realism, of every method and the most realistic other one."""
+    """Return paired differences in realism, of every method and the most realistic other one; the
+    log is it where there is no other.
+    """
     if len(found) < 2:
         return ["One method alone."]
     if any(map(are_few, found.values())):
         return [FEW]
     label = _labels(found)
     mean = {method: mean_interval(of, "realism")[0] for method, of in found.items()}
-    best = {m: max((o for o in found if o != m), key=mean.__getitem__) for m in found}
+    order = sorted(found, key=lambda method: (method == "replay", -mean[method]))
+    best = {m: next(other for other in order if other != m) for m in found}
+    first, second, *_ = order
     rows: TableRows = []
     for one, other, figure, _, _, less, p in pairs_table(found).rows:
-        if figure == "realism" and best[str(one)] == other:
-            same = "not significant" if isinstance(p, float) and p >= LEVEL else ""
-            rows.append([label[str(one)], label[str(other)], less, p, same])
+        # the two best are each other's
+        if figure == "realism" and best[str(one)] == other and (one, other) != (second, first):
+            said = significance(float(p), LEVEL)
+            rows.append([label[str(one)], label[str(other)], less, p, said])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
     return [
         "Realism, same scenes: 95 % intervals of the paired bootstrap over scenes, p of the "

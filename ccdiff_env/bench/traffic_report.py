@@ -195,7 +195,7 @@ def plot(found: Found, path: Path) -> Path | None:
         if np.isfinite(pair).all():
             points.setdefault(c.method, []).append((*pair, _size(c.k)))
     titles = (
-        "CS: control, collisions reached; larger: more vehicles K",
+        "CS: control, collisions reached; larger marks: more vehicles K",
         "RS: realism, nearness to the log",
     )
     return plot_front(points, labels, titles, path)
