@@ -118,6 +118,14 @@ def test_a_car_that_nobody_drives_rolls_off(playground):
     assert page.evaluate("drive.keys.every((held) => held === 0)")
 
 
+def test_a_drive_of_a_scene_that_the_page_has_not_is_played_in_no_other_one(playground):
+    page = playground(hash="#scene=queue-00&traffic=idm&drive=b150")
+    said = "no scene queue-00 on this page: give the link to ccdiff-env view"
+    assert page.inner_text("#outcome") == said
+    page.frames(10)
+    assert page.evaluate("[drive.steps, drive.going, drive.script]") == [0, False, None]
+
+
 def test_the_end_shows_why_and_what_the_same_keys_do_at_criticality_0(playground):
     page = playground(hash="#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=a150")
     page.until("drive.calm && drive.outcome && drive.result", 90)

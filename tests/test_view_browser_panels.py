@@ -99,7 +99,8 @@ def test_menus_of_an_index_choose_replays(browser, tmp_path):
     (menu,) = page.locator(".above select").all()  # all else is the same for all
     for wanted, names in (("is unharmed", "1357"), ("drives into somebody", "0246")):
         menu.select_option(wanted)
-        assert page.locator(".card:visible h2").all_inner_texts() == [f"r{n}" for n in names]
+        heads = page.locator(".card:visible h2").all_inner_texts()
+        assert heads == [f"r{n} · {run.scene.name}" for n in names]
     menu.select_option("")
     assert page.locator(".card:visible").count() == 8
     page.close()

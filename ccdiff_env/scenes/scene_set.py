@@ -73,7 +73,10 @@ class SceneSet(Sequence[Scene]):
                 near = meant(key, self.names) or shown
                 raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {near}")
             key = self._by_name[key]
-        return self._scenes[key]
+        try:
+            return self._scenes[key]
+        except IndexError:
+            raise IndexError(f"no scene {key} among the {len(self)} loaded") from None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, SceneSet) and self._scenes == other._scenes

@@ -92,7 +92,7 @@ def write_index(
     above = up + "".join(_menu(name, values[name]) for name in menus)
     written = "".join(
         f'<div data-of="{html.escape(json.dumps([of[name] for name in menus]))}">{card}'
-        + "".join(f"<p>{n} {html.escape(of[n])}</p>" for n in LINES if n in differ)
+        + "".join(f"<p>{n}: {html.escape(of[n])}</p>" for n in LINES if n in differ)
         + "</a></div>\n"
         for card, of in zip(cards, facts, strict=True)
     )
@@ -136,7 +136,9 @@ def _card(runs: Sequence[tuple[str, Rollout]], name: str, page: str, fate: Outco
         images += f'<img src="{image}" alt="{name}: {html.escape(told.text)}" loading="lazy">'
         line = told.line if len(runs) == 1 else f"{title}: {told.line}"
         lines += f'<p class="fate {told.tone}">{html.escape(line)}</p>'
+    scene = html.escape(runs[0][1].scene.name)
+    head = name if scene in name else f"{name} · {scene}"
     return (
         f'<a class="card" href="{html.escape(address(page, time_s=moment, play=True))}">'
-        f'<span class="moments">{images}</span><h2 title="{name}">{name}</h2>{lines}'
+        f'<span class="moments">{images}</span><h2 title="{head}">{head}</h2>{lines}'
     )

@@ -487,8 +487,11 @@ function wire(drive) {
   for (const name of names) $("scene").append(new Option(name, name));
   for (const [name, title] of Object.entries(drive.settings.traffic)) $("traffic").append(new Option(title, name));
   const asked = new URLSearchParams(location.hash.slice(1));
-  if (names.includes(asked.get("scene"))) $("scene").value = asked.get("scene");
-  if (Object.hasOwn(drive.settings.traffic, asked.get("traffic"))) $("traffic").value = asked.get("traffic");
+  const absent = ["scene", "traffic"].filter((id) => {
+    const offered = [...$(id).options].some(({ value }) => value === asked.get(id));
+    if (offered) $(id).value = asked.get(id);
+    return asked.has(id) && !offered;
+  });
   if (asked.has("criticality")) $("criticality").value = asked.get("criticality");
   const opened = () => {
     try { history.replaceState(null, "", `#${drive.key}`); } catch { /* inside another page */ }
@@ -557,7 +560,11 @@ function wire(drive) {
   }
   new ResizeObserver(() => drive.touch()).observe($("app"));
   const script = asked.has("drive") ? read(asked.get("drive")) : null;
-  return opened().then(() => script && drive.begin(script));
+  return opened().then(() => {
+    if (!absent.length) return script && drive.begin(script);
+    const text = absent.map((id) => `no ${id} ${asked.get(id)} on this page`).join(", ");
+    $("outcome").replaceChildren(...verdict({ tone: "bad", text: text + (script ? ": give the link to ccdiff-env view" : "") }));
+  });
 }
 
 async function main() {

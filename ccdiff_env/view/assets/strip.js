@@ -68,10 +68,12 @@ class Strip {
     context.font = "10px system-ui, sans-serif";
     context.textAlign = "left";
     context.textBaseline = "top";
-    const label = `${top.toFixed(top < 10 ? 1 : 0)} ${unit}`;
-    context.fillStyle = colours.panel;
-    context.fillRect(9, 0, context.measureText(label).width + 6, 13);
-    context.fillStyle = colours.faint;
-    context.fillText(label, 12, 1);
+    for (const [end, at] of least < 0 ? [[top, 0], [least, height - 13]] : [[top, 0]]) {
+      const label = `${end.toFixed(Math.abs(end) < 10 ? 1 : 0)} ${unit}`;
+      context.fillStyle = colours.panel;
+      context.fillRect(9, at, context.measureText(label).width + 6, 13);
+      context.fillStyle = colours.faint;
+      context.fillText(label, 12, at + 1);
+    }
   }
 }
