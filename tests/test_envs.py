@@ -315,23 +315,3 @@ def test_drivable_pixels_are_those_whose_centres_are_on_the_road(name, scenes):
         assert sure.mean() > 0.9
         assert 0.1 < (inside_m > 0.0).mean() < 0.99
         assert np.array_equal(obs[DRIVABLE][sure] == 255, inside_m[sure] > 0.0)
-
-
-def test_an_observation_column_is_there_for_who_asks_for_it(scenes):
-    columns = ("x", "y", "speed", "acceleration")
-    row = ObservationConfig(num_neighbors=60, radius_m=500.0, agent_columns=columns)
-    config = WorldConfig(traffic="idm", observation=row, horizon_steps=40)
-    env = EgoEnv(scenes=scenes, config=config, observation="dict")
-    before, was_there, braked = np.zeros(0), np.zeros(0, bool), 0
-    for _, states, _ in played(env, np.array([-0.8, 0.0], np.float32)):
-        speed_mps, there = states["speed"].copy(), states["active"][1:]
-        if len(before):
-            change_mps = (speed_mps - before)[1:][there & was_there]
-            # divided by the step of 0.1 s and by the scale of 10 m/s²
-            expected, observation = np.clip(change_mps, -1.0, 1.0), env.observation()
-            shown = observation["agents"][observation["agents_mask"] > 0][:, 3]
-            if len(shown) == len(expected):
-                np.testing.assert_allclose(np.sort(shown), np.sort(expected), atol=1e-3)
-                braked += int(np.abs(expected).max() > 0.05)
-        before, was_there = speed_mps, there.copy()
-    assert braked > 5

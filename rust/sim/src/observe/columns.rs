@@ -2,11 +2,12 @@
 
 use super::column::{Axis, ObservationColumn};
 use super::map_segments::SegmentKind;
-use super::source::{OfAgent, OfEgo, OfSegment};
+use super::source::{OfAgent, OfEgo, OfSegment, ROAD_REACH_M};
 use crate::events::{Leader, time_to_contact};
 use crate::geom::Real;
 use crate::scene::{AgentKind, LightState};
 use OfAgent::{Direction, Fixed, OnRoute, Pair, Place, Speed, Velocity};
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_6};
 
 /// A column and where its quantity comes from.
 #[derive(Debug, Clone)]
@@ -40,6 +41,11 @@ const fn light(
     source: OfEgo,
 ) -> Entry<OfEgo> {
     on_request(entry(name, unit, scale, POSITIVE, doc, source))
+}
+
+/// A column about the road that is free from the centre on.
+const fn road(name: &'static str, doc: &'static str, source: OfEgo) -> Entry<OfEgo> {
+    on_request(entry(name, "m", ROAD_REACH_M, POSITIVE, doc, source))
 }
 
 /// Bounds of numbers of either sign, and of numbers that are not negative.
@@ -188,6 +194,11 @@ pub(super) static EGO: &[Entry<OfEgo>] = &[
             red.map_or(0.0, |l| braking(e.state(|s| &s.speed_mps).max(0.0), 0.0, l.gap_m))
         },
     ),
+    road("road_left", "free road to the left", |e| e.road_m(FRAC_PI_2)),
+    road("road_front_left", "free road 30 degrees to the left", |e| e.road_m(FRAC_PI_6)),
+    road("road_front", "free road ahead", |e| e.road_m(0.0)),
+    road("road_front_right", "free road 30 degrees to the right", |e| e.road_m(-FRAC_PI_6)),
+    road("road_right", "free road to the right", |e| e.road_m(-FRAC_PI_2)),
 ];
 
 /// Columns of `route`: place and direction of a point, turned into the frame together.
@@ -284,6 +295,14 @@ pub(super) static AGENTS: &[Entry<OfAgent>] = &[
         SIGNED,
         "change of its speed over the last step",
         Pair(|all, to| all.each(to, |p| p.view.states.acceleration_mps2[p.other])),
+    )),
+    on_request(entry(
+        "yaw_rate",
+        "rad/s",
+        1.0,
+        SIGNED,
+        "change of its heading over the last step",
+        Pair(|all, to| all.each(to, |p| p.view.states.yaw_rate_radps[p.other])),
     )),
 ];
 

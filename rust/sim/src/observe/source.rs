@@ -16,6 +16,9 @@ pub(super) struct Ego<'a> {
     light: OnceCell<Option<NextLight>>,
 }
 
+/// How far the end of the road is looked for, metres.
+pub(super) const ROAD_REACH_M: Real = 20.0;
+
 /// The next light along the observer's route.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct NextLight {
@@ -58,6 +61,24 @@ impl<'a> Ego<'a> {
             Some(NextLight { state: light.state(v.step_idx), gap_m: next.at_m - front_m, since_s })
         };
         *self.light.get_or_init(find)
+    }
+
+    /// Way from the centre to the end of the drivable area, metres, at a bearing from the heading, radians, to an
+    /// eighth of a metre; gaps of less than a metre count as road. [`ROAD_REACH_M`] at most, and where the map has no road.
+    pub(super) fn road_m(&self, bearing_rad: Real) -> Real {
+        let (states, a) = (self.view.states, self.view.agent_idx);
+        let Some(road) = self.view.road else { return ROAD_REACH_M };
+        let (sin, cos) = math::sin_cos(bearing_rad);
+        let (x, y) = (states.cos[a], states.sin[a]);
+        let way = Vector2::new(x * cos - y * sin, y * cos + x * sin);
+        let is_road = |m: Real| road.contains(states.position(a) + way * m);
+        let mut free = (0..=ROAD_REACH_M as usize).take_while(|m| is_road(*m as Real)).count() as Real - 1.0;
+        if free >= 0.0 && free < ROAD_REACH_M {
+            for half in [0.5, 0.25, 0.125] {
+                free += if is_road(free + half) { half } else { 0.0 };
+            }
+        }
+        free.max(0.0)
     }
 
     /// 1 where the next light shows a state.

@@ -1,7 +1,7 @@
 //! What a row is written from: the states of a world and facts about the observing agent.
 
 use super::map_segments::MapSegments;
-use crate::geom::{Polyline, Real};
+use crate::geom::{Polyline, Real, Region};
 use crate::scene::{AgentKind, LightAlong, Map};
 use crate::state::{AgentStates, Footprint};
 use serde::{Deserialize, Serialize};
@@ -57,6 +57,8 @@ pub struct View<'a> {
     pub segments: &'a MapSegments,
     /// The same with its lights.
     pub map: &'a Map,
+    /// The drivable area at the agent's level, where the map has one.
+    pub road: Option<&'a Region>,
     /// Lights along the route, nearest first.
     pub lights: &'a [LightAlong],
     /// Step of the log.

@@ -103,6 +103,7 @@ impl Egos {
             kinds: &scene.kinds,
             segments: &ground.segments,
             map: &scene.scene.map,
+            road: ground.road.as_ref(),
             lights: &scene.routes[a].lights,
             step_idx: world.step_idx,
             dt_s: world.dt_s,

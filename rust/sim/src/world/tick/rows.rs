@@ -46,12 +46,14 @@ impl World {
                 time_left_s,
                 goal_speed_mps: slot.progress.goal_speed_mps(),
             };
+            let at = self.scene.at(e.states.elevation_m(a));
             let view = View {
                 states: &e.states,
                 footprints: &self.scene.footprints,
                 kinds: &self.scene.kinds,
-                segments: &self.scene.at(e.states.elevation_m(a)).segments,
+                segments: &at.segments,
                 map: &self.scene.scene.map,
+                road: at.road.as_ref(),
                 lights: &self.scene.routes[a].lights,
                 step_idx: e.step_idx,
                 dt_s: config.dt_s,
@@ -69,9 +71,7 @@ impl World {
                 let mut rng = Rng::new(e.noise_seed()).split(c as u64);
                 self.observer.disturb(row, || config.randomization.noise * rng.normal());
             }
-            if let (Some(bev), Some(ground)) =
-                (&config.observation.bev, &self.scene.at(e.states.elevation_m(a)).raster)
-            {
+            if let (Some(bev), Some(ground)) = (&config.observation.bev, &at.raster) {
                 bev.draw(&view, ground, raster);
             }
         }
