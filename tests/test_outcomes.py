@@ -4,14 +4,14 @@ import sys
 
 import numpy as np
 import pytest
-from array_scenes import STEPS, TIMES_S, agent, array_scene, wide_road
+from array_scenes import STEPS, TIMES_S, agent, array_scene, rebuilt, wide_road
 
 import ccdiff_env
 from ccdiff_env import planners
 from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError
 from ccdiff_env.training.cloning import demonstrations, export_demonstrations
 from ccdiff_env.training.outcomes import OUTCOMES, Learning, play_episodes
-from ccdiff_env.training.recipe import Priced
+from ccdiff_env.training.recipe import ROAD, Mirrored, Priced
 
 STEADY = agent("ego", 10.0 * TIMES_S)
 STOPS = agent("ego", np.minimum(10.0 * TIMES_S, 90.0))
@@ -203,9 +203,10 @@ def test_noise_goes_on_from_one_decision_to_the_next():
     assert agent.log_std.exp().tolist() == pytest.approx([0.15, 0.05])
 
 
-def test_prices_are_charged_for_close_calls_faults_and_jerks():
+@pytest.mark.parametrize("by_speed", [False, True])
+def test_prices_are_charged_for_close_calls_faults_and_jerks(by_speed):
     scene = array_scene(STEADY, agent("other", 80.0))
-    bare, priced = worlds(scene), Priced(worlds(scene))
+    bare, priced = worlds(scene), Priced(worlds(scene), by_speed=by_speed)
     seen = [env.reset(seed=0)[0] for env in (bare, priced)]
     np.testing.assert_array_equal(*seen)
     close = 0
@@ -217,11 +218,58 @@ def test_prices_are_charged_for_close_calls_faults_and_jerks():
         if terminated[0]:
             break
         wanted = -0.3 * np.clip((1.6 - infos["ttc"][0]) / 0.6, 0.0, 1.0)
+        speed_mps = float(infos["speed"][0])
+        wanted *= min(speed_mps / 4.0, 2.0) if by_speed else 1.0
         close += wanted < 0.0
         wanted -= 0.1 * (step in (3, 4)) + 0.1 * (step == 3)
         assert charged[0] == pytest.approx(wanted, abs=2e-3), step
     assert close > 5
     assert infos["final_info"]["metrics"]["at_fault"][0] == 1.0
-    assert charged[0] == pytest.approx(-6.0, abs=1e-5)
+    times = 0.5 + speed_mps / 5.0 if by_speed else 1.0
+    assert charged[0] == pytest.approx(-6.0 * times, abs=1e-3)
     with pytest.raises(ConfigError, match="flat observations with rows of agents"):
         Priced(worlds(scene, observation="dict"))
+
+
+def in_a_mirror(scene):
+    """The scene with left and right exchanged, by its arrays."""
+    log, turn = scene.tracks(), np.array([1.0, -1.0], np.float32)
+
+    def turned(value):
+        if isinstance(value, dict):
+            return {name: turned(part) for name, part in value.items()}
+        if isinstance(value, list):
+            return [turned(part) for part in value]
+        is_points = isinstance(value, np.ndarray) and value.ndim == 2 and value.shape[1] == 2
+        return value * turn if is_points else value
+
+    moved = {name: log[name] * turn for name in ("position", "velocity")}
+    layers = turned(scene.map_layers())
+    return rebuilt(scene, **moved, heading=-log["heading"], map_layers=layers, mend=False)
+
+
+def test_worlds_in_a_mirror_are_those_of_the_mirrored_scene(scenes):
+    scene = scenes["left-turn-04"]
+    sees = {"ego_columns": ["default", *ROAD], "agent_columns": ["default", "yaw_rate"]}
+    given = {"scenes": scene, "traffic": "idm", "decision_steps": 3, "observation": sees}
+    given |= {"dynamics": "unicycle", "autoreset_mode": "same_step", "terminate_at_goal": False}
+    mirrored = Mirrored(ccdiff_env.make_vec(2, **given))
+    other = ccdiff_env.make_vec(1, **given | {"scenes": in_a_mirror(scene)})
+    bare = ccdiff_env.make_vec(1, **given)
+    seen = [env.reset(seed=0)[0] for env in (mirrored, other, bare)]
+    random, ended = np.random.default_rng(0), 0
+    for _ in range(60):
+        np.testing.assert_allclose(seen[0][0], seen[1][0], atol=2e-3)
+        np.testing.assert_array_equal(seen[0][1], seen[2][0])
+        assert not np.allclose(seen[0][0], seen[0][1], atol=0.05)
+        action = random.uniform([-0.3, -0.1], [0.6, 0.1], (1, 2)).astype(np.float32)
+        steps = [env.step(np.repeat(action, env.num_envs, 0)) for env in (mirrored, other, bare)]
+        seen = [step[0] for step in steps]
+        assert steps[0][1].tolist() == pytest.approx([float(s[1][0]) for s in steps[1:]], abs=1e-2)
+        if steps[1][2][0] or steps[1][3][0]:
+            last = [step[4]["final_obs"] for step in steps[:2]]
+            np.testing.assert_allclose(last[0][0], last[1][0], atol=2e-3)
+            ended += 1
+    assert ended > 0
+    with pytest.raises(ConfigError, match="flat observations and two actions"):
+        Mirrored(ccdiff_env.make_vec(2, **given | {"dynamics": "delta_pose"}))

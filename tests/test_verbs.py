@@ -93,6 +93,13 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
     policy = ccdiff_env.planners.load(out / "ego.safetensors")
     assert policy.config.action.dynamics.base == "pdm"
     assert "ego.safetensors" in capsys.readouterr().out
+    words = ["--dynamics", "unicycle", "--long", "--shown", "100", "--out", str(tmp_path / "long")]
+    assert cli.main(["train-ego", "--smoke", *words, "--threads", "1"]) == 0
+    policy = ccdiff_env.planners.load(tmp_path / "long" / "ego.safetensors")
+    assert "road_left" in policy.config.observation.ego_columns
+    env = ccdiff_env.EgoEnv(driver=policy, horizon_steps=3)
+    env.reset(seed=0)
+    assert np.isfinite(env.step(env.action_space.sample())[1])
 
 
 @pytest.mark.parametrize(

@@ -38,9 +38,11 @@ from ccdiff_env.training.recipe import (
     GAMMA,
     LAMBDA,
     LAST,
+    LONG,
     MINIBATCH,
     ROLLOUT,
     WORLDS,
+    Mirrored,
     Priced,
     traffic_options,
 )
@@ -78,18 +80,26 @@ class Worlds:
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
         self.drawn = drawn = drawn if args.any_ego else {}
+        turned = Mirrored if args.long else lambda env: env
         self.envs: list[Any] = [
-            Priced(
-                make_vec(
-                    each * count,
-                    config=config,
-                    autoreset_mode="same_step",
-                    info="end",
-                    copy=False,
-                    num_threads=args.threads,
-                    **bank
-                    if traffic == BANK
-                    else {"scenes": scenes, **drawn, **traffic_options(traffic, args.criticality)},
+            turned(
+                Priced(
+                    make_vec(
+                        each * count,
+                        config=config,
+                        autoreset_mode="same_step",
+                        info="end",
+                        copy=False,
+                        num_threads=args.threads,
+                        **bank
+                        if traffic == BANK
+                        else {
+                            "scenes": scenes,
+                            **drawn,
+                            **traffic_options(traffic, args.criticality),
+                        },
+                    ),
+                    by_speed=args.long,
                 )
             )
             for traffic, count in shares.items()
@@ -193,6 +203,7 @@ def train(args: argparse.Namespace) -> None:
     fitting: dict[str, Any] = {
         "dynamics": given.config.action.dynamics if given else dynamics,
         "decision_steps": args.decision_steps,
+        **({"observation": LONG} if args.long else {}),
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
     is_assisted = isinstance(config.action.dynamics, AssistedLimits)

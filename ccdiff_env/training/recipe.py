@@ -64,6 +64,16 @@ LIGHTS: dict[str, Any] = {
     "reward": REWARD | {"red_light": -20.0},
     "on_red_light": "terminate",
 }  # fmt: skip
+#: Columns beside the default where an ego learns for long: the way to the end of the road, and how
+#: others turn and brake.
+ROAD = ["road_left", "road_front_left", "road_front", "road_front_right", "road_right"]
+LONG: dict[str, Any] = {
+    "ego_columns": ["default", *ROAD],
+    "agent_columns": ["default", "acceleration", "yaw_rate"],
+}
+#: What is priced by the ego's speed v costs v / 4 m/s as much if it is a close call, at most twice,
+#: and 0.5 + v / 5 m/s as much if it is a fault.
+CLOSE_MPS, FAULT_MPS = 4.0, 5.0
 
 
 def traffic_options(traffic: str, criticality: float | None = None) -> dict[str, Any]:
@@ -90,12 +100,14 @@ class Priced(VectorWrapper):
     Args:
         env: Worlds with flat observations that have rows of agents; put into ``SAME_STEP`` mode, if
             they have not been reset.
+        by_speed: Whether close calls and faults cost more the faster the ego is, so that it learns
+            to brake, not to slip past.
 
     Raises:
         ConfigError: If their observations are others.
     """
 
-    def __init__(self, env: EgoVectorEnv) -> None:
+    def __init__(self, env: EgoVectorEnv, *, by_speed: bool = False) -> None:
         super().__init__(env)
         if not env.begun:
             env.set_autoreset_mode(AutoresetMode.SAME_STEP)
@@ -108,28 +120,94 @@ class Priced(VectorWrapper):
         first = rows.offset + rows.columns.index("ttc")
         self._ttc = slice(first, rows.offset + rows.size, rows.shape[1])
         self._acceleration = ego.offset + ego.columns.index("acceleration")
+        self._speed, self._by_speed = ego.offset + ego.columns.index("speed"), by_speed
         config = env.worlds.config
         self._decision_s = config.decision_steps * config.dt_s
 
     def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
         """Reset as the worlds do."""
         obs, infos = self.env.reset(**given)
-        self._before = obs[:, self._acceleration].copy()
+        self._before = obs.copy()
         return obs, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step as the worlds do, and charge."""
         obs, reward, terminated, truncated, infos = self.env.step(actions)
         end = terminated | truncated
-        change_mps2 = 10.0 * np.abs(obs[:, self._acceleration] - self._before)
+        before_mps2 = self._before[:, self._acceleration]
+        change_mps2 = 10.0 * np.abs(obs[:, self._acceleration] - before_mps2)
         ttc_s = 10.0 * np.where(obs[:, self._mask] > 0, obs[:, self._ttc], 1.0).min(axis=1)
         close = CLOSE * np.clip((1.6 - ttc_s) / 0.6, 0.0, 1.0)
+        if self._by_speed:
+            close *= np.clip(20.0 * obs[:, self._speed] / CLOSE_MPS, 0.0, 2.0)
         rough = ROUGH * np.clip(change_mps2 / self._decision_s / 3.0 - 1.0, 0.0, 1.0)
         hard = HARD * np.clip(-10.0 * obs[:, self._acceleration] - 3.0, 0.0, 1.0)
         reward = reward + (close + rough + hard) * ~end
         if end.any():
             metrics = infos["final_info"]["metrics"]
-            for name, price in (("at_fault", AT_FAULT), ("wrong_way", WRONG_WAY)):
-                reward[end] += price * metrics[name][end]
-        self._before = obs[:, self._acceleration].copy()
+            fault = np.full(len(end), AT_FAULT)
+            if self._by_speed:
+                fault *= 0.5 + 20.0 * self._before[:, self._speed] / FAULT_MPS
+            reward[end] += fault[end] * metrics["at_fault"][end]
+            reward[end] += WRONG_WAY * metrics["wrong_way"][end]
+        self._before = obs.copy()
         return obs, reward.astype(np.float32), terminated, truncated, infos
+
+
+#: Columns of observations that change their sign in a mirror. Those named after a side change it.
+_ACROSS = ("y", "sin", "velocity_y", "yaw_rate", "route_distance", "route_sin", "last_action_1")
+
+
+class Mirrored(VectorWrapper):
+    """Worlds of which every second one is seen in a mirror, and steered so: left is right.
+
+    Roads that a policy cannot learn by heart, it learns to drive on.
+
+    Args:
+        env: Worlds of :func:`ccdiff_env.make_vec` with flat observations and two actions, of which
+            the second is to the left; or :class:`Priced`.
+
+    Raises:
+        ConfigError: If observations or actions are others.
+    """
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.worlds, layout = env.worlds, env.worlds.layout
+        space = env.single_action_space
+        if env.single_observation_space.shape != (layout.size,) or space.shape != (2,):
+            raise ConfigError("Mirrored: expected flat observations and two actions")
+        sign, order = np.ones(layout.size, np.float32), np.arange(layout.size)
+        for entry in layout.entries:
+            part = slice(entry.offset, entry.offset + entry.size)
+            for i, name in enumerate(entry.columns):
+                there = np.arange(layout.size)[part][i :: len(entry.columns)]
+                sign[there] = -1.0 if name in _ACROSS else 1.0
+                is_left = "left" in name
+                other = name.replace(*("left", "right") if is_left else ("right", "left"))
+                order[there] += entry.columns.index(other) - i
+        self._sign, self._order = sign, order
+
+    def seen(self, obs: Any) -> Any:
+        """Return observations [..., D] as they are in a mirror."""
+        return obs[..., self._order] * self._sign
+
+    def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
+        """Reset as the worlds do."""
+        obs, infos = self.env.reset(**given)
+        return self._turned(obs), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step as the worlds do, each second one by actions to the other side."""
+        turned = np.array(actions)
+        turned[::2, 1] *= -1.0
+        obs, reward, terminated, truncated, infos = self.env.step(turned)
+        if "final_obs" in infos:
+            for i in np.flatnonzero(infos["_final_obs"][::2]) * 2:
+                infos["final_obs"][i] = self.seen(infos["final_obs"][i])
+        return self._turned(obs), reward, terminated, truncated, infos
+
+    def _turned(self, obs: Any) -> Any:
+        obs = obs.copy()
+        obs[::2] = self.seen(obs[::2])
+        return obs

@@ -80,6 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=100_000,
         help="logged decisions that the policy first imitates, unless it is assisted",
     )
+    parser.add_argument(
+        "--long",
+        action="store_true",
+        help="for millions of decisions: half of the worlds in a mirror, the end of the road and "
+        "how others turn and brake in sight, close calls and faults priced by speed",
+    )
     parser.add_argument("--threads", type=int, default=2, help="threads of torch and worlds")
     parser.add_argument("--seed", type=int, default=0, help="seed of networks and worlds")
     parser.add_argument(
