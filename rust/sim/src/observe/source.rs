@@ -73,7 +73,7 @@ impl<'a> Ego<'a> {
         let way = Vector2::new(x * cos - y * sin, y * cos + x * sin);
         let is_road = |m: Real| road.contains(states.position(a) + way * m);
         let mut free = (0..=ROAD_REACH_M as usize).take_while(|m| is_road(*m as Real)).count() as Real - 1.0;
-        if free >= 0.0 && free < ROAD_REACH_M {
+        if (0.0..ROAD_REACH_M).contains(&free) {
             for half in [0.5, 0.25, 0.125] {
                 free += if is_road(free + half) { half } else { 0.0 };
             }
