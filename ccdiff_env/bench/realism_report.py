@@ -148,7 +148,7 @@ def comparison(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[Block]:
     for one, other, figure, _, _, less, p in pairs_table(found).rows:
         # the two best are each other's
         if figure == "realism" and best[str(one)] == other and (one, other) != (second, first):
-            said = significance(float(p), LEVEL)
+            said = significance(p, LEVEL) if isinstance(p, float) else ""
             rows.append([label[str(one)], label[str(other)], less, p, said])
     columns = (Column("difference", digits=3, sign="+"), Column("p", digits=4))
     return [
