@@ -113,7 +113,10 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         ("train --steps -1 --out out", "steps or minutes: -1"),
         ("train --minutes nan --out out", "steps or minutes: nan"),
         ("bench traffic --methods ccdiff --k -1 --out out", "K is -1, expected at least 0"),
-        ("bench traffic --methods ccdiff --t 0 --out out", "T in steps is 0, expected at least 1"),
+        (
+            "bench traffic --methods ccdiff --t 0 --out out",
+            "--t is '0', expected multiples of 0.1 s",
+        ),
         ("bench traffic --methods ccdiff --match 5 --out out", "expected rates between 0 and 1"),
         ("bench traffic --match 0.5 --strengths 1,1 --out out", "expected two at least"),
         ("bench planners --planners idm?title= --out out", "the title is empty"),
