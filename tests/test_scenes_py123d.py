@@ -9,6 +9,7 @@ import shapely
 import ccdiff_env
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
+from ccdiff_env.scenes.windows import Windows
 
 pytest.importorskip("py123d", reason="py123d is not installed: make test-py123d")
 
@@ -246,6 +247,30 @@ def test_a_log_as_nuplan_has_them(tmp_path):
     assert np.allclose(
         again.tracks()["position"][0] + again.origin, tracks["position"][0, 80:171] + scene.origin
     )
+
+
+def test_windows_are_parts_of_the_whole_log(tmp_path):
+    """Frames of 2 Hz, most windows begin and end between two of them."""
+
+    def at(k):
+        boxes = [("walker", Label.PEDESTRIAN, 2.5 * k - 100, 5.0, 0.0)] if 20 < k < 31 else []
+        return frame(k, 2, boxes, ego_at=lambda x: (x, 6 * np.sin(x / 30), 0.0))
+
+    metadata = d.LogMetadata("nuplan", "nuplan-mini_val", "log-1", None)
+    write(tmp_path, metadata, map(at, range(60)))
+    with pytest.warns(UserWarning, match="no road"):
+        whole = ccdiff_env.load_py123d(tmp_path)
+    with pytest.warns(UserWarning, match="no road"):
+        read = ccdiff_env.load_py123d(tmp_path, window_s=4, stride_s=1.3, history_s=1)
+    parts = Windows(4.0, 1.3, 1.0).of(whole)
+    assert read.names == parts.names
+    assert len(read) > 15
+    for window, part in zip(read, parts, strict=True):
+        assert window.agent_ids == part.agent_ids
+        mine, theirs = window.tracks(), part.tracks()
+        assert np.array_equal(mine["valid"], theirs["valid"])
+        apart = mine["position"] + window.origin - theirs["position"] - part.origin
+        assert np.linalg.norm(apart, axis=-1)[mine["valid"]].max() < 0.01
 
 
 def test_a_map_of_opendrive_with_a_car(tmp_path):

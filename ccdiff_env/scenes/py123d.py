@@ -29,6 +29,7 @@ from ccdiff_env.system.files import reading
 __all__ = ["load_py123d"]
 
 _INSTALL = "pip install 'ccdiff-env[py123d]'"
+_BESIDE = 4.5  #: How far frames beside a window shape its curves, in frames.
 _MAP_MARGIN_M = 60.0  #: How far the map reaches beyond the box round all tracks.
 #: Kinds of py123d's own labels, and those that the name of a data set's label tells better.
 _KINDS = {
@@ -152,7 +153,9 @@ def _read(
 
 def _description(log: Any, name: str, times: F64, grid: F64, dt: float) -> ScenarioFields:
     """Describe a part of a log, with states at the times ``grid``."""
-    frames = np.flatnonzero((times > grid[0] - dt) & (times < grid[-1] + dt))
+    # some frames beside a window, too, through which curves enter and leave it
+    beside_s = _BESIDE * float(np.median(np.diff(times)))
+    frames = np.flatnonzero((times > grid[0] - beside_s) & (times < grid[-1] + beside_s))
     source = ScenarioFields(Path(log.log_name), {}, form="py123d")
     tracks = _tracks(log, times, frames, grid, dt, source.dropped)
     api = log.get_map_api()
@@ -214,15 +217,18 @@ def _tracks(
                 raise ValueError(f"track {key!r} is twice in frame {frame}")
     dropped.update(f"{category}: unknown type" for category in unknown.values())
     usual_s = float(np.median(np.diff(times)))
+    states = {
+        key: _states(np.array(list(rows)), np.array(list(rows.values())), grid, dt, usual_s)
+        for key, rows in boxes.items()
+    }
     return {
         key: {
             "type": "OTHER",
-            "state": _states(
-                np.array(list(rows)), np.array(list(rows.values())), grid, dt, usual_s
-            ),
+            "state": state,
             "metadata": {"kind": kinds[key][0], "type": kinds[key][1]},
         }
-        for key, rows in boxes.items()
+        for key, state in states.items()
+        if state["valid"].any()
     }
 
 
