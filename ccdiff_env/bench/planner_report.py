@@ -139,7 +139,8 @@ def _pairs(
 ) -> Iterator[tuple[str, str]]:
     """Yield each planner with ``bases`` and with the best of the others; no pair twice."""
     seen = set[frozenset[str]]()
-    for planner in sorted(planners, key=lambda p: p in bases):
+    others = [planner for planner in planners if planner not in bases]
+    for planner in [*others, *(base for base in reversed(bases) if base in planners)]:
         best = max((p for p in planners if p != planner), key=order.__getitem__)
         for other in [*bases, best]:
             pair = frozenset((planner, other))
