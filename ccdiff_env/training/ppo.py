@@ -80,30 +80,23 @@ class Worlds:
         each, shares = args.worlds // len(args.traffic), Counter(args.traffic)
         drawn = {"ego": "any", "standing_share": WORLDS["standing_share"], "start_spread_steps": 0}
         self.drawn = drawn = drawn if args.any_ego else {}
-        turned = Mirrored if args.long else lambda env: env
-        self.envs: list[Any] = [
-            turned(
-                Priced(
-                    make_vec(
-                        each * count,
-                        config=config,
-                        autoreset_mode="same_step",
-                        info="end",
-                        copy=False,
-                        num_threads=args.threads,
-                        **bank
-                        if traffic == BANK
-                        else {
-                            "scenes": scenes,
-                            **drawn,
-                            **traffic_options(traffic, args.criticality),
-                        },
-                    ),
-                    by_speed=args.long,
-                )
+        met = {"scenes": scenes, **drawn}
+
+        def made(traffic: str, count: int) -> Any:
+            own = bank if traffic == BANK else met | traffic_options(traffic, args.criticality)
+            env = make_vec(
+                each * count,
+                config=config,
+                autoreset_mode="same_step",
+                info="end",
+                copy=False,
+                num_threads=args.threads,
+                **own,
             )
-            for traffic, count in shares.items()
-        ]
+            priced = Priced(env, by_speed=args.long)
+            return Mirrored(priced) if args.long else priced
+
+        self.envs = [made(*share) for share in shares.items()]
         ends = np.cumsum([env.num_envs for env in self.envs])
         self.parts = [
             slice(end - env.num_envs, end) for env, end in zip(self.envs, ends, strict=True)

@@ -179,9 +179,9 @@ class Mirrored(VectorWrapper):
             raise ConfigError("Mirrored: expected flat observations and two actions")
         sign, order = np.ones(layout.size, np.float32), np.arange(layout.size)
         for entry in layout.entries:
-            part = slice(entry.offset, entry.offset + entry.size)
             for i, name in enumerate(entry.columns):
-                there = np.arange(layout.size)[part][i :: len(entry.columns)]
+                end = entry.offset + entry.size
+                there = slice(entry.offset + i, end, len(entry.columns))
                 sign[there] = -1.0 if name in _ACROSS else 1.0
                 is_left = "left" in name
                 other = name.replace(*("left", "right") if is_left else ("right", "left"))
