@@ -184,6 +184,8 @@ def test_hostile_indices_are_refused(action, scenes):
     assert env.action_space == gymnasium.spaces.Discrete(63)
     with pytest.raises(CcdiffError):
         env.step(action)
+    with pytest.raises(ActionError, match="63, expected an index of the action grid, 0 to 62"):
+        env.step(63)
     for good in (0, np.int64(62), np.array(3), np.uint8(7)):
         env.step(good)
 

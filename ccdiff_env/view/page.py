@@ -127,6 +127,8 @@ def as_json(value: object) -> str:
 
 def write_page(rollout: Rollout, path: str | Path, **options: Any) -> int:
     """Write :func:`page_html`, which takes the options, to a file; returns its size in bytes."""
+    if not isinstance(rollout, Rollout):
+        raise ConfigError(f"write_page: rollout is {rollout!r:.60}, expected a Rollout")
     data = page_html(rollout, **options).encode()
     write_aside(Path(path), data)
     return len(data)

@@ -109,6 +109,8 @@ def find_rollout(
         return play_drive(name, place)
     path = Path(name)
     if path.is_file():
+        if path.suffix in {".zip", ".safetensors"}:
+            raise ConfigError(f"{name} is a policy, not a rollout: --driver {name} drives by it")
         return Rollout.load(path)
     if name == LOG:
         if like is None:

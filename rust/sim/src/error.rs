@@ -17,7 +17,7 @@ pub enum SimError {
     Length { what: &'static str, got: usize, expected: usize },
     /// An action is not a finite number, or not one of the grid's indices.
     #[error("action of world {world}, agent slot {slot}: {got}, expected {expected}")]
-    Action { world: usize, slot: usize, got: String, expected: &'static str },
+    Action { world: usize, slot: usize, got: String, expected: String },
     /// `step` was called for a world that was never reset, or that ended in DISABLED autoreset mode.
     #[error("world {world} must be reset before it is stepped: {why}")]
     ResetNeeded { world: usize, why: &'static str },

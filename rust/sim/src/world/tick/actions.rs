@@ -65,15 +65,16 @@ impl ActionDecoder {
     ///
     /// # Errors
     /// For numbers that are not finite, and for indices that are not whole or not of the grid.
-    pub fn check(&self, action: &[Real]) -> Result<(), (String, &'static str)> {
+    pub fn check(&self, action: &[Real]) -> Result<(), (String, String)> {
         match &self.grid {
             Some(grid) => {
                 let index = action[0];
                 let ok = index >= 0.0 && index.fract() == 0.0 && (index as usize) < grid.num_actions();
-                if ok { Ok(()) } else { Err((index.to_string(), "an index of the action grid")) }
+                let expected = || format!("an index of the action grid, 0 to {}", grid.num_actions() - 1);
+                if ok { Ok(()) } else { Err((index.to_string(), expected())) }
             }
             None if action.iter().all(|v| v.is_finite()) => Ok(()),
-            None => Err((format!("{action:?}"), "finite numbers")),
+            None => Err((format!("{action:?}"), "finite numbers".into())),
         }
     }
 
