@@ -78,6 +78,13 @@ def log_env(*agents, dt_s=DT_S, layers=None, **options):
     return EgoEnv(scenes=[array_scene(*agents, dt_s=dt_s, layers=layers)], **options)
 
 
+def begun(**options):
+    """An environment of one ego, at the beginning of the episode of seed 0."""
+    env = EgoEnv(**options)
+    env.reset(seed=0)
+    return env
+
+
 def played(env, action=None, seed=0, **reset):
     """Play an episode; yield step of the log, states and info after each step."""
     env.reset(seed=seed, **reset)
@@ -92,8 +99,7 @@ def played(env, action=None, seed=0, **reset):
 
 def driven(scene, path, **options):
     """Infos of an episode whose ego goes along a path [T, 3] of the scene, step by step."""
-    env = EgoEnv(scenes=[scene], **{"dynamics": "delta_pose", "on_collision": "ignore", **options})
-    env.reset(seed=0)
+    env = begun(scenes=[scene], **{"dynamics": "delta_pose", "on_collision": "ignore", **options})
     native, infos = env.worlds.native, []
     low, high = (np.array(bound) for bound in list(zip(*native.action_bounds, strict=True))[1:])
     done = False

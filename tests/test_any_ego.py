@@ -4,7 +4,7 @@ import collections
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene, rebuilt, wide_road
+from array_scenes import agent, array_scene, begun, rebuilt, wide_road
 from array_scenes import played as episode
 from episode_play import actions, played, same
 from test_own_traffic import straight_on, watching
@@ -118,8 +118,7 @@ def test_recordings_call_it_the_ego(scenes):
     assert rollout.agent_ids.index("ego") == info["ego_idx"]
     assert rollout.meta["ego"] == info["ego"]
     assert rollout.start_step == info["start_step"]
-    other = EgoEnv(scenes=[rollout.to_scene()], history_steps=rollout.start_step)
-    other.reset(seed=0)
+    other = begun(scenes=[rollout.to_scene()], history_steps=rollout.start_step)
     at = other.scene.agent_ids.index("ego")
     assert np.array_equal(
         other.worlds.native.states(0)["position"][at], rollout.position[info["ego_idx"], 0]

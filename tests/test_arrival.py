@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from array_scenes import GOES_ON, TIMES_S, agent, array_scene, driven, line, played
+from array_scenes import GOES_ON, TIMES_S, agent, array_scene, begun, driven, line, played
 
 import ccdiff_env
 from ccdiff_env import AgentVectorEnv, EgoEnv
@@ -55,8 +55,7 @@ def test_a_goal_behind_the_start_is_reached_by_who_backs_up_to_it():
     scene = array_scene(agent("ego", x))
     options = {"terminate_at_goal": False, "dynamics": "unicycle"}
     for action in ([0.0, 0.0], [1.0, 0.0], [-1.0, 0.0]):
-        env = EgoEnv(scenes=[scene], **options)
-        env.reset(seed=0)
+        env = begun(scenes=[scene], **options)
         for _ in range(100):
             *_, info = env.step(np.array(action, np.float32))
         assert info["is_success"] == info["metrics"]["goal_reached"] == 0.0

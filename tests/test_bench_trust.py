@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene, wide_road
+from array_scenes import agent, array_scene, begun, wide_road
 
 import ccdiff_env
 from ccdiff_env import cli
@@ -171,8 +171,7 @@ def test_only_privileged_planners_see_the_log():
 )
 def test_planners_are_not_shown_which_episode_it_is_nor_who_drives_the_others(name):
     """What an oracle would look the episode up by, or play it beforehand."""
-    env = ccdiff_env.EgoEnv()
-    env.reset(seed=0)
+    env = begun()
     shown = {"worlds": worlds_view(env.worlds, "mine")}
     with pytest.raises(ConfigError, match=re.escape(f".{name.rpartition('.')[2]} is for planners")):
         eval(f"worlds.{name}", shown)
@@ -182,8 +181,7 @@ def test_planners_are_shown_of_agents_what_is_there_and_no_scene_by_name():
     t = np.arange(160) * 0.1
     late = agent("late", 60.0 + 4.0 * t, size=(9.0, 2.5, 3.0), valid=t > 4.0)
     scene = array_scene(agent("ego", 8.0 * t), late, name="own", layers=wide_road())
-    env = ccdiff_env.EgoEnv(scenes=[scene], driver="replay")
-    env.reset(seed=0)
+    env = begun(scenes=[scene], driver="replay")
     shown = worlds_view(env.worlds, "mine").scenes[0]
     assert shown.sizes[:, 0].tolist() == [4.5, 0.0]
     assert shown.agent_types == ["vehicle", ""]

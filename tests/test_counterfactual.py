@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene, wide_road
+from array_scenes import agent, array_scene, begun, wide_road
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, embedded_scenes, record_bank
@@ -35,8 +35,7 @@ def straight(obs):
 
 
 def started(scene, **options):
-    env = EgoEnv(scenes=[scene], terminate_at_goal=False, **options)
-    env.reset(seed=0)
+    env = begun(scenes=[scene], terminate_at_goal=False, **options)
     return env
 
 
@@ -171,8 +170,7 @@ def test_branches_leave_the_environment_alone_and_differ_by_the_ego_only():
 
 def test_causes_of_a_collision_are_told_apart():
     scenes = embedded_scenes("val")
-    env = EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff={"denoising_steps": 2})
-    env.reset(seed=0)
+    env = begun(scenes=scenes, traffic="ccdiff", ccdiff={"denoising_steps": 2})
     found = attribute(env, ego=straight, steps=30)
     hits = [bool(rollout.collisions("ego")) for rollout in found.rollouts]
     assert hits == [found.collided, found.without_adversaries, found.with_reference]

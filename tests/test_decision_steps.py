@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from array_scenes import GOES_ON, played
+from array_scenes import GOES_ON, begun, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Recorder
@@ -187,15 +187,13 @@ def test_the_bases_jerk_is_held_outside_emergencies(base, scenes):
 
 
 def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
-    env = EgoEnv(scenes=scenes, dynamics="assisted")
-    env.reset(seed=0)
+    env = begun(scenes=scenes, dynamics="assisted")
     with pytest.raises(ConfigError, match=r"action\.dynamics"):
         env.expert_action()
 
 
 def test_plans_are_changes_of_idm_and_distances_from_the_route(scenes):
-    env = EgoEnv(scenes=scenes, dynamics={"assisted": {"delta_mps2": (-6.0, 2.0)}})
-    env.reset(seed=0)
+    env = begun(scenes=scenes, dynamics={"assisted": {"delta_mps2": (-6.0, 2.0)}})
     steering = Steering(env.worlds)
     for plan, action in (((0.0, 0.0), (0.0, 0.0)), ((-3.0, 0.75), (-0.5, 0.5)), ((9, -9), (1, -1))):
         assert steering.action(0, None, 0, *plan).tolist() == list(action)

@@ -5,7 +5,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
-from array_scenes import played
+from array_scenes import begun, played
 from gymnasium.utils.env_checker import check_env
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -168,8 +168,7 @@ def test_info_levels(level, keys, scenes):
     ],
 )
 def test_hostile_actions_are_refused_and_change_nothing(action, error, scenes):
-    env = EgoEnv(scenes=scenes)
-    env.reset(seed=0)
+    env = begun(scenes=scenes)
     before = env.worlds.native.digest(0)
     with pytest.raises(error):
         env.step(action)
@@ -179,8 +178,7 @@ def test_hostile_actions_are_refused_and_change_nothing(action, error, scenes):
 
 @pytest.mark.parametrize("action", [-1, 63, 10**12, 0.5, 1.0, np.nan, "a", None, [1], True])
 def test_hostile_indices_are_refused(action, scenes):
-    env = EgoEnv(scenes=scenes, discrete=True)
-    env.reset(seed=0)
+    env = begun(scenes=scenes, discrete=True)
     assert env.action_space == gymnasium.spaces.Discrete(63)
     with pytest.raises(CcdiffError):
         env.step(action)
@@ -263,8 +261,7 @@ def test_random_calls_never_crash(data, scenes):
 def test_human_mode_opens_a_window(scenes, monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = EgoEnv(scenes=scenes, render_mode="human", render_options={"size": (64, 64)})
-    env.reset(seed=0)
+    env = begun(scenes=scenes, render_mode="human", render_options={"size": (64, 64)})
     env.step(np.zeros(2, np.float32))
     assert env.render() is None
     env.close()

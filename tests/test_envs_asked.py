@@ -5,7 +5,7 @@ import copy
 import gymnasium
 import numpy as np
 import pytest
-from array_scenes import played
+from array_scenes import begun, played
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import DQN, PPO, SAC
@@ -73,8 +73,7 @@ def test_without_information_there_are_numbers_alone(scenes):
 
 
 def test_a_recorder_made_after_a_reset_has_started(scenes):
-    env = ccdiff_env.EgoEnv(scenes=scenes, traffic="idm", driver="idm")
-    env.reset(seed=0)
+    env = begun(scenes=scenes, traffic="idm", driver="idm")
     recorder = ccdiff_env.Recorder(env)
     with pytest.raises(ResetNeededError, match="no step is recorded"):
         recorder.rollout()

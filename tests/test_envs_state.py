@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 import pytest
-from array_scenes import played
+from array_scenes import begun, played
 from episode_play import same
 
 import ccdiff_env
@@ -21,12 +21,10 @@ ACTIONS = [np.array([np.sin(i / 3.0), 0.1 * np.cos(i)], np.float32) for i in ran
 
 
 def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
-    env = EgoEnv(scenes=scenes)
-    env.reset(seed=0)
+    env = begun(scenes=scenes)
     env.step(ACTIONS[0])
     saved = env.snapshot()
-    other = EgoEnv(scenes=scenes, traffic="idm")
-    other.reset(seed=0)
+    other = begun(scenes=scenes, traffic="idm")
     digest, obs = other.worlds.native.digest(0), other.observation()
     tail = saved[:-1]
     for wrong in (saved, b"", b"x" * 400, tail, saved[:40], saved[:6] + b"\xff\xff" + saved[8:], 3):
@@ -132,8 +130,7 @@ def _call_in_child(env, name, queue):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("name", CALLS)
 def test_a_forked_child_is_told_to_spawn(scenes, name):
-    env = EgoEnv(scenes=scenes)
-    env.reset(seed=0)
+    env = begun(scenes=scenes)
     context = multiprocessing.get_context("fork")
     queue = context.Queue()
     child = context.Process(target=_call_in_child, args=(env, name, queue))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from array_scenes import STEPS, agent, array_scene
+from array_scenes import STEPS, agent, array_scene, begun
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, EgoVectorEnv, Scene, WorldConfig, _native, errors
@@ -266,8 +266,7 @@ def test_long_names_are_cut_in_images():
     images = []
     for count in (1_000, 100_000):
         scene = rollout().to_scene("n" * count)
-        env = EgoEnv(scenes=scene, traffic="replay", render_mode="rgb_array")
-        env.reset(seed=0)
+        env = begun(scenes=scene, traffic="replay", render_mode="rgb_array")
         images.append(env.render())
     assert np.array_equal(*images)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from array_scenes import rebuilt
+from array_scenes import begun, rebuilt
 from shapely import Point, Polygon
 from shapely.ops import unary_union
 
@@ -46,12 +46,10 @@ def play(scenes, driver="replay", **options):
     settings = {"traffic": "replay", "observation": "dict", **OPTIONS, **options}
     env = EgoEnv(scenes=scenes, driver=driver, **settings)
     recorder = Recorder(env)
-    observation, _ = env.reset(seed=0)
+    seen, infos = [env.reset(seed=0)[0]], [{}]
     recorder.start()
-    infos, seen, done = [], [observation], False
-    while not done:
-        observation, _, terminated, truncated, info = env.step(env.action_space.sample() * 0)
-        done = terminated or truncated
+    while "metrics" not in infos[-1]:
+        observation, *_, info = env.step(env.action_space.sample() * 0)
         recorder.step()
         infos.append(info)
         seen.append(observation)
@@ -154,8 +152,7 @@ def test_networks_and_their_graph_leave_out_other_levels(tmp_path):
     ahead = overpass.vehicle(3, overpass.on_bridge(25.0, speed=4.0))
     for lift, joined in ((0.0, False), (7.0, True)):
         scenes = load(tmp_path, [*CROSSING, ahead], lift=lift)
-        env = EgoEnv(scenes=scenes, traffic="ccdiff", **OPTIONS)
-        env.reset(seed=0)
+        env = begun(scenes=scenes, traffic="ccdiff", **OPTIONS)
         env.step(env.action_space.sample() * 0)
         plan = env.unwrapped.worlds.explain(0)
         assert plan is not None
@@ -196,8 +193,7 @@ def test_metrics_of_motions_part_levels(tmp_path):
 
 
 def test_snapshots_go_on_at_their_heights(tmp_path):
-    env = EgoEnv(scenes=load(tmp_path, CROSSING), traffic="idm", driver="idm", **OPTIONS)
-    env.reset(seed=0)
+    env = begun(scenes=load(tmp_path, CROSSING), traffic="idm", driver="idm", **OPTIONS)
     native = env.worlds.native
     for _ in range(20):
         env.step(env.action_space.sample() * 0)
@@ -241,8 +237,7 @@ def test_map_queries_answer_for_a_level(tmp_path):
     with pytest.raises(ShapeError, match="elevation_m"):
         map_queries.road_distance(scene, places, elevation_m=np.zeros(2))
     # what planners ask is asked of the level of who is driven
-    env = EgoEnv(scenes=scenes, traffic="replay", driver="replay", **OPTIONS)
-    env.reset(seed=0)
+    env = begun(scenes=scenes, traffic="replay", driver="replay", **OPTIONS)
     found = planning.road_distance(env.worlds, 0, places)
     np.testing.assert_allclose(found, [-14, 6, 6], atol=0.05)
     assert not planning.lane_ahead(env.worlds, 0, [[40.0, 20.0, np.pi / 2]]).valid.any()

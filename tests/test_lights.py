@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 import shapely
-from array_scenes import GOES_ON, STEPS, TIMES_S, agent, array_scene, rebuilt, wide_road
+from array_scenes import GOES_ON, STEPS, TIMES_S, agent, array_scene, played, rebuilt, wide_road
 from test_scenes_scenarionet import save, scenario
 
 import ccdiff_env
@@ -111,15 +111,9 @@ def ran(scene, **options):
     """Steps at which the ego, on its log, passes in red, and rewards for it."""
     env = EgoEnv(scenes=[scene], driver="replay", history_steps=10, horizon_steps=STEPS, **GOES_ON,
                  **options)  # fmt: skip
-    env.reset(seed=0)
-    steps, rewards, done = [], [], False
-    while not done:
-        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-        done = terminated or truncated
-        rewards.append(info["reward_red_light"])
-        if info["ran_red"]:
-            steps.append(env.worlds.native.status(0).step_idx)
-    return steps, rewards
+    told = [(step, info) for step, _, info in played(env)]
+    steps = [step for step, info in told if info["ran_red"]]
+    return steps, [info["reward_red_light"] for _, info in told]
 
 
 def test_passing_in_red_is_seen_at_the_front():
@@ -179,12 +173,8 @@ def test_passing_in_red_ends_an_episode_where_asked():
     scene = array_scene(agent("ego", 8.0 * TIMES_S), layers=layers((0, always(RED))))
     for ends in ("terminate", "ignore"):
         env = EgoEnv(scenes=[scene], driver="replay", **{**GOES_ON, "on_red_light": ends})
-        env.reset(seed=0)
-        done = False
-        while not done:
-            *_, done, truncated, info = env.step(np.zeros(2, np.float32))
-            assert done == (ends == "terminate" and bool(info["ran_red"]))
-            done |= truncated
+        for *_, info in played(env):
+            assert info["terminated"] == (ends == "terminate" and bool(info["ran_red"]))
         assert info["is_success"] == (ends == "ignore")
 
 
@@ -220,10 +210,8 @@ def test_the_next_light_is_observed_on_request():
     row, _ = env.reset(seed=0)
     for k in range(STEPS - 1):
         gap = STOP_X - (x[k] + 2.25)
-        shown, since = (
-            states[k],
-            k - max((j for j in range(1, k + 1) if states[j] != states[j - 1]), default=0),
-        )
+        shown = states[k]
+        since = k - max((j for j in range(1, k + 1) if states[j] != states[j - 1]), default=0)
         seen = [shown == s for s in (GREEN, YELLOW, RED)]
         braking = 64 / (2 * max(gap, 0.1)) if shown == RED else 0.0
         expected = [*seen, min(gap / 60, 1), min(0.1 * since / 30, 1), min(braking / 10, 1)]
@@ -339,15 +327,10 @@ def test_drivers_wait_in_red_and_go_in_green(driver):
         driver=driver.removeprefix("ego ") if in_ego else "replay",
         history_steps=10, horizon_steps=STEPS, **GOES_ON,
     )  # fmt: skip
-    env.reset(seed=0)
     places = {}
-    done = False
-    while not done:
-        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-        done = terminated or truncated
+    for k, now, info in played(env):
         assert not info["ran_red"]
-        states_now, k = env.worlds.native.states(0), env.worlds.native.status(0).step_idx
-        places[k] = states_now["position"][[1, 2], 0], states_now["speed"][[1, 2]]
+        places[k] = now["position"][[1, 2], 0], now["speed"][[1, 2]]
     (waiting, beside), speeds = places[turns - 1]
     assert 0.5 < STOP_X - (waiting + 2.25) < 4.0
     assert speeds[0] < 0.1

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import shapely
-from array_scenes import agent, array_scene
+from array_scenes import agent, array_scene, begun
 from shapely.ops import unary_union
 
 import ccdiff_env
@@ -65,8 +65,7 @@ def test_the_distance_to_the_roads_edge_is_that_of_shapely(maps):
 
 def test_the_road_is_that_of_off_road(scenes):
     scene = scenes[0]
-    env = ccdiff_env.EgoEnv(scenes=scene, traffic="replay", driver="replay")
-    env.reset(seed=0)
+    env = begun(scenes=scene, traffic="replay", driver="replay")
     states, (_, centre) = env.worlds.native.states(0), env.worlds.native.off_road(0)
     active = states["active"]
     distance = map_queries.road_distance(scene, states["position"][active])
@@ -148,8 +147,7 @@ def test_lanes_in_a_circle_come_to_an_end():
     found = map_queries.lane_ahead(scene, [[1.0, 0.5]], [0.0], points=10, spacing_m=1.0)
     assert found.valid[0].sum() == 8
     assert found.lateral_m[0] == pytest.approx(0.5)
-    env = ccdiff_env.EgoEnv(scenes=scene, history_steps=2)
-    env.reset(seed=0)
+    begun(scenes=scene, history_steps=2)
     ring = road_scene(([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)], 0))
     found = map_queries.lane_ahead(ring, [[1.0, 0.0]], [0.0], points=100, spacing_m=1.0)
     assert found.valid.all()

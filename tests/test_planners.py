@@ -258,7 +258,6 @@ class Short:
         (lambda obs: np.zeros((2, 5, 4)), ShapeError, r"lambda.*or trajectories \[2, T, 3\]"),
         (lambda obs: np.zeros((2, 0, 3)), ShapeError, "lambda.*returned trajectories"),
         (Short, ShapeError, r"Short.*of 3 poses, expected 5 \(decision_steps\)"),
-        (lambda obs: np.full((2, 5, 3), np.nan), ShapeError, "lambda"),
         (3, ConfigError, "int cannot be called"),
         ("robot", ConfigError, "robot"),
     ],

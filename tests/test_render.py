@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from array_scenes import agent, array_scene
+from array_scenes import agent, array_scene, begun
 from PIL import Image
 
 from ccdiff_env import EgoEnv, _native
@@ -81,10 +81,9 @@ def world(scene, **options) -> EgoEnv:
     """The scene as a world of its log, twelve steps on."""
     options = {"size": (200, 200), "span_m": 40.0, **PLAIN, **options}
     quiet = {"history_steps": 12, "horizon_steps": 5}
-    env = EgoEnv(
+    env = begun(
         scenes=[scene], traffic="replay", render_mode="rgb_array", render_options=options, **quiet
     )
-    env.reset(seed=0)
     return env
 
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from array_scenes import GOES_ON, TIMES_S, agent, array_scene, wide_road
-
-import ccdiff_env
+from array_scenes import GOES_ON, TIMES_S, agent, array_scene, begun, wide_road
 
 LAYERS = wide_road(lanes=(0, 12))
 
@@ -35,8 +33,7 @@ CASES = dict(paths())
 
 
 def play(scene, row, **options):
-    env = ccdiff_env.EgoEnv(scenes=[scene], **GOES_ON, **options)
-    env.reset(seed=0)
+    env = begun(scenes=[scene], **GOES_ON, **options)
     native, found = env.worlds.native, []
     for _ in range(101):
         states = native.states(0)

@@ -8,6 +8,7 @@ from array_scenes import (
     TIMES_S,
     agent,
     array_scene,
+    begun,
     driven,
     line,
     log_env,
@@ -317,8 +318,7 @@ MODELS = ("unicycle", "bicycle", "delta_pose")
 
 def strayed(scene, dynamics):
     """Distance from the log after 3 s (m)."""
-    env = EgoEnv(scenes=[scene], traffic="replay", dynamics=dynamics, **GOES_ON)
-    env.reset(seed=0)
+    env = begun(scenes=[scene], traffic="replay", dynamics=dynamics, **GOES_ON)
     for _ in range(30):
         *_, info = env.step(env.expert_action())
     return float(info["log_distance"])

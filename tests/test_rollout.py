@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from array_scenes import rebuilt
+from array_scenes import begun, rebuilt
 from view_rollouts import plan_of
 
 import ccdiff_env
@@ -122,8 +122,7 @@ def test_as_a_scene_it_replays_itself(driven):
     rollout = driven[1]
     scene = rollout.to_scene("again")
     assert (scene.name, scene.num_steps) == ("again", 30 + rollout.num_steps)
-    again = EgoEnv(scenes=[scene], driver="replay", traffic="replay", terminate_at_goal=False)
-    again.reset(seed=0)
+    again = begun(scenes=[scene], driver="replay", traffic="replay", terminate_at_goal=False)
     rows = [rollout.agent_ids.index(i) for i in scene.agent_ids]
     for t in range(rollout.num_steps - 1):  # an ego that arrives leaves the world
         states = again.worlds.native.states(0)
@@ -209,8 +208,7 @@ def test_recording_stops_at_the_end_of_the_episode():
 
 
 def test_a_step_that_is_left_out_is_no_recording():
-    env = EgoEnv(scenes="val", terminate_at_goal=False)
-    env.reset(seed=0)
+    env = begun(scenes="val", terminate_at_goal=False)
     recorder = Recorder(env)
     for _ in range(2):
         env.step(np.zeros(2, np.float32))

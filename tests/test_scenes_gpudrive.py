@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 import shapely
-from array_scenes import played, rebuilt
+from array_scenes import begun, played, rebuilt
 from gpudrive_scene import CENTRE, DRIVEWAY, STEPS, inside, save, scene
 
 import ccdiff_env
@@ -213,8 +213,7 @@ def test_traffic_is_measured_for_eight_seconds_after_one(tmp_path, capsys, kind)
 
 
 def test_networks_and_images_see_the_road(loaded):
-    env = ccdiff_env.EgoEnv(scenes=loaded, history_steps=10, horizon_steps=20, traffic="ccdiff")
-    env.reset(seed=0)
+    env = begun(scenes=loaded, history_steps=10, horizon_steps=20, traffic="ccdiff")
     states = [env.step(env.action_space.sample() * 0)[0] for _ in range(10)]
     assert np.isfinite(np.stack(states)).all()
     without = rebuilt(loaded[0], map_layers=loaded[0].map_layers() | {"drivable_area": []})

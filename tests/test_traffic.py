@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from array_scenes import TIMES_S, agent, array_scene
+from array_scenes import TIMES_S, agent, array_scene, begun
 from traffic_play import FIELDS, Play
 
 import ccdiff_env
@@ -174,8 +174,7 @@ def test_a_scene_without_a_map_is_refused_by_name():
 
 
 def test_a_plans_record_has_the_same_fields_everywhere(scenes):
-    env = ccdiff_env.EgoEnv(scenes=scenes, traffic="ccdiff", ccdiff={"explain": True})
-    env.reset(seed=0)
+    env = begun(scenes=scenes, traffic="ccdiff", ccdiff={"explain": True})
     with pytest.raises(ResetNeededError, match="call step"):
         env.explain()
     recorder = ccdiff_env.Recorder(env)
@@ -213,8 +212,7 @@ SHIPPED = [name for name in NETWORKS if shipped_weights(name).is_file()]
 @pytest.mark.parametrize("name", [name for name in SHIPPED if not KINDS[name].distilled])
 def test_every_shipped_network_drives_live_traffic_and_explains_it(scenes, name):
     options = {"criticality": 1.0, "num_samples": 2, "num_guided": 1, "explain": True}
-    env = ccdiff_env.EgoEnv(scenes=scenes[:1], traffic=name, driver="idm", ccdiff=options)
-    env.reset(seed=0)
+    env = begun(scenes=scenes[:1], traffic=name, driver="idm", ccdiff=options)
     start = env.worlds.native.states(0)
     for _ in range(8):
         env.step(env.action_space.sample())
