@@ -58,7 +58,9 @@ def write_report_page(
         sections = [f'<details class="part"><summary>{part}</details>' for part in heads]
         first, rest = "", sections[0]
     else:
-        first, rest = _split_lead(sections[0] if sections else "")
+        # what comes before the first subheading, and the rest
+        first, mark, rest = (sections[0] if sections else "").partition("<h3")
+        rest = mark + rest
     drawn = "\n".join(map(_plot, plots))
     body = "\n".join(
         [
@@ -83,12 +85,6 @@ def write_report_page(
     style = resources.files("ccdiff_env.bench").joinpath("assets/report.css")
     page = plain_html(title, line, style=style.read_text(encoding="utf-8"), body=body)
     write_aside(path, page)
-
-
-def _split_lead(section: str) -> tuple[str, str]:
-    """What comes before the first subheading of a section, and the rest."""
-    at = section.find("<h3")
-    return (section, "") if at < 0 else (section[:at], section[at:])
 
 
 def anchor(head: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import secrets
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.scenes.sources import Place, parse
 from ccdiff_env.system.files import read_bytes
-from ccdiff_env.system.settings import kept_settings
+from ccdiff_env.system.settings import kept_settings, sha256
 from ccdiff_env.traffic.options import DYNAMICS
 
 _FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.3.json"
@@ -38,7 +37,7 @@ class Protocol:
     def read(cls, path: Path) -> Protocol:
         """Read a file of the package."""
         data = read_bytes(path)
-        return cls(json.loads(data), hashlib.sha256(data).hexdigest())
+        return cls(json.loads(data), sha256(data))
 
     @property
     def name(self) -> str:
@@ -125,7 +124,7 @@ class Protocol:
                         f"{expected.get(name)}"
                     )
         for network, fixed in self.fields["weights"].items():
-            found = hashlib.sha256(read_bytes(shipped_weights(network))).hexdigest()
+            found = sha256(read_bytes(shipped_weights(network)))
             if found != fixed:
                 raise DatasetError(
                     f"weights of {network} have SHA-256 {found}, {self.name} fixes {fixed}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import hashlib
 import os
 import platform
 import site
@@ -23,6 +22,7 @@ from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.models import weight_files
 from ccdiff_env.system.files import read_bytes, read_text
 from ccdiff_env.system.named_objects import named_object
+from ccdiff_env.system.settings import sha256
 from ccdiff_env.system.version import __version__
 
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -33,10 +33,7 @@ _SEEN: dict[str, str] = {}  #: Digest of each planner's source when this process
 
 def sha256_of(*files: Path) -> str:
     """Return the SHA-256 of the bytes of files, one after another."""
-    found = hashlib.sha256()
-    for file in files:
-        found.update(read_bytes(file))
-    return found.hexdigest()
+    return sha256(*map(read_bytes, files))
 
 
 @lru_cache(maxsize=1)

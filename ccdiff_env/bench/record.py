@@ -245,21 +245,10 @@ def _entry(fields: Mapping[str, Any], where: str) -> Entry:
             raise ValueError(f"planner's source {source!a:.80} of {planner}")
     except (AttributeError, CcdiffError, KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"damaged result of a run ({error}): {where}") from None
-    names, place = tuple(names), given["source"]
     return Entry(
-        where,
-        place,
-        names,
-        planner,
-        traffic,
-        seed,
-        source,
-        made_from,
-        rows,
-        moves,
-        window,
-        own_weights,
-    )
+        where, given["source"], tuple(names), planner, traffic, seed, source, made_from, rows,
+        moves, window, own_weights,
+    )  # fmt: skip
 
 
 def _row(row: Row, names: list[str], seed: int, own: list[str]) -> Row:

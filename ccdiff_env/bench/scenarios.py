@@ -7,7 +7,6 @@ that reacts to it, with the same scenes and seed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -27,6 +26,7 @@ from ccdiff_env.record.counterfactual import rollout_avoidability
 from ccdiff_env.record.rollout import Rollout, as_scene
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.system.files import file_name, reading
+from ccdiff_env.system.settings import sha256
 
 RECORDED = Traffic("as recorded", "replay")  #: Traffic that does as recorded in a set.
 #: Episodes go on to the end of the horizon, so that slower egos meet the same traffic.
@@ -139,7 +139,7 @@ def set_digest(made: Job, rows: Rows) -> str:
     }
     episodes = [[row[name] for name in ("scene", "scene_hash", "motion_hash")] for row in rows]
     head = [given["generator"], given["traffic"], given["seed"], settings]
-    return hashlib.sha256(json.dumps([*head, episodes], sort_keys=True).encode()).hexdigest()
+    return sha256(json.dumps([*head, episodes], sort_keys=True))
 
 
 def cross_jobs(
@@ -191,10 +191,10 @@ def evaluate_in_set(
     set. A :class:`DatasetError` refuses episodes that are missing or have changed.
     """
     scenes = []
-    for file, sha256 in files.items():
+    for file, digest in files.items():
         path = Path(folder) / file
         with reading("episode of a scenario set", path):
-            if sha256_of(path) != sha256:
+            if sha256_of(path) != digest:
                 raise DatasetError("it has changed since the set was made")
         scenes.append(as_scene(Rollout.load(path)))
     return drive(SceneSet(scenes), planner, RECORDED, seed=seed, record=record)

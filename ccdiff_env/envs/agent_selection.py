@@ -60,7 +60,9 @@ class AgentSelection:
         count = _count("agents", agents, "all")
         named = None if count is not None or isinstance(agents, (str, int)) else tuple(agents)
         if count is not None:
-            _expect_most("agents", count, min(_most_vehicles(scenes), MAX_SLOTS))
+            vehicles = (s.tracks()["valid"][np.array(s.agent_types) == "vehicle"] for s in scenes)
+            at_a_time = max(int(there.sum(0).max(initial=0)) for there in vehicles)
+            _expect_most("agents", count, min(at_a_time, MAX_SLOTS))
         elif named is not None:
             _expect_known("agents", named, {one for scene in scenes for one in scene.agent_ids})
             _expect_most("agents", len(named), MAX_SLOTS)
@@ -71,9 +73,9 @@ class AgentSelection:
                 chosen = [str(one) for one in named if one in scene.agent_ids]
             elif drawn:  # among the vehicles of each start the worlds choose
                 starts = slice(first, min(first + spread, scene.num_steps - 2) + 1)
-                vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], bool)
-                vehicles[[towed for towed, _ in scene.towed]] = False
-                there = scene.tracks()["valid"][:, starts] & vehicles[:, None]
+                free = np.array(scene.agent_types) == "vehicle"
+                free[[towed for towed, _ in scene.towed]] = False
+                there = scene.tracks()["valid"][:, starts] & free[:, None]
                 chosen = [scene.agent_ids[i] for i in np.flatnonzero(there.any(1))]
                 chosen.sort(key=lambda one: one != "ego")
                 most = max(most, int(there.sum(0).max()))
@@ -149,15 +151,6 @@ def _count(name: str, choice: Any, word: str) -> int | None:
     if not isinstance(choice, (str, Sequence)):
         raise ConfigError(f"{name} is {choice!r}, expected {word!r}, a number or ids")
     return None
-
-
-def _most_vehicles(scenes: SceneSet) -> int:
-    """Return the most vehicles that any scene has at a step."""
-    found = 0
-    for scene in scenes:
-        vehicles = np.array([kind == "vehicle" for kind in scene.agent_types], np.bool_)
-        found = max(found, int(scene.tracks()["valid"][vehicles].sum(0).max(initial=0)))
-    return found
 
 
 def _expect_most(name: str, count: int, most: int) -> None:

@@ -11,12 +11,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.drawing import Image
 from ccdiff_env.envs.image import image
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.worlds import StepArrays, Worlds, normalize_seed
+from ccdiff_env.worlds import StepArrays, normalize_seed
 from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
 
 Info = dict[str, Any]
@@ -28,7 +27,6 @@ class AsVector(Attributes, VectorEnv[Any, Any, Any]):
 
     #: Options that a reset takes for all worlds, or for each.
     reset_option_names: ClassVar[tuple[str, ...]]
-    worlds: Worlds
     _render_options: dict[str, Any]
     _form: Form
     _info: str
@@ -44,11 +42,6 @@ class AsVector(Attributes, VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._action_shape = (num_envs, *self.worlds.action_shape)
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the worlds."""
-        return self.worlds.config
 
     @property
     def autoreset_mode(self) -> AutoresetMode:

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 
 from ccdiff_env.config import OPTION_NAMES, WorldConfig
 from ccdiff_env.errors import ConfigError
+from ccdiff_env.worlds import Worlds
 
 _OPTIONS = OPTION_NAMES | {"criticality", "scenes"}
 
@@ -14,8 +15,14 @@ class Attributes:
     """What every environment lets be set: not the options that it was made with."""
 
     metadata: dict[str, Any]
+    worlds: Worlds
     #: Attributes of the class that are called as options are.
     _own: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def config(self) -> WorldConfig:
+        """Configuration of the worlds."""
+        return self.worlds.config
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; an option is a :class:`ConfigError` that says how to change it."""

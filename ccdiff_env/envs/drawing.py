@@ -9,12 +9,11 @@ from typing import Any
 import gymnasium
 from gymnasium.wrappers import HumanRendering
 
-from ccdiff_env.config import WorldConfig
 from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.image import image
 from ccdiff_env.errors import unknown
 from ccdiff_env.scenes import Scene
-from ccdiff_env.worlds import StepArrays, Worlds
+from ccdiff_env.worlds import StepArrays
 from ccdiff_env.worlds.spaces import F32, U8, Form
 
 Image = U8
@@ -63,7 +62,6 @@ class _Images(gymnasium.Env[Any, Any]):
 class DrawnWorld(Attributes):
     """What every environment of one world has: its scene, what is seen, and images."""
 
-    worlds: Worlds
     render_mode: str | None
     _render_options: dict[str, Any]
     _form: Form
@@ -73,11 +71,6 @@ class DrawnWorld(Attributes):
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy or a pickle holds: all but the window."""
         return {name: value for name, value in vars(self).items() if name != "_window"}
-
-    @property
-    def config(self) -> WorldConfig:
-        """Configuration of the world."""
-        return self.worlds.config
 
     @property
     def scene(self) -> Scene:

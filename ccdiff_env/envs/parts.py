@@ -140,11 +140,8 @@ class OnWorlds(Attributes):
     def _in_slots(self, world_idx: int) -> tuple[list[str | None], Bool]:
         """Return the ids in the slots of a world [C], and which of them are adversaries [C]."""
         scene_idx = self.worlds.native.status(world_idx).scene_idx
-        agents, ids = (
-            self.worlds.native.slot_agents(world_idx),
-            self.worlds.scenes[scene_idx].agent_ids,
-        )
-        names = [None if agent is None else ids[agent] for agent in agents]
+        ids, agents = self.worlds.scenes[scene_idx].agent_ids, self.worlds.native.slot_agents
+        names = [None if agent is None else ids[agent] for agent in agents(world_idx)]
         return names, self._selection.adversary_slots(scene_idx, names)
 
     @property

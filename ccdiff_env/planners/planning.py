@@ -34,10 +34,8 @@ def _level(worlds: Any, world_idx: int, count: int) -> tuple[Any, F32 | None]:
     """The scene; where it has levels, the elevation of who is driven for each of some places."""
     native = worlds.native
     scene = behind(worlds.scenes[native.status(world_idx).scene_idx])
-    elevation_m, agent = (
-        native.states(world_idx).get("elevation_m"),
-        native.slot_agents(world_idx)[0],
-    )
+    elevation_m = native.states(world_idx).get("elevation_m")
+    agent = native.slot_agents(world_idx)[0]
     if elevation_m is None or agent is None:
         return scene, None
     return scene, np.full(count, elevation_m[agent], np.float32)

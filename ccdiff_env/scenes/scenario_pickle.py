@@ -106,10 +106,6 @@ def _encode(text: Any, codec: Any) -> bytes:
     return text.encode("latin1")
 
 
-def _dict(*_: object) -> dict[Any, Any]:
-    return {}
-
-
 #: Globals that a scenario may name. Those without a function stand as arguments of others only.
 _GLOBALS: dict[str, Callable[..., Any] | None] = {
     "numpy.ndarray": None,
@@ -118,8 +114,7 @@ _GLOBALS: dict[str, Callable[..., Any] | None] = {
     "numpy.core.multiarray.scalar": _scalar,
     "numpy.core.numeric._frombuffer": _array,
     "_codecs.encode": _encode,
-    "collections.OrderedDict": _dict,
-    "collections.defaultdict": _dict,
+    **dict.fromkeys(("collections.OrderedDict", "collections.defaultdict"), lambda *_: {}),
     "builtins.set": set,
     "builtins.frozenset": frozenset,
     **dict.fromkeys(f"builtins.{name}" for name in ("dict", "float", "int", "list", "str")),

@@ -129,11 +129,11 @@ def outcome(rollout: Rollout) -> Outcome:
     others = sum(h.kind == "collision" and h.lane != "ego" for h in found)
     tone, text, moment = _fate(rollout, [h for h in found if h.lane == "ego"])
     decided_s = (rollout.num_steps - 1 if moment is None else moment.step) * rollout.dt_s
-    fault, mishap = (
-        ("", "") if moment is None else (moment.fault, MISHAPS.get(moment.role or moment.kind, ""))
-    )
+    fault = mishap = ""
     if moment is None:
         moment = next((h for h in found if h.kind == "collision"), None)
+    else:
+        fault, mishap = moment.fault, MISHAPS.get(moment.role or moment.kind, "")
     step = 0 if moment is None or moment.kind in ENDS else moment.step
     opening_s = max(0.0, step * rollout.dt_s - LEAD_S)
     return Outcome(tone, text, fault, mishap, others, opening_s, decided_s)

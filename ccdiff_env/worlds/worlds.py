@@ -35,13 +35,6 @@ from ccdiff_env.worlds.spaces import F32, U8, Form, Layout, StepArrays, read_col
 PARALLEL_FROM = 64  #: Batches from here on use all processors by default.
 
 
-def _num_processors() -> int:
-    """Return the number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def _hander(config: WorldConfig, scenes: SceneSet) -> Callable[[str, str, str, int], object]:
     """Return what hands native worlds what a driver of a configuration is made of: a model of the
     user's own, the parts of an ego, a file of weights and options, or a network of torch.
@@ -123,7 +116,8 @@ class Worlds:
             if count is not None and (type(count) is not int or not 1 <= count < 2**63):
                 raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
         if num_threads is None:
-            num_threads = _num_processors() if num_worlds >= PARALLEL_FROM else 1
+            may_use = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+            num_threads = len(may_use(0)) if num_worlds >= PARALLEL_FROM else 1
         config.check_networks()
         self.scenes = scenes
         self.config = config
@@ -437,8 +431,7 @@ class Worlds:
         plan = self.native.explain(world_idx, driver)
         if plan is None:
             return None
-        native = self.native
-        scene = self.scenes[native.status(world_idx).scene_idx]
+        native, scene = self.native, self.scenes[self.native.status(world_idx).scene_idx]
         table = (("external", "external"), ("towed", "towed"), *native.driver_table)
         moment = scene, {**native.states(world_idx)}, table, native.drivers(world_idx)
         return TrafficPlan(**plan, moment=moment)
