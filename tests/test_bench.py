@@ -13,7 +13,7 @@ from ccdiff_env.bench.methods import METHODS
 from ccdiff_env.bench.planners import Traffic, drive
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.run import episodes_table
-from ccdiff_env.bench.scenes import scene_names
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.traffic import control_set, evaluate, traffic_jobs
 from ccdiff_env.bench.traffic_report import Condition, conditions, figures_table, summarise, tables
 from ccdiff_env.errors import UnknownNameError
@@ -31,8 +31,8 @@ SHIPPED = sorted({file.stem.split("_")[0] for file in weight_files()} & {*METHOD
 
 def measured(method, num_controlled, scenes=1, replan_steps=5):
     return evaluate(
-        source=VAL, names=scene_names(VAL)[:scenes], method=method, num_controlled=num_controlled,
-        replan_steps=replan_steps, seed=0,
+        source=VAL, names=scenes_of(VAL).names[:scenes], method=method,
+        num_controlled=num_controlled, replan_steps=replan_steps, seed=0,
     )  # fmt: skip
 
 
@@ -156,7 +156,7 @@ def test_a_random_ranking_is_drawn_for_every_scene_and_seed():
     several = [len(found) for count, found in orders.items() if count > 4]
     assert max(several) > 3
     rows = evaluate(
-        source="embedded/val", names=scene_names("embedded/val")[:2],
+        source="embedded/val", names=scenes_of("embedded/val").names[:2],
         method="ccdiff_random", num_controlled=1, replan_steps=5, seed=4,
     )  # fmt: skip
     assert [row["seed"] for row in rows] == [4, 4, 5, 5, 6, 6]

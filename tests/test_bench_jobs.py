@@ -11,7 +11,7 @@ import pytest
 
 from ccdiff_env.bench.jobs import Job, run_jobs
 from ccdiff_env.bench.planners import planner_jobs
-from ccdiff_env.bench.scenes import chunks, scene_names
+from ccdiff_env.bench.scenes import chunks, scenes_of
 from ccdiff_env.errors import ConfigError, DatasetError
 
 VAL = "embedded/val"
@@ -90,7 +90,7 @@ def test_results_do_not_depend_on_the_number_of_workers(tmp_path):
         "source": VAL, "method": "constant_velocity", "num_controlled": 2, "replan_steps": 5,
         "seed": 0,
     }  # fmt: skip
-    names = chunks(scene_names(VAL), 3)[:2]
+    names = chunks(scenes_of(VAL).names, 3)[:2]
     jobs = [
         Job(f"cv-K2-T5-{i:03d}", "ccdiff_env.bench.traffic:evaluate", {**arguments, "names": n})
         for i, n in enumerate(names)

@@ -190,7 +190,9 @@ def test_a_name_is_a_file_a_scene_or_an_error(tmp_path):
     with pytest.raises(UnknownNameError, match="in embedded: no scene 'scene-9999'"):
         find_rollout("scene-9999")
     (tmp_path / "mine.zip").touch()
-    with pytest.raises(ConfigError, match=r"mine\.zip is a policy, not.*--driver .*mine\.zip drives"):
+    with pytest.raises(
+        ConfigError, match=r"mine\.zip is a policy, not.*--driver .*mine\.zip drives"
+    ):
         find_rollout(str(tmp_path / "mine.zip"))
     with pytest.raises(ConfigError, match="rollout is 3, expected a Rollout"):
         write_page(3, tmp_path / "page.html")  # type: ignore[arg-type]

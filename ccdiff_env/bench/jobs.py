@@ -15,7 +15,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ccdiff_env.bench.scenes import chunks, scene_names
+from ccdiff_env.bench.scenes import chunks, scenes_of
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
@@ -79,7 +79,7 @@ def chunk_jobs(
 
     They come in the order of the source, or in one that a seed draws, ``shuffle``.
     """
-    names = scene_names(source)
+    names = list(scenes_of(source).names)
     if shuffle is not None:
         random.Random(shuffle).shuffle(names)
     return [

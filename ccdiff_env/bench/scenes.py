@@ -48,11 +48,6 @@ def scenes_of(source: str, names: Sequence[str] | None = None) -> SceneSet:
     return scenes if names is None else SceneSet([scenes[name] for name in names])
 
 
-def scene_names(source: str) -> list[str]:
-    """Return the names of the scenes of a text."""
-    return [scene.name for scene in scenes_of(source)]
-
-
 def chunks(scenes: Sequence[T], size: int) -> list[list[T]]:
     """Return names or rows of scenes in chunks, which share a batch of the network."""
     return [list(scenes[i : i + size]) for i in range(0, len(scenes), size)]

@@ -108,7 +108,6 @@ class AgentVectorEnv(OnWorlds, AsVector):
         self._active = out.alive.copy()
         infos: Info = {}
         self._begin(infos, np.ones(self.num_worlds, np.bool_))
-        infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
         return self._seen(out), infos
 
     def step(self, actions: Any) -> tuple[Any, F32, Bool, Bool, Info]:
@@ -148,12 +147,11 @@ class AgentVectorEnv(OnWorlds, AsVector):
         if self._info == "full":
             infos.update(self._figures(out.columns, played.ravel()))
         self._begin(infos, out.done)
-        infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
         terminated = (out.terminated | waited).ravel()
         return self._seen(out), out.reward.ravel(), terminated, out.truncated.ravel(), infos
 
     def _begin(self, infos: Info, begun: Bool) -> None:
-        """Note who plays in the worlds that began an episode, and say so in their rows."""
+        """Note who plays in the worlds that began an episode; say so, and in all rows who acts."""
         for e in np.flatnonzero(begun):
             names, adversaries = self._in_slots(int(e))
             common = self.worlds.begin_episode(int(e), self._info)
@@ -162,6 +160,7 @@ class AgentVectorEnv(OnWorlds, AsVector):
                 texts = {} if self._info == "none" else {"agent_id": name, "role": role}
                 values = {**common, **texts}
                 self._put(infos, int(e) * self.num_slots + c, values)
+        infos["active"], infos["_active"] = self.active_masks(), np.ones(self.num_envs, np.bool_)
 
 
 def _last(out: StepArrays, ended: Bool) -> tuple[F32, U8 | None]:
