@@ -96,7 +96,7 @@ impl PythonDriver {
         let (steps, width) = (answer.shape()[1], answer.shape()[2]);
         let answer = answer.try_readonly()?;
         let flat = answer.as_slice()?;
-        let mut plans: Vec<PlanState> = due.iter().map(|r| empty(r, steps)).collect();
+        let mut plans = vec![PlanState::default(); due.len()];
         // the caller has checked the shape
         let rows = told.iter().enumerate().flat_map(|(w, world)| world.rows.iter().map(move |row| (w, row)));
         for ((w, row), plan) in rows.zip(flat.chunks_exact((steps * width).max(1))) {
@@ -104,11 +104,10 @@ impl PythonDriver {
                 self.add(&mut plans[w], due[w], row.agent_idx, plan, width);
             }
         }
-        for plan in &mut plans {
-            let p = &mut plan.record;
-            let m = p.agents.len();
-            (p.follows_plan, p.guided, p.selected_sample) = (vec![true; m], vec![false; m], vec![0; m]);
-            (p.graph, p.ttc_s) = (vec![false; m * m], vec![f32::INFINITY; m * m]);
+        for (PlanState { record, .. }, request) in plans.iter_mut().zip(due) {
+            let PlanRecord { agents, samples, .. } = std::mem::take(record);
+            let made = PlanRecord::of_one_sample(request.world.elapsed_steps, agents, steps);
+            *record = PlanRecord { samples, ..made };
         }
         Ok(plans)
     }
@@ -140,15 +139,6 @@ impl PythonDriver {
                 plan.speed_mps.push(way.dot(&Vector2::new(pose.cos, pose.sin)) / dt_s);
             }
         }
-    }
-}
-
-/// A plan without agents.
-fn empty(request: &PlanRequest<'_>, steps: usize) -> PlanState {
-    let (made_at, num_samples, num_steps) = (request.world.elapsed_steps, 1, steps);
-    PlanState {
-        record: PlanRecord { made_at, num_samples, num_steps, ..PlanRecord::default() },
-        ..PlanState::default()
     }
 }
 

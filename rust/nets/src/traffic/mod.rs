@@ -33,7 +33,7 @@ use crate::networks::trajectory_model::{PlanOptions, TrajectoryModel};
 use ccdiff_sim::SimError;
 use ccdiff_sim::drivers::{AgentMotion, DriverModel, Idm, PlanRequest, PlanState, Replay, WorldView};
 use ccdiff_sim::geom::{Pose2, Real, Vector2};
-use ccdiff_sim::scene::Scene;
+use ccdiff_sim::scene::{AgentKind, Scene};
 use memory::Memory;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -175,6 +175,29 @@ fn side_by_side<T: Send, R: Send>(
     }
 }
 
+/// Metres before the end of its route at which a vehicle leaves.
+const END_M: Real = 0.5;
+
+/// What a vehicle does that decides for itself: it follows its plan, stays where it is parked, and leaves at the end of its
+/// route; `None` without a plan. Other agents follow the log.
+fn followed(world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> Option<AgentMotion> {
+    let route = &world.scene.routes[agent_idx];
+    if world.scene.kinds[agent_idx] != AgentKind::Vehicle {
+        return Some(Replay.act(world, None, agent_idx));
+    }
+    if route.is_parked() {
+        return Some(stands(world, agent_idx));
+    }
+    if world.route_s_m[agent_idx] >= route.path.length_m() - END_M {
+        return Some(AgentMotion::Leave);
+    }
+    plan?.follow(world, agent_idx).map(|(pose, velocity)| AgentMotion::Place(pose, velocity))
+}
+
+fn stands(world: &WorldView<'_>, agent_idx: usize) -> AgentMotion {
+    AgentMotion::Place(world.states.pose(agent_idx), Vector2::zeros())
+}
+
 /// The error of this crate as the simulator passes it on.
 fn driver_error(name: &str, error: ModelError) -> SimError {
     match error {
@@ -214,12 +237,11 @@ impl DriverModel for PlannedTraffic {
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
-        let pose = world.states.pose(agent_idx);
         let Some(plan) = plan else {
             return Replay.act(world, None, agent_idx);
         };
         if memory::is_parked(&plan.memory, agent_idx) {
-            return AgentMotion::Place(pose, Vector2::zeros());
+            return stands(world, agent_idx);
         }
         match plan.follow(world, agent_idx) {
             Some((pose, velocity)) if self.map_has(world, &pose) => AgentMotion::Place(pose, velocity),

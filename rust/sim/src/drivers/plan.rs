@@ -211,6 +211,23 @@ plan_record! { $
 }
 
 impl PlanRecord {
+    /// The record of one sample that all agents follow unguided, with no graph, before its states are known.
+    pub fn of_one_sample(made_at: usize, agents: Vec<usize>, num_steps: usize) -> Self {
+        let m = agents.len();
+        Self {
+            made_at,
+            follows_plan: vec![true; m],
+            guided: vec![false; m],
+            selected_sample: vec![0; m],
+            graph: vec![false; m * m],
+            ttc_s: vec![Real::INFINITY; m * m],
+            num_samples: 1,
+            num_steps,
+            agents,
+            ..Self::default()
+        }
+    }
+
     /// Pose of the agent of a row after a step of a sample, scene frame; `None` past the end.
     pub(crate) fn pose(&self, sample: usize, row: usize, step: usize) -> Option<Pose2> {
         let at = (sample * self.agents.len() + row) * self.num_steps + step;

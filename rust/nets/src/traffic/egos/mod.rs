@@ -6,15 +6,13 @@ pub use network::NetworkOfEgo;
 
 use crate::compute::weights::Entry;
 use crate::error::Result;
-use ccdiff_sim::drivers::{
-    AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
-};
+use crate::traffic::{followed, stands};
+use ccdiff_sim::drivers::{AgentMotion, DriverModel, Kind, PlanRecord, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::dynamics::Dynamics;
 use ccdiff_sim::events::off_road;
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::observe::{EgoFacts, Layout, ObservationConfig, Observer, View};
 use ccdiff_sim::scene::AgentKind;
-use ccdiff_sim::state::AgentStates;
 use ccdiff_sim::world::{ActionConfig, ActionDecoder, assisted_action, place_on_route};
 use ccdiff_sim::{SimError, options};
 use std::collections::BTreeMap;
@@ -156,19 +154,8 @@ impl Egos {
             let before = request.plan.map_or([0.0; REMEMBERED], |p| remembered(&p.memory, *a));
             self.decide(world, *a, before, &mut plan);
         }
-        let m = agents.len();
-        plan.record = PlanRecord {
-            made_at: world.elapsed_steps,
-            follows_plan: vec![true; m],
-            guided: vec![false; m],
-            selected_sample: vec![0; m],
-            graph: vec![false; m * m],
-            ttc_s: vec![Real::INFINITY; m * m],
-            num_samples: 1,
-            num_steps: self.decision_steps,
-            agents,
-            ..plan.record
-        };
+        let record = PlanRecord::of_one_sample(world.elapsed_steps, agents, self.decision_steps);
+        plan.record = PlanRecord { samples: plan.record.samples, ..record };
         plan
     }
 }
@@ -188,10 +175,6 @@ fn remembered(memory: &[u8], a: usize) -> [Real; REMEMBERED] {
     if numbers.iter().all(|n| n.is_finite()) { numbers } else { [0.0; REMEMBERED] }
 }
 
-fn stands(states: &AgentStates, a: usize) -> AgentMotion {
-    AgentMotion::Place(states.pose(a), Default::default())
-}
-
 impl DriverModel for Egos {
     fn name(&self) -> &str {
         EGOS.name
@@ -207,20 +190,7 @@ impl DriverModel for Egos {
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
-        let route = &world.scene.routes[agent_idx];
-        if world.scene.kinds[agent_idx] != AgentKind::Vehicle {
-            return Replay.act(world, None, agent_idx);
-        }
-        if route.is_parked() {
-            return stands(world.states, agent_idx);
-        }
-        if world.route_s_m[agent_idx] >= route.path.length_m() - 0.5 {
-            return AgentMotion::Leave;
-        }
-        match plan.and_then(|p| p.follow(world, agent_idx)) {
-            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
-            // it entered after the decision
-            None => stands(world.states, agent_idx),
-        }
+        // who entered after the decision waits for the next one
+        followed(world, plan, agent_idx).unwrap_or_else(|| stands(world, agent_idx))
     }
 }

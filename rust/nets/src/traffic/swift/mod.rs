@@ -18,7 +18,7 @@ use crate::networks::tokens::grid::TOKEN_STEPS;
 use crate::sampling::noise::Noise;
 pub use crate::traffic::planned_agents::egos_of;
 use crate::traffic::planned_agents::{history_of, select_guided};
-use crate::traffic::{AdversaryPolicy, CcdiffConfig, planning_pool, side_by_side};
+use crate::traffic::{AdversaryPolicy, CcdiffConfig, followed, planning_pool, side_by_side};
 use ccdiff_sim::SimError;
 use ccdiff_sim::drivers::{
     AgentMotion, DriverModel, IdmConfig, Kind, PlanRecord, PlanRequest, PlanState, Replay, WorldView,
@@ -59,8 +59,6 @@ pub const DT_S: Real = 0.1;
 /// Seconds for which a draw is held, and how a vehicle brakes that has no draw without a contact.
 const HELD_S: Real = TOKEN_STEPS as Real * DT_S;
 const BRAKING_MPS2: Real = 4.0;
-/// Metres before the end of its route at which a vehicle leaves.
-const END_M: Real = 0.5;
 
 /// Traffic of a batch of worlds.
 #[derive(Debug)]
@@ -226,7 +224,7 @@ impl Swift {
 /// The plan of a world in which agents do as drawn.
 fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
     let world = &d.request.world;
-    let (m, dynamics) = (d.agents.len(), Dynamics::default());
+    let dynamics = Dynamics::default();
     let mut plan = PlanState::default();
     for (a, [acceleration, yaw_rate]) in d.agents.iter().zip(motions) {
         let mut state = world.states.kin_state(*a);
@@ -238,17 +236,10 @@ fn plan_of(d: Decides<'_>, motions: Vec<[Real; 2]>) -> PlanState {
     }
     let is_guided = |a: &usize| d.criticality > 0.0 && d.guided.contains(a);
     plan.record = PlanRecord {
-        made_at: world.elapsed_steps,
         guided: d.agents.iter().map(is_guided).collect(),
-        agents: d.agents,
-        follows_plan: vec![true; m],
-        selected_sample: vec![0; m],
-        graph: vec![false; m * m],
-        ttc_s: vec![Real::INFINITY; m * m],
         ranking: d.ranking,
-        num_samples: 1,
-        num_steps: TOKEN_STEPS,
-        ..plan.record
+        samples: plan.record.samples,
+        ..PlanRecord::of_one_sample(world.elapsed_steps, d.agents, TOKEN_STEPS)
     };
     plan
 }
@@ -278,20 +269,7 @@ impl DriverModel for Swift {
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
-        let route = &world.scene.routes[agent_idx];
-        if world.scene.kinds[agent_idx] != AgentKind::Vehicle {
-            return Replay.act(world, None, agent_idx);
-        }
-        if route.is_parked() {
-            return AgentMotion::Place(world.states.pose(agent_idx), Default::default());
-        }
-        if world.route_s_m[agent_idx] >= route.path.length_m() - END_M {
-            return AgentMotion::Leave;
-        }
-        match plan.and_then(|plan| plan.follow(world, agent_idx)) {
-            Some((pose, velocity)) => AgentMotion::Place(pose, velocity),
-            // it came after the decision
-            None => Replay.act(world, None, agent_idx),
-        }
+        // who came after the decision follows the log until the next one
+        followed(world, plan, agent_idx).unwrap_or_else(|| Replay.act(world, None, agent_idx))
     }
 }
