@@ -17,14 +17,15 @@ pub fn contained(driver: BoxedDriver) -> BoxedDriver {
     Box::new(Contained { driver, fault: OnceLock::new() })
 }
 
-fn text(cause: Box<dyn std::any::Any + Send>) -> String {
+/// The message of a panic.
+pub fn fault(cause: Box<dyn std::any::Any + Send>) -> String {
     let text = cause.downcast_ref::<&str>().map(ToString::to_string);
-    text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default()
+    let text = text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default();
+    format!("internal fault, please report it: {text}")
 }
 
 impl Contained {
-    fn error(&self, fault: &str) -> SimError {
-        let message = format!("internal fault, please report it: {fault}");
+    fn error(&self, message: String) -> SimError {
         SimError::Driver { driver: self.driver.name().into(), message }
     }
 }
@@ -43,18 +44,18 @@ impl DriverModel for Contained {
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
-        if let Some(fault) = self.fault.get() {
-            return Err(self.error(fault));
+        if let Some(message) = self.fault.get() {
+            return Err(self.error(message.clone()));
         }
         let driver = &mut self.driver;
         catch_unwind(AssertUnwindSafe(|| driver.plan(requests)))
-            .unwrap_or_else(|cause| Err(self.error(&text(cause))))
+            .unwrap_or_else(|cause| Err(self.error(fault(cause))))
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {
         catch_unwind(AssertUnwindSafe(|| self.driver.act(world, plan, agent_idx))).unwrap_or_else(|cause| {
             // reported by the next plan, which comes before any further motion
-            self.fault.get_or_init(|| text(cause));
+            self.fault.get_or_init(|| fault(cause));
             AgentMotion::Leave
         })
     }

@@ -10,7 +10,7 @@ pub mod errors;
 mod handed;
 mod networks;
 
-pub use contained::contained;
+pub use contained::{contained, fault};
 pub use cost::call_cost;
 pub use handed::{BoxedDriver, Handed, check_build, driver_capsule, scene_capsule, take_driver};
 pub use networks::{AskedDriver, PyTrajectoryModel, path_of};

@@ -98,11 +98,9 @@ where
     T: Send,
     F: FnOnce() -> PyResult<T> + Send,
 {
-    python.detach(|| catch_unwind(AssertUnwindSafe(call))).unwrap_or_else(|cause| {
-        let text = cause.downcast_ref::<&str>().map(ToString::to_string);
-        let text = text.or_else(|| cause.downcast_ref::<String>().cloned()).unwrap_or_default();
-        Err(PyRuntimeError::new_err(format!("internal fault, please report it: {text}")))
-    })
+    python
+        .detach(|| catch_unwind(AssertUnwindSafe(call)))
+        .unwrap_or_else(|cause| Err(PyRuntimeError::new_err(ccdiff_bridge::fault(cause))))
 }
 
 /// A text of a scene. `SceneError` where a `str` of Python contains an unpaired surrogate, which no file can hold.

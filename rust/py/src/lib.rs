@@ -24,33 +24,22 @@ mod world_state;
 #[pyo3::pymodule]
 mod _native {
     #[pymodule_export]
-    use crate::causal::{causal_pairs, causal_rank};
-    #[pymodule_export]
-    use crate::drivers::{driver_kinds, drivers};
-    #[pymodule_export]
-    use crate::egos::EgoNetwork;
-    #[pymodule_export]
-    use crate::logged_batch::traffic_batch_from_log;
-    #[pymodule_export]
-    use crate::map_queries::{map_lane_ahead, map_road_distance};
-    #[pymodule_export]
-    use crate::metrics::NativeMotion;
-    #[pymodule_export]
-    use crate::networks::{guidance_preset, load_network, needs_torch};
-    #[pymodule_export]
-    use crate::planner::PyPlanner;
-    #[pymodule_export]
-    use crate::render::{render_arrays, render_legend, render_look};
-    #[pymodule_export]
-    use crate::scene::{PyScene, load_gpudrive, load_nuscenes};
-    #[pymodule_export]
-    use crate::scene_map::complete_map;
-    #[pymodule_export]
-    use crate::schemas::{check_options, schema};
-    #[pymodule_export]
-    use crate::swift::swift_bins;
-    #[pymodule_export]
-    use crate::world::{PyVecWorld, PyWorldStatus};
+    use crate::{
+        causal::{causal_pairs, causal_rank},
+        drivers::{driver_kinds, drivers},
+        egos::EgoNetwork,
+        logged_batch::traffic_batch_from_log,
+        map_queries::{map_lane_ahead, map_road_distance},
+        metrics::NativeMotion,
+        networks::{guidance_preset, load_network, needs_torch},
+        planner::PyPlanner,
+        render::{render_arrays, render_legend, render_look},
+        scene::{PyScene, load_gpudrive, load_nuscenes},
+        scene_map::complete_map,
+        schemas::{check_options, schema},
+        swift::swift_bins,
+        world::{PyVecWorld, PyWorldStatus},
+    };
     #[pymodule_export]
     use ccdiff_bridge::PyTrajectoryModel;
 
