@@ -3,6 +3,7 @@
 pub use ccdiff_nets::compute::weights::field;
 
 use crate::error::Result;
+use crate::torch::to_vec;
 use ccdiff_nets::compute::weights::{self, CHECKSUM, Entry, FORMAT, HEADER, broken, checksum, io};
 use safetensors::tensor::{Dtype, TensorView, serialize};
 use std::collections::BTreeMap;
@@ -21,10 +22,7 @@ pub(crate) fn variables(store: &nn::VarStore) -> BTreeMap<String, Tensor> {
 pub fn write(path: &Path, header: &serde_json::Value, tensors: &BTreeMap<String, Tensor>) -> Result<()> {
     let mut data = BTreeMap::new();
     for (name, tensor) in tensors {
-        let flat = tensor.to_device(tch::Device::Cpu).to_kind(Kind::Float).contiguous();
-        let count = flat.numel();
-        let mut values = vec![0f32; count];
-        flat.view([-1]).copy_data(&mut values, count);
+        let values = to_vec(&tensor.to_kind(Kind::Float));
         if let Some(value) = values.iter().find(|v| !v.is_finite()) {
             return Err(broken(path, name, value.to_string(), "finite numbers"));
         }

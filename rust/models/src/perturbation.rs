@@ -104,11 +104,7 @@ impl Trail {
         let first_step = first_step.unwrap_or(step);
         let poses: Vec<Pose2> = (first_step..=step + ahead)
             .take_while(|s| *s <= step || scene.is_valid(agent, *s))
-            .map(|s| {
-                let entry = scene.at(agent, s);
-                let at = scene.tracks.position[entry];
-                Pose2::new(at.x, at.y, scene.tracks.heading_rad[entry])
-            })
+            .map(|s| scene.pose(agent, s))
             .collect();
         let mut driven_m = vec![0.0f32; poses.len()];
         for i in 1..poses.len() {

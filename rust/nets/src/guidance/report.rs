@@ -117,10 +117,8 @@ pub fn choose_samples(
     if !config.objectives.iter().any(Objective::is_joint) {
         return choose_per_agent(config, losses, num_samples, &vec![num_samples; num_agents]);
     }
-    let sum = |sample: usize| -> f64 {
-        (0..num_agents).map(|agent| weighted(config, losses, num_samples, num_agents, sample, agent)).sum()
-    };
-    vec![least(num_samples, sum); num_agents]
+    let score = weighted(config, losses, [num_samples, num_agents]);
+    vec![least(num_samples, |sample| (0..num_agents).map(|agent| score(sample, agent)).sum()); num_agents]
 }
 
 /// The sample of least weighted losses [J, N, M] of each agent, among its first `choices` [M].
@@ -130,23 +128,18 @@ pub(super) fn choose_per_agent(
     num_samples: usize,
     choices: &[usize],
 ) -> Vec<usize> {
-    let score = |sample, agent| weighted(config, losses, num_samples, choices.len(), sample, agent);
+    let score = weighted(config, losses, [num_samples, choices.len()]);
     choices.iter().enumerate().map(|(agent, count)| least(*count, |s| score(s, agent))).collect()
 }
 
 /// Weighted sum of the losses [J, N, M] of a sample of an agent.
-fn weighted(
-    config: &GuidanceConfig,
-    losses: &[f32],
-    num_samples: usize,
-    num_agents: usize,
-    sample: usize,
-    agent: usize,
-) -> f64 {
-    let of = |(j, o): (usize, &Objective)| {
-        f64::from(o.weight()) * f64::from(losses[(j * num_samples + sample) * num_agents + agent])
-    };
-    config.objectives.iter().enumerate().map(of).sum()
+fn weighted(config: &GuidanceConfig, losses: &[f32], [n, m]: [usize; 2]) -> impl Fn(usize, usize) -> f64 {
+    move |sample, agent| {
+        let of = |(j, o): (usize, &Objective)| {
+            f64::from(o.weight()) * f64::from(losses[(j * n + sample) * m + agent])
+        };
+        config.objectives.iter().enumerate().map(of).sum()
+    }
 }
 
 /// The first of the samples with the least score.

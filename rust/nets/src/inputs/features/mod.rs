@@ -262,10 +262,7 @@ pub fn futures(
             if !scene.is_valid(agent, step) {
                 break;
             }
-            let entry = scene.at(agent, step);
-            let at = scene.tracks.position[entry];
-            let logged = Pose2::new(at.x, at.y, scene.tracks.heading_rad[entry]);
-            let pose = adapt(features.agents[row], step - step_idx, logged);
+            let pose = adapt(features.agents[row], step - step_idx, scene.pose(agent, step));
             let local = frame.to_local(pose.position);
             poses.push([local.x, local.y, pose.heading_rad - frame.heading_rad]);
         }
