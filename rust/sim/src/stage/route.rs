@@ -41,8 +41,6 @@ pub struct Route {
     logged_reach_m: Real,
     /// Steps of the log at which the vehicle backs up, or stands before it does.
     backs: Vec<Range<usize>>,
-    /// Whether the path follows map lanes past the end of the log (else it goes straight on).
-    pub on_lanes: bool,
     /// Lights along the path, nearest first.
     pub lights: Vec<LightAlong>,
 }
@@ -87,13 +85,13 @@ impl Route {
         }
         let level = heights.last().and_then(|z| LaneIndex::on_level(&scene.map, Some(*z)));
         let lanes = if scene.has_levels() { level.as_ref() } else { lanes };
-        let on_lanes = extend(&mut points, &mut heights, pose, &scene.map, lanes);
+        extend(&mut points, &mut heights, pose, &scene.map, lanes);
         let elevation_m = by_metre(&points, &heights);
         let straight = || Polyline::straight(&pose, EXTENSION_M);
         let path = Polyline::new(points).map_or_else(straight, |coarse| resampled(&coarse));
         let curve_speed_mps = curve_speeds(&path);
         let (backs, lights) = (reversing.steps, scene.map.lights_along(&path));
-        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, backs, on_lanes, lights }
+        Self { path, elevation_m, curve_speed_mps, logged_speed_mps, logged_reach_m, backs, lights }
     }
 
     /// How high the route is at a position and how steep over the metres round it, in a scene with levels.
@@ -195,20 +193,20 @@ impl Reversing {
     }
 }
 
-/// Appends the lanes that follow the last pose, else a straight line; tells whether lanes were found.
+/// Appends the lanes that follow the last pose, else a straight line.
 fn extend(
     points: &mut Vec<Point2>,
     heights: &mut Vec<Real>,
     pose: Pose2,
     map: &Map,
     lanes: Option<&LaneIndex>,
-) -> bool {
+) {
     let last = heights.last().copied();
     let hit = lanes.and_then(|l| l.nearest(pose.position, pose.cos, pose.sin, 3.0));
     let hit = hit.filter(|h| h.heading_error_rad().abs() < 0.6);
     let Some(hit) = hit else {
         points.push(pose.to_outer(Point2::new(EXTENSION_M, 0.0)));
-        return false;
+        return;
     };
     let left_m = follow(map, hit.lane_idx, hit.s_m + 4.0, EXTENSION_M, |point, height| {
         points.push(point);
@@ -221,7 +219,6 @@ fn extend(
             points.push(b + d * (left_m / d.norm()));
         }
     }
-    true
 }
 
 /// Heights of points at each metre along them, the last one beyond those that have none; nothing without heights.
