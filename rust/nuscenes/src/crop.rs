@@ -104,8 +104,7 @@ impl Cutter<'_> {
             polygon: lane.polygon.as_ref().map(|p| self.whole(p)).unwrap_or_default(),
             successors: links(&lane.successors),
             predecessors: links(&lane.predecessors),
-            speed_limit_mps: None,
-            elevation_m: Vec::new(),
+            ..Lane::default()
         };
         kept.iter().map(|i| lane(&map.lanes[*i as usize])).collect()
     }

@@ -14,8 +14,8 @@ use crate::resample::unwrapped;
 use crate::stream::parse;
 use ccdiff_sim::geom::{Point2, Polygon, Real, Vector2};
 use ccdiff_sim::scene::{
-    Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, LaneKind, Light, LightState, Map, PartElevations,
-    RoadParts, Scene, Tracks, cut_by_level, level_bounds, link_lanes, range_of, road_area, road_areas,
+    Agent, AgentKind, EGO_ID, Elevations, HIGHEST_M, Lane, Light, LightState, Map, PartElevations, RoadParts,
+    Scene, Tracks, cut_by_level, level_bounds, link_lanes, range_of, road_area, road_areas,
 };
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -385,23 +385,15 @@ impl Reader<'_> {
                 ("lane", 0..=2) if is_line => {
                     lanes_m += line.windows(2).map(|w| f64::from((w[1] - w[0]).norm())).sum::<f64>();
                     if lanes_m > MAX_LANES_M {
-                        return self.fault(
-                            format!("roads[{i}]"),
-                            "geometry",
-                            "more",
-                            "1000 km of lanes at most",
-                        );
+                        let expected = "1000 km of lanes at most";
+                        return self.fault(format!("roads[{i}]"), "geometry", "more", expected);
                     }
                     let (centreline, elevation_m) = resampled(&line, &heights).into_iter().unzip();
                     map.lanes.push(Lane {
                         id: road.id.to_string(),
-                        kind: LaneKind::Lane,
                         centreline,
                         elevation_m: if bounds.is_empty() { Vec::new() } else { elevation_m },
-                        polygon: Polygon::default(),
-                        successors: Vec::new(),
-                        predecessors: Vec::new(),
-                        speed_limit_mps: None,
+                        ..Lane::default()
                     });
                 }
                 ("road_line", element) if is_line => {

@@ -53,6 +53,7 @@ impl MapLayers {
             return Err(RenderError::Map { layer });
         }
         let areas = |polygons: &[Polygon]| polygons.iter().map(Area::new).collect::<Vec<_>>();
+        let (centre_lines, dividers) = (map.lanes.iter().map(|l| &l.centreline), map.lane_dividers.iter());
         Ok(Self {
             drivable_area: areas(&map.drivable_area),
             kerbs: map.drivable_area.iter().flat_map(kerbs).collect(),
@@ -60,17 +61,9 @@ impl MapLayers {
             carpark_areas: areas(&map.carpark_areas),
             stripes: map.ped_crossings.iter().flat_map(stripes).collect(),
             stop_lines: areas(&map.stop_lines),
-            centre_lines: map
-                .lanes
-                .iter()
-                .flat_map(|l| dashes(&l.centreline, (CENTRE_DASH_M, CENTRE_GAP_M)))
-                .collect(),
+            centre_lines: centre_lines.flat_map(|l| dashes(l, (CENTRE_DASH_M, CENTRE_GAP_M))).collect(),
             chevrons: map.lanes.iter().flat_map(|l| chevrons(&l.centreline)).collect(),
-            lane_dividers: map
-                .lane_dividers
-                .iter()
-                .flat_map(|l| dashes(l, (LANE_DASH_M, LANE_DASH_M)))
-                .collect(),
+            lane_dividers: dividers.flat_map(|l| dashes(l, (LANE_DASH_M, LANE_DASH_M))).collect(),
             road_dividers: map.road_dividers.iter().flat_map(|l| chunks(l)).collect(),
         })
     }
@@ -149,9 +142,8 @@ fn chunks(line: &[Point2]) -> Vec<Segment> {
 
 /// The edges of a polygon, in segments.
 fn kerbs(polygon: &Polygon) -> Vec<Segment> {
-    let rings = std::iter::once(&polygon.exterior).chain(&polygon.holes);
-    let closed = |ring: &Vec<Point2>| ring.iter().chain(ring.first()).copied().collect::<Vec<_>>();
-    rings.flat_map(|ring| chunks(&closed(ring))).collect()
+    let closed = |ring: &[Point2]| ring.iter().chain(ring.first()).copied().collect::<Vec<_>>();
+    polygon.rings().flat_map(|ring| chunks(&closed(ring))).collect()
 }
 
 /// Lays dashes along a line.
@@ -169,11 +161,9 @@ fn dashes(line: &[Point2], (dash_m, gap_m): (Real, Real)) -> Vec<Segment> {
         while segment_m - done_m > left_m {
             done_m += left_m;
             let at = w[0] + (w[1] - w[0]) * (done_m / segment_m);
+            dash.push(at);
             if on {
-                dash.push(at);
                 out.push(Segment::new(std::mem::take(&mut dash)));
-            } else {
-                dash.push(at);
             }
             on = !on;
             left_m = if on { dash_m } else { gap_m };
@@ -231,7 +221,7 @@ fn stripes(crossing: &Polygon) -> Vec<Area> {
         .filter_map(|i| {
             let from = start + i as Real * period;
             let cut = clip(&clip(ring, along, from), -along, -(from + STRIPE_M));
-            (cut.len() >= 3).then(|| Area::new(&Polygon { exterior: cut, holes: Vec::new() }))
+            (cut.len() >= 3).then(|| Area::new(&Polygon::from_exterior(cut)))
         })
         .collect()
 }
@@ -296,9 +286,8 @@ mod tests {
 
     #[test]
     fn stripes_stand_across_the_way_people_walk() {
-        let crossing =
-            Polygon { exterior: points(&[(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (0.0, 3.0)]), holes: vec![] };
-        let laid = stripes(&crossing);
+        let corners = points(&[(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (0.0, 3.0)]);
+        let laid = stripes(&Polygon::from_exterior(corners));
         assert_eq!(laid.len(), 10);
         for s in &laid {
             let (xs, ys): (Vec<_>, Vec<_>) = s.rings[0].iter().map(|p| (p.x, p.y)).unzip();

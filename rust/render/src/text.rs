@@ -100,9 +100,7 @@ pub(crate) fn caption(canvas: &mut Canvas, text: &str, (width, height): (f32, f3
     let cap = cap_px(width, height).min(width / units);
     let (pad, margin) = (0.8 * cap, 0.9 * cap);
     let panel = (width_px(&text, cap) + 2.0 * pad, cap + 2.0 * pad);
-    let mut outline = Outline::new();
-    rounded(&mut outline, (margin, margin), panel, 0.6 * cap);
-    canvas.fill(outline, canvas.palette().paper, 0.85);
+    paper(canvas, (margin, margin), panel, cap);
     write(canvas, &text, (margin + pad, margin + pad), cap, false);
 }
 
@@ -118,9 +116,7 @@ pub(crate) fn scale_bar(canvas: &mut Canvas, (width, height): (f32, f32)) {
     let inner = bar.max(width_px(&label, cap));
     let panel = (inner + 2.0 * pad, 1.7 * cap + 2.0 * pad);
     let top = height - margin - panel.1;
-    let mut outline = Outline::new();
-    rounded(&mut outline, (margin, top), panel, 0.6 * cap);
-    canvas.fill(outline, canvas.palette().paper, 0.85);
+    paper(canvas, (margin, top), panel, cap);
     let (left, base) = (margin + pad, top + panel.1 - pad);
     let mut line = Outline::new();
     line.move_to((left, base - 0.35 * cap));
@@ -165,20 +161,22 @@ pub(crate) fn legend(canvas: &mut Canvas, rows: &[(Rgb, String)], (width, height
         return;
     }
     let (left, top) = (width - margin - panel.0, height - margin - panel.1);
-    let mut outline = Outline::new();
-    rounded(&mut outline, (left, top), panel, 0.6 * cap);
-    canvas.fill(outline, canvas.palette().paper, 0.85);
+    paper(canvas, (left, top), panel, cap);
     for (i, (rgb, title)) in rows.iter().enumerate() {
         let (x, y) = (left + pad, top + pad + i as f32 * line);
-        let mut dot = Outline::new();
-        rounded(&mut dot, (x, y), (swatch, cap), 0.3 * cap);
-        canvas.fill(dot, *rgb, 1.0);
+        canvas.fill(rounded((x, y), (swatch, cap), 0.3 * cap), *rgb, 1.0);
         write(canvas, title, (x + swatch + gap, y), cap, false);
     }
 }
 
-/// Adds a rectangle with round corners.
-fn rounded(outline: &mut Outline, (x, y): (f32, f32), (w, h): (f32, f32), r: f32) {
+/// Lays a light panel under text.
+fn paper(canvas: &mut Canvas, at: (f32, f32), size: (f32, f32), cap: f32) {
+    canvas.fill(rounded(at, size, 0.6 * cap), canvas.palette().paper, 0.85);
+}
+
+/// A rectangle with round corners.
+fn rounded((x, y): (f32, f32), (w, h): (f32, f32), r: f32) -> Outline {
+    let mut outline = Outline::new();
     outline.move_to((x + r, y));
     outline.line_to((x + w - r, y));
     outline.curve_to((x + w, y), (x + w, y + r));
@@ -189,6 +187,7 @@ fn rounded(outline: &mut Outline, (x, y): (f32, f32), (w, h): (f32, f32), r: f32
     outline.line_to((x, y + r));
     outline.curve_to((x, y), (x + r, y));
     outline.close();
+    outline
 }
 
 #[cfg(test)]
