@@ -34,13 +34,17 @@ fn approach(weight: f32) -> Objective {
 
 /// Guides a toy for a number of denoising steps; returns knots.
 fn guided(toy: &Toy, guide: &WorldGuidance<'_>, config: &GuidanceConfig, steps: usize) -> Vec<f32> {
-    let m = toy.features.agents.len();
-    let mut knots = toy.still();
-    let mut all = Guidance::new(config, &toy.model, vec![Some(toy.context(guide, config))], &[m], 1, false);
+    let (mut all, mut knots) = (alone(toy, guide, config), toy.still());
     for _ in 0..steps {
         all.adjust(&mut knots, None);
     }
     knots
+}
+
+/// The guidance of one sample of a toy.
+fn alone<'a>(toy: &Toy, guide: &WorldGuidance<'a>, config: &'a GuidanceConfig) -> Guidance<'a> {
+    let (m, context) = (toy.features.agents.len(), toy.context(guide, config));
+    Guidance::new(config, &toy.model, vec![Some(context)], &[m], 1, false)
 }
 
 /// Least distance between the disks of agents 0 and 1 less that at which they touch, metres.
@@ -104,7 +108,7 @@ fn a_finished_plan_moves_by_no_more_than_its_bound_and_tells_how_far() {
         let config = GuidanceConfig { bound_m, ..config(vec![approach(-10.0)]) };
         let context = toy.context(&WorldGuidance::new(&who), &config);
         let (start, mut knots) = (toy.roll_knots(&context, &toy.still()), toy.still());
-        let mut guide = Guidance::new(&config, &toy.model, vec![Some(context.clone())], &[3], 1, false);
+        let mut guide = alone(&toy, &WorldGuidance::new(&who), &config);
         guide.adjust_finished(&mut knots);
         let report = guide.report(&knots).remove(0).unwrap();
         let end = toy.roll_knots(&context, &knots);
@@ -128,8 +132,7 @@ fn a_finished_plan_moves_by_no_more_than_its_bound_and_tells_how_far() {
 fn what_was_moved_before_it_was_finished_has_no_plan_to_be_measured_from() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let config = GuidanceConfig { target: Target::Mean, ..config(vec![approach(-10.0)]) };
-    let context = toy.context(&WorldGuidance::new(&[true, false, false]), &config);
-    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false);
+    let mut guide = alone(&toy, &WorldGuidance::new(&[true, false, false]), &config);
     let mut knots = toy.still();
     guide.adjust(&mut knots, None);
     let report = guide.report(&knots).remove(0).unwrap();
@@ -162,8 +165,7 @@ fn a_loss_in_python_without_python_is_an_error_and_moves_nothing() {
     let who = [true, false, false];
     let cost = PythonCost { call: "module:cost".into(), ..PythonCost::default() };
     let config = config(vec![Objective::Python(cost)]);
-    let context = toy.context(&WorldGuidance::new(&who), &config);
-    let mut guide = Guidance::new(&config, &toy.model, vec![Some(context)], &[3], 1, false);
+    let mut guide = alone(&toy, &WorldGuidance::new(&who), &config);
     let mut knots = toy.still();
     guide.adjust_finished(&mut knots);
     assert_eq!(knots, toy.still());
@@ -198,10 +200,8 @@ fn a_worlds_guidance_has_the_same_bits_alone_and_among_others() {
         still.iter().zip(noise).map(|(s, n)| s + 0.5 * n).collect()
     };
     let alone = |toy: &Toy, who: &[bool], sample: u64| {
-        let context = toy.context(&WorldGuidance::new(who), &config);
-        let m = toy.features.agents.len();
         let mut knots = noisy(toy, sample);
-        Guidance::new(&config, &toy.model, vec![Some(context)], &[m], 1, false).adjust(&mut knots, None);
+        alone(toy, &WorldGuidance::new(who), &config).adjust(&mut knots, None);
         knots
     };
     let worlds = vec![

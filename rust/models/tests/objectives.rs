@@ -12,7 +12,7 @@ use ccdiff_models::guidance::{
 use ccdiff_models::noise::Noise;
 use ccdiff_models::plan_space::PlanSpace;
 use ccdiff_models::unicycle;
-use ccdiff_sim::geom::{Point2, Polygon, Region};
+use ccdiff_sim::geom::Region;
 use common::toy::{BOTH_WAYS, T, evaluate, toy};
 use proptest::prelude::*;
 use tch::Tensor;
@@ -160,7 +160,6 @@ proptest! {
     }
 }
 
-/// A road along x, 8 m to each side.
 #[test]
 fn who_stands_has_a_collision_loss_where_it_may_start() {
     let toy = toy(&[[0.0; 5], [8.0, 0.0, 0.0, 0.0, 0.0]], ModelConfig::fast());
@@ -176,12 +175,6 @@ fn who_stands_has_a_collision_loss_where_it_may_start() {
     assert!(losses(true).iter().all(|loss| *loss > 0.0));
 }
 
-fn road() -> Region {
-    let corner = |x, y| Point2::new(x, y);
-    let exterior = vec![corner(-100.0, -8.0), corner(300.0, -8.0), corner(300.0, 8.0), corner(-100.0, 8.0)];
-    Region::new(&[Polygon { exterior, holes: Vec::new() }]).unwrap()
-}
-
 #[test]
 fn the_off_road_loss_is_that_of_its_definition_and_autograd_with_frozen_points_gives_its_gradient() {
     let toy = toy(
@@ -189,7 +182,7 @@ fn the_off_road_loss_is_that_of_its_definition_and_autograd_with_frozen_points_g
         ModelConfig::fast(),
     );
     let all = vec![true; 3];
-    let region = road();
+    let region = Region::new(&[common::road()]).unwrap();
     let config = GuidanceConfig::default();
     let s = toy.context(&WorldGuidance { road: Some(&region), ..WorldGuidance::new(&all) }, &config);
     let plan = toy.roll(&s, &actions(3, 5, 0.3));

@@ -6,7 +6,7 @@
 mod common;
 
 use ccdiff_nuscenes::{LoadOptions, NuscenesError, load};
-use common::{DataSet, NUM_KEY_FRAMES, VERSION, damage, token};
+use common::{DataSet, NUM_KEY_FRAMES, VERSION, damage, load_from, token};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 static ALLOCATOR: cap::Cap<std::alloc::System> = cap::Cap::new(std::alloc::System, 300_000_000);
 
 fn error_of(data: &DataSet) -> NuscenesError {
-    load(&data.written().0, VERSION, &LoadOptions::default()).unwrap_err()
+    data.load().unwrap_err()
 }
 
 /// The error after one field of one record is replaced.
@@ -35,7 +35,7 @@ fn a_missing_table_is_named() {
     for table in DataSet::new().tables.into_keys() {
         let folder = DataSet::new().written();
         std::fs::remove_file(folder.0.join(VERSION).join(format!("{table}.json"))).unwrap();
-        let error = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err();
+        let error = load_from(&folder).unwrap_err();
         assert!(matches!(error, NuscenesError::Missing { .. }), "{error}");
         assert_names(&error.to_string(), &[table, ".json"]);
     }
@@ -64,7 +64,7 @@ fn truncated_tables_are_refused() {
         let bytes = std::fs::read(&path).unwrap();
         for cut in [0, 1, bytes.len() / 2, bytes.len() - 1] {
             std::fs::write(&path, &bytes[..cut]).unwrap();
-            let error = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err();
+            let error = load_from(&folder).unwrap_err();
             assert!(matches!(error, NuscenesError::Json { .. }), "{table} {cut}: {error}");
             assert_names(&error.to_string(), &[table, "byte"]);
         }
@@ -83,7 +83,7 @@ fn numbers_that_are_not_finite_are_refused_by_field() {
         let end = at + text[at..].find(',').unwrap();
         for bad in ["NaN", "Infinity", "-Infinity", "1e999", "null", "\"1\""] {
             std::fs::write(&path, format!("{}{bad}{}", &text[..at], &text[end..])).unwrap();
-            let message = load(&folder.0, VERSION, &LoadOptions::default()).unwrap_err().to_string();
+            let message = load_from(&folder).unwrap_err().to_string();
             assert_names(&message, &[table, field]);
         }
         std::fs::write(&path, text).unwrap();
@@ -129,7 +129,7 @@ fn duplicates_are_refused() {
         rows.push(rows[0].clone());
         if table == "sample_data" {
             // two equal rows lead to one and the same ego pose
-            load(&data.written().0, VERSION, &LoadOptions::default()).unwrap();
+            data.load().unwrap();
             continue;
         }
         let error = error_of(&data);
@@ -163,27 +163,22 @@ fn a_location_cannot_lead_out_of_the_data_set() {
 
 #[test]
 fn damaged_maps_are_refused() {
-    let with = |change: &dyn Fn(&mut Value)| {
+    type Change = fn(&mut Value);
+    let cases: [(Change, &[&str]); 8] = [
+        (|m| m["polygon"][0]["exterior_node_tokens"][1] = json!("gone"), &["node_tokens", "table node"]),
+        (|m| m["lane"][0]["polygon_token"] = json!("gone"), &["polygon_token", "table polygon"]),
+        (|m| m["road_divider"][0]["line_token"] = json!("gone"), &["line_token", "table line"]),
+        (|m| m["arcline_path_3"]["a"][0]["radius"] = json!(0), &["\"a\"", "radius", "positive"]),
+        (|m| m["arcline_path_3"]["a"][0]["shape"] = json!("LXL"), &["\"a\"", "shape", "LXL"]),
+        (|m| m["node"][0]["x"] = json!(1e30), &["node x, y", "1e30"]),
+        (|m| m["lane_connector"][0]["token"] = json!("a"), &["lane token", "twice"]),
+        (|m| *m = json!([]), &["byte"]),
+    ];
+    for (change, words) in cases {
         let mut data = DataSet::new();
         change(&mut data.map);
-        error_of(&data).to_string()
-    };
-    let words = with(&|m| m["polygon"][0]["exterior_node_tokens"][1] = json!("gone"));
-    assert_names(&words, &["town.json", "node_tokens", "table node"]);
-    let words = with(&|m| m["lane"][0]["polygon_token"] = json!("gone"));
-    assert_names(&words, &["town.json", "polygon_token", "table polygon"]);
-    let words = with(&|m| m["road_divider"][0]["line_token"] = json!("gone"));
-    assert_names(&words, &["town.json", "line_token", "table line"]);
-    let words = with(&|m| m["arcline_path_3"]["a"][0]["radius"] = json!(0));
-    assert_names(&words, &["town.json", "\"a\"", "radius", "positive"]);
-    let words = with(&|m| m["arcline_path_3"]["a"][0]["shape"] = json!("LXL"));
-    assert_names(&words, &["town.json", "\"a\"", "shape", "LXL"]);
-    let words = with(&|m| m["node"][0]["x"] = json!(1e30));
-    assert_names(&words, &["town.json", "node x, y", "1e30"]);
-    let words = with(&|m| m["lane_connector"][0]["token"] = json!("a"));
-    assert_names(&words, &["town.json", "lane token", "twice"]);
-    let words = with(&|m| *m = json!([]));
-    assert_names(&words, &["town.json", "byte"]);
+        assert_names(&error_of(&data).to_string(), &[&["town.json"], words].concat());
+    }
 }
 
 /// So many straight paths of 99 km, one behind the other.
@@ -234,7 +229,7 @@ fn many_scenes_of_a_large_map_are_refused() {
         add(&mut data, "sample_data", json!({"sample_token": sample, "ego_pose_token": sample}));
         add(&mut data, "ego_pose", json!({"token": sample}));
     }
-    assert_eq!(load(&data.written().0, VERSION, &LoadOptions::default()).unwrap().scenes.len(), 102);
+    assert_eq!(data.load().unwrap().scenes.len(), 102);
     data.map["arcline_path_3"]["a"] = far_lane(1);
     assert_names(&error_of(&data).to_string(), &["maps/expansion", "too many points"]);
 }
@@ -268,7 +263,7 @@ fn scenes_and_channels_that_nobody_uses_cost_their_records() {
     for i in 0..6_000 {
         add(&mut data, "scene", json!({"token": format!("x{i}"), "name": format!("y{i}")}));
     }
-    let report = load(&data.written().0, VERSION, &LoadOptions::default()).unwrap().report;
+    let report = data.load().unwrap().report;
     assert_eq!((report.scenes.len(), report.empty.len()), (2, 6_000));
     assert_eq!(report.scenes[0].ego_channel.as_deref(), Some("Z"));
 }

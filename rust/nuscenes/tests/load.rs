@@ -6,14 +6,13 @@ mod common;
 
 use ccdiff_nuscenes::{BuildOptions, Interpolation, KeyFrameTiming, LoadOptions, NuscenesError, load};
 use ccdiff_sim::scene::AgentKind;
-use common::{DataSet, Folder, VERSION};
+use common::{DataSet, Folder, VERSION, load_from};
 use proptest::prelude::*;
 use serde_json::json;
 
 #[test]
 fn agents_come_ego_first_then_by_first_appearance_and_nothing_is_lost_silently() {
-    let folder = DataSet::new().written();
-    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let loaded = DataSet::new().load().unwrap();
     let scene = &loaded.scenes[0];
     assert_eq!((scene.num_steps, scene.dt_s), (26, 0.1));
     let kinds: Vec<AgentKind> = scene.agents.iter().map(|a| a.kind).collect();
@@ -38,8 +37,7 @@ fn agents_come_ego_first_then_by_first_appearance_and_nothing_is_lost_silently()
 
 #[test]
 fn the_map_is_cropped_round_the_tracks_and_keeps_holes_and_links() {
-    let folder = DataSet::new().written();
-    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let loaded = DataSet::new().load().unwrap();
     let map = &loaded.scenes[0].map;
     // tracks span x 101.635..126.635 and y 200..215, the margin is 60
     let area = &map.drivable_area[0];
@@ -79,13 +77,11 @@ fn the_channel_that_covers_most_key_frames_carries_the_ego() {
     let rows = data.tables.get_mut("sample_data").unwrap();
     let first = rows.iter().position(|r| lidar(r) && r["is_key_frame"] == true).unwrap();
     rows.remove(first);
-    let folder = data.written();
-    let report = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().report;
+    let report = data.load().unwrap().report;
     assert_eq!(report.scenes[0].ego_channel.as_deref(), Some("CAM_FRONT"));
     assert_eq!(report.scenes[1].ego_channel.as_deref(), Some("LIDAR_TOP"));
     data.tables.insert("sample_data", vec![]);
-    let folder = data.written();
-    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let loaded = data.load().unwrap();
     assert_eq!(loaded.report.scenes[0].ego_channel, None);
     assert_ne!(loaded.scenes[0].agents[0].id, "ego");
 }
@@ -98,8 +94,7 @@ fn a_scene_without_agents_is_left_out_and_named() {
         .get_mut("sample_annotation")
         .unwrap()
         .retain(|a| a["instance_token"] != common::token("instance", 1000));
-    let folder = data.written();
-    let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let loaded = data.load().unwrap();
     assert_eq!((loaded.scenes.len(), loaded.report.empty.as_slice()), (1, &["scene-0001".to_owned()][..]));
 }
 
@@ -121,7 +116,7 @@ fn files(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
 fn the_cache_gives_the_same_scenes_and_report_without_reading_a_table() {
     let (folder, cache) = (DataSet::new().written(), Folder::new());
     let options = cached(&cache);
-    let plain = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
+    let plain = load_from(&folder).unwrap();
     let first = load(&folder.0, VERSION, &options).unwrap();
     let second = load(&folder.0, VERSION, &options).unwrap();
     assert_eq!((first.report.cache.built, first.report.cache.hits), (2, 0));
@@ -145,7 +140,7 @@ fn another_option_or_another_content_is_another_entry() {
     data.write(&folder.0);
     let changed = load(&folder.0, VERSION, &options).unwrap();
     assert_eq!(changed.report.cache.built, 2);
-    assert_eq!(changed.scenes, load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes);
+    assert_eq!(changed.scenes, load_from(&folder).unwrap().scenes);
     // a new map rebuilds the scenes of its location only
     data.map["walkway"] = json!([]);
     std::fs::write(folder.0.join("maps/expansion/town.json"), data.map.to_string()).unwrap();
@@ -169,19 +164,23 @@ fn uniform_motion_at_irregular_times_is_uniform() {
             }
         }
     }
+    let folder = data.written();
+    let with = |build| {
+        load(&folder.0, VERSION, &LoadOptions { build, ..LoadOptions::default() })
+            .unwrap()
+            .scenes
+            .swap_remove(0)
+    };
     for interpolation in [Interpolation::Smooth, Interpolation::Linear] {
         let build = BuildOptions { interpolation, ..BuildOptions::default() };
-        let options = LoadOptions { build: build.clone(), ..LoadOptions::default() };
-        let scene = &load(&data.written().0, VERSION, &options).unwrap().scenes[0];
+        let scene = with(build.clone());
         assert_eq!(scene.num_steps, 26);
         for step in 0..scene.num_steps {
             let x_m = scene.tracks.position[step].x;
             assert!((x_m + 0.365 - 0.8 * step as f32).abs() < 1e-4, "step {step}: {x_m}");
             assert!((scene.tracks.velocity[step].x - 8.0).abs() < 1e-4);
         }
-        let build = BuildOptions { timing: KeyFrameTiming::Nominal, ..build };
-        let options = LoadOptions { build, ..LoadOptions::default() };
-        let scene = &load(&data.written().0, VERSION, &options).unwrap().scenes[0];
+        let scene = with(BuildOptions { timing: KeyFrameTiming::Nominal, ..build });
         // what lasted 0.4 s is played in half a second
         assert_eq!(scene.num_steps, 26);
         assert!((scene.tracks.position[5].x + 0.365 - 3.2).abs() < 1e-4);
@@ -234,7 +233,7 @@ fn cache_files_are_not_believed_under_another_name() {
 fn concurrent_loads_share_a_cache() {
     let (folder, cache) = (DataSet::new().written(), Folder::new());
     let options = cached(&cache);
-    let expected = load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes;
+    let expected = load_from(&folder).unwrap().scenes;
     std::thread::scope(|scope| {
         let handles: Vec<_> =
             (0..8).map(|_| scope.spawn(|| load(&folder.0, VERSION, &options).unwrap())).collect();
@@ -272,10 +271,6 @@ proptest! {
                 rows.swap(i, (state >> 33) as usize % (i + 1));
             }
         }
-        let shuffled = data.written();
-        let plain = DataSet::new().written();
-        let a = load(&shuffled.0, VERSION, &LoadOptions::default()).unwrap();
-        let b = load(&plain.0, VERSION, &LoadOptions::default()).unwrap();
-        prop_assert_eq!(a.scenes, b.scenes);
+        prop_assert_eq!(data.load().unwrap().scenes, DataSet::new().load().unwrap().scenes);
     }
 }

@@ -5,7 +5,7 @@ use ccdiff_render::{
     render_svg,
 };
 use ccdiff_sim::geom::{Point2, Polygon, Pose2, Real, Vector2};
-use ccdiff_sim::scene::{AgentKind, Lane, LaneKind, LightState, Map};
+use ccdiff_sim::scene::{AgentKind, Lane, LightState, Map};
 use proptest::prelude::*;
 
 fn points(xy: &[(Real, Real)]) -> Vec<Point2> {
@@ -19,14 +19,9 @@ fn rectangle(x: (Real, Real), y: (Real, Real)) -> Polygon {
 /// Two roads, 14 m wide, that cross at the origin; a crossing and a stop area east of it.
 fn crossroads() -> Map {
     let lane = |y: Real, towards: Real| Lane {
-        id: format!("lane {y}"),
-        kind: LaneKind::Lane,
         centreline: (0..=160).map(|i| Point2::new(towards * (i as Real - 80.0), y)).collect(),
         polygon: rectangle((-80.0, 80.0), (y - 1.75, y + 1.75)),
-        successors: vec![],
-        predecessors: vec![],
-        speed_limit_mps: None,
-        elevation_m: Vec::new(),
+        ..Lane::default()
     };
     Map {
         drivable_area: vec![rectangle((-80.0, 80.0), (-7.0, 7.0)), rectangle((-7.0, 7.0), (-80.0, 80.0))],
@@ -134,9 +129,8 @@ fn a_hole_in_the_drivable_area_shows_the_ground_unless_another_polygon_covers_it
 fn no_seam_shows_between_areas_that_abut_at_any_angle() {
     for turn in [0.0, 0.3, 0.7, 1.2] {
         let at = |x: Real, y: Real| Pose2::new(0.37, 0.11, turn).to_outer(Point2::new(x, y));
-        let half = |from: Real, to: Real| Polygon {
-            exterior: vec![at(from, -30.0), at(to, -30.0), at(to, 30.0), at(from, 30.0)],
-            holes: vec![],
+        let half = |from: Real, to: Real| {
+            Polygon::from_exterior(vec![at(from, -30.0), at(to, -30.0), at(to, 30.0), at(from, 30.0)])
         };
         let map = Map { drivable_area: vec![half(-30.0, 0.0), half(0.0, 30.0)], ..Map::default() };
         let map = MapLayers::new(&map).unwrap();

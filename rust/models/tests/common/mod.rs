@@ -16,6 +16,12 @@ pub(crate) fn seeded<T>(make: impl FnOnce() -> T) -> T {
     make()
 }
 
+/// A road along x, 8 m to each side.
+pub(crate) fn road() -> Polygon {
+    let corners = [(-100.0, -8.0), (300.0, -8.0), (300.0, 8.0), (-100.0, 8.0)];
+    Polygon::from_exterior(corners.map(|(x, y)| Point2::new(x, y)).to_vec())
+}
+
 /// `vehicles` are (x, y, heading, speed, acceleration) at step 0; all live for `num_steps`.
 pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
     let mut tracks = Tracks::default();
@@ -39,19 +45,7 @@ pub(crate) fn scene(vehicles: &[[f32; 5]], num_steps: usize) -> Arc<Scene> {
             height_m: 1.5,
         })
         .collect();
-    let corner = |x, y| Point2::new(x, y);
-    let map = Map {
-        drivable_area: vec![Polygon {
-            exterior: vec![
-                corner(-100.0, -8.0),
-                corner(300.0, -8.0),
-                corner(300.0, 8.0),
-                corner(-100.0, 8.0),
-            ],
-            holes: Vec::new(),
-        }],
-        ..Map::default()
-    };
+    let map = Map { drivable_area: vec![road()], ..Map::default() };
     let scene = Scene {
         name: "road".into(),
         token: "road".into(),

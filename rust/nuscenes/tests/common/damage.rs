@@ -1,8 +1,8 @@
 //! Files with damage that a few bytes describe; driven by `hostile.rs` and by the fuzz targets in `rust/fuzz`.
 
 use super::world::Batch;
-use super::{DataSet, VERSION};
-use ccdiff_nuscenes::{LoadOptions, decode_scene, encode_scene, load, load_gpudrive};
+use super::{DataSet, VERSION, load_from};
+use ccdiff_nuscenes::{decode_scene, encode_scene, load_gpudrive};
 use ccdiff_sim::scene::Scene;
 use ccdiff_sim::world::{Controlled, SceneOrder, TrafficCollision, VecWorld, WorldConfig};
 use serde_json::json;
@@ -43,7 +43,7 @@ pub(crate) fn load_damaged(input: &[u8]) {
     let mut bytes = std::fs::read(path).unwrap();
     edit(&mut bytes, edits);
     std::fs::write(path, bytes).unwrap();
-    if let Ok(loaded) = load(&folder.0, VERSION, &LoadOptions::default()) {
+    if let Ok(loaded) = load_from(&folder) {
         for scene in loaded.scenes {
             scene.as_ref().clone().validated().unwrap();
         }
@@ -91,16 +91,26 @@ pub(crate) fn gpudrive_scene() -> String {
     .to_string()
 }
 
+/// The scenes of the tiny data set.
+fn scenes() -> &'static Vec<Arc<Scene>> {
+    static SCENES: OnceLock<Vec<Arc<Scene>>> = OnceLock::new();
+    SCENES.get_or_init(|| DataSet::new().load().unwrap().scenes)
+}
+
+/// Worlds of four controlled vehicles in IDM traffic.
+fn in_idm() -> WorldConfig {
+    WorldConfig {
+        history_steps: 2,
+        controlled: Controlled::Vehicles,
+        num_slots: 4,
+        traffic: "idm".into(),
+        ..WorldConfig::default()
+    }
+}
+
 /// Decodes a scene of the tiny data set from damaged bytes.
 pub(crate) fn decode_damaged(input: &[u8]) {
-    static SCENE: OnceLock<Vec<u8>> = OnceLock::new();
-    let mut bytes = SCENE
-        .get_or_init(|| {
-            let folder = DataSet::new().written();
-            let loaded = load(&folder.0, VERSION, &LoadOptions::default()).unwrap();
-            encode_scene(&loaded.scenes[0]).unwrap()
-        })
-        .clone();
+    let mut bytes = encode_scene(&scenes()[0]).unwrap();
     edit(&mut bytes, input);
     if let Ok(scene) = decode_scene(&bytes) {
         play(Arc::new(scene.validated().unwrap()));
@@ -109,21 +119,12 @@ pub(crate) fn decode_damaged(input: &[u8]) {
 
 /// Restores a world of the tiny data set from damaged bytes, plays on, and restarts.
 pub(crate) fn restore_damaged(input: &[u8]) {
-    static SCENES: OnceLock<Vec<Arc<Scene>>> = OnceLock::new();
-    let scenes = SCENES.get_or_init(|| {
-        let folder = DataSet::new().written();
-        load(&folder.0, VERSION, &LoadOptions::default()).unwrap().scenes
-    });
     let config = WorldConfig {
-        history_steps: 2,
-        controlled: Controlled::Vehicles,
-        num_slots: 4,
-        traffic: "idm".into(),
         scene_order: SceneOrder::Sequential,
         on_traffic_collision: TrafficCollision::Stop,
-        ..WorldConfig::default()
+        ..in_idm()
     };
-    let mut batch = Batch::new(scenes.clone(), config, 1, 1);
+    let mut batch = Batch::new(scenes().clone(), config, 1, 1);
     batch.reset_all(0);
     let step = |batch: &mut Batch| {
         batch.step(&[0.5, 0.1].repeat(4)).unwrap();
@@ -147,14 +148,7 @@ pub(crate) fn restore_damaged(input: &[u8]) {
 
 /// Steps a world of a scene that holds: whatever a world derives from it fits into memory and stays finite.
 fn play(scene: Arc<Scene>) {
-    let config = WorldConfig {
-        dt_s: scene.dt_s,
-        history_steps: 2,
-        controlled: Controlled::Vehicles,
-        num_slots: 4,
-        traffic: "idm".into(),
-        ..WorldConfig::default()
-    };
+    let config = WorldConfig { dt_s: scene.dt_s, ..in_idm() };
     let Ok(world) = VecWorld::new(vec![scene], config, 1, 1, Vec::new()) else { return };
     let mut batch = Batch::around(world);
     batch.reset_all(0);

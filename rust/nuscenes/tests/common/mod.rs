@@ -5,6 +5,7 @@ pub(crate) mod damage;
 #[path = "../../../sim/tests/common/mod.rs"]
 mod world;
 
+use ccdiff_nuscenes::{LoadOptions, Loaded, Result, load};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -156,12 +157,22 @@ impl DataSet {
         std::fs::write(maps.join("town.json"), self.map.to_string()).unwrap();
     }
 
+    /// Loads everything with the default options.
+    pub(crate) fn load(&self) -> Result<Loaded> {
+        load_from(&self.written())
+    }
+
     /// Writes everything to a new folder.
     pub(crate) fn written(&self) -> Folder {
         let folder = Folder::new();
         self.write(&folder.0);
         folder
     }
+}
+
+/// Loads the data set of a folder with the default options.
+pub(crate) fn load_from(folder: &Folder) -> Result<Loaded> {
+    load(&folder.0, VERSION, &LoadOptions::default())
 }
 
 /// A square with a hole, two lanes in a row, a line.

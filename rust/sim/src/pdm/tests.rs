@@ -60,6 +60,12 @@ impl World {
     fn scene(&self) -> Scene<'_> {
         Scene::new(&self.prepared, &self.states, 0, DT_S, 15.0, 0)
     }
+
+    /// The contacts of an ego that goes straight on at a speed.
+    fn contacts(&self, speed_mps: Real, steps: usize) -> score::Contacts {
+        let scene = self.scene();
+        score::contacts(&scene, &Forecast::new(&scene), &straight(self, speed_mps, steps))
+    }
 }
 
 /// The proposal at a share of the limit and a distance from the line.
@@ -82,6 +88,10 @@ fn made(world: &World, speed_mps: Real, actions: Vec<[Real; 2]>) -> Rollout {
         speeds_mps.push(speed_mps + DT_S * acceleration);
     }
     Rollout { poses, speeds_mps, actions, progress_m: 0.0, offset_m: 0.0 }
+}
+
+fn straight(world: &World, speed_mps: Real, steps: usize) -> Rollout {
+    made(world, speed_mps, vec![[0.0, 0.0]; steps])
 }
 
 #[test]
@@ -146,21 +156,14 @@ fn who_touches_the_ego_already_is_no_matter() {
 fn static_obstacles_cost_half_and_agents_all() {
     for (kind, left) in [(AgentKind::Static, 0.5), (AgentKind::Pedestrian, 0.0), (AgentKind::Vehicle, 0.0)] {
         let world = World::new(&[ego(10.0), (20.0, -1.75, 0.0, [0.0, 0.0], kind)]);
-        let scene = world.scene();
-        let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 40]);
         // bumper to bumper 16 m, 10 m/s: the boxes touch at step 16
-        let expected = score::Contacts { left, first: Some(16), close: true };
-        assert_eq!(score::contacts(&scene, &Forecast::new(&scene), &rollout), expected);
+        assert_eq!(world.contacts(10.0, 40), score::Contacts { left, first: Some(16), close: true });
     }
 }
 
 #[test]
 fn the_ego_is_to_blame_for_a_side_between_lanes_and_never_while_it_stands() {
-    let fault = |own: At, other: At| {
-        let world = World::new(&[own, other]);
-        let scene = world.scene();
-        score::contacts(&scene, &Forecast::new(&scene), &made(&world, own.3[0], vec![[0.0, 0.0]; 40])).first
-    };
+    let fault = |own: At, other: At| World::new(&[own, other]).contacts(own.3[0], 40).first;
     // hit from behind at 6 m/s more, and the other way round
     assert_eq!(fault(ego(6.0), car(-10.0, -1.75, 12.0)), None);
     assert_eq!(fault(ego(12.0), car(10.3, -1.75, 6.0)), Some(11));
@@ -174,12 +177,7 @@ fn the_ego_is_to_blame_for_a_side_between_lanes_and_never_while_it_stands() {
 
 #[test]
 fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone() {
-    let close = |other: At, kind: LaneKind| {
-        let world = World::on(&[ego(10.0), other], kind);
-        let scene = world.scene();
-        let rollout = made(&world, 10.0, vec![[0.0, 0.0]; 5]);
-        score::contacts(&scene, &Forecast::new(&scene), &rollout).close
-    };
+    let close = |other: At, kind: LaneKind| World::on(&[ego(10.0), other], kind).contacts(10.0, 5).close;
     // 11 m from centre to centre, both straight on: contact in 0.9 s if the other drives 2 m/s
     assert!(close(car(11.0, -1.75, 2.0), LaneKind::Lane));
     assert!(!close(car(15.5, -1.75, 2.0), LaneKind::Lane));
@@ -190,9 +188,7 @@ fn time_to_contact_looks_thirty_degrees_ahead_and_aside_in_intersections_alone()
     assert!(!close(crossing, LaneKind::Lane));
     assert!(close(crossing, LaneKind::Connector));
     // a standing ego has none
-    let world = World::new(&[ego(0.0), car(4.1, -1.75, -3.0)]);
-    let scene = world.scene();
-    assert!(!score::contacts(&scene, &Forecast::new(&scene), &made(&world, 0.0, vec![[0.0, 0.0]; 9])).close);
+    assert!(!World::new(&[ego(0.0), car(4.1, -1.75, -3.0)]).contacts(0.0, 9).close);
 }
 
 #[test]
@@ -235,9 +231,8 @@ fn metres_against_traffic_cost_half_then_all() {
     for (speed, left) in [(0.4, 1.0), (1.0, 0.5), (2.0, 0.0)] {
         // in the lane that leads back, for 4 s: 1.6, 4 and 8 m
         let world = World::new(&[(0.0, 1.75, 0.0, [speed, 0.0], AgentKind::Vehicle)]);
-        let rollout = made(&world, speed, vec![[0.0, 0.0]; 40]);
-        assert_eq!(score::direction(&world.scene(), &rollout), left, "{speed}");
+        assert_eq!(score::direction(&world.scene(), &straight(&world, speed, 40)), left, "{speed}");
     }
     let world = World::on(&[(0.0, 1.75, 0.0, [2.0, 0.0], AgentKind::Vehicle)], LaneKind::Connector);
-    assert_eq!(score::direction(&world.scene(), &made(&world, 2.0, vec![[0.0, 0.0]; 40])), 1.0);
+    assert_eq!(score::direction(&world.scene(), &straight(&world, 2.0, 40)), 1.0);
 }
