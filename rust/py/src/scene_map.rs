@@ -345,7 +345,7 @@ struct Heights {
 
 impl Heights {
     fn area(&self, parts: RoadParts<'_>, bounds: &[f32]) -> (Vec<Polygon>, Vec<[f32; 2]>) {
-        let surfaces: Vec<_> = self.surfaces.iter().map(|heights| range_of(heights)).collect();
+        let surfaces: Vec<_> = self.surfaces.iter().map(range_of).collect();
         let heights = PartElevations { edges: &self.edges, surfaces: &surfaces, seeds: &self.seeds };
         road_areas(parts, heights, bounds)
     }
@@ -363,7 +363,7 @@ impl Heights {
         }
         let layers = [&mut ranges.ped_crossings, &mut ranges.walkways];
         for (ranges, heights) in layers.into_iter().zip(&self.areas) {
-            *ranges = heights.iter().map(|z| range_of(z)).collect();
+            *ranges = heights.iter().map(range_of).collect();
         }
     }
 }

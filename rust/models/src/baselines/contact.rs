@@ -195,7 +195,7 @@ mod tests {
     fn a_footprint_partly_off_the_road_has_the_tabulated_loss_and_is_pushed_back() {
         let corner = |x, y| Point2::new(x, y);
         let exterior = vec![corner(-50.0, -50.0), corner(50.0, -50.0), corner(50.0, 0.5), corner(-50.0, 0.5)];
-        let road = Region::new(&[Polygon { exterior, holes: Vec::new() }]).unwrap();
+        let road = Region::new(&[Polygon::from_exterior(exterior)]).unwrap();
         let numbers = |v: &[f32], size: &[i64]| Tensor::from_slice(v).view(size);
         let mut batch = Batch::new(vec![cars(&[5.0])], tch::Device::Cpu).unwrap();
         batch.roads = vec![Some(Arc::new(road))];

@@ -4,7 +4,7 @@
 //! into pieces of at most 5 m, and an agent sees those nearest to the straight way ahead of it.
 
 use crate::inputs::features::scene::SceneFeatures;
-use ccdiff_sim::geom::{Point2, Pose2, Vector2};
+use ccdiff_sim::geom::{Point2, Pose2, Vector2, bounds};
 use ccdiff_sim::observe::{MapSegments, Segment, SegmentKind};
 use ccdiff_sim::scene::Scene;
 
@@ -54,14 +54,15 @@ impl MapLines {
     /// [`LOG_MARGIN_M`] and [`MOST_MARGIN_M`] beyond the box of all logged positions. Lanes do not count: loaders do not cut them.
     pub fn from_scene(scene: &Scene) -> Self {
         let (map, tracks) = (&scene.map, &scene.tracks);
-        let logged = tracks.position.iter().zip(&tracks.valid).filter_map(|(p, valid)| valid.then_some(p));
-        let [low, high] = corners(logged).unwrap_or([Point2::origin(); 2]);
+        let logged = tracks.position.iter().zip(&tracks.valid).filter_map(|(p, valid)| valid.then_some(*p));
+        let (low, high) = bounds(logged).unwrap_or_default();
         let areas = [&map.drivable_area, &map.ped_crossings, &map.walkways, &map.carpark_areas];
         let lines = map.road_dividers.iter().chain(&map.lane_dividers).flatten();
-        let drawn = corners(areas.into_iter().flatten().flat_map(|area| &area.exterior).chain(lines));
+        let drawn = areas.into_iter().flatten().flat_map(|area| &area.exterior).chain(lines);
+        let drawn = bounds(drawn.copied());
         let margin = |drawn_m: Option<f32>| drawn_m.unwrap_or(f32::MAX).clamp(LOG_MARGIN_M, MOST_MARGIN_M);
-        let below = |axis: usize| low[axis] - margin(drawn.map(|[from, _]| low[axis] - from[axis]));
-        let above = |axis: usize| high[axis] + margin(drawn.map(|[_, to]| to[axis] - high[axis]));
+        let below = |axis: usize| low[axis] - margin(drawn.map(|(from, _)| low[axis] - from[axis]));
+        let above = |axis: usize| high[axis] + margin(drawn.map(|(_, to)| to[axis] - high[axis]));
         let all = MapSegments::new(map);
         Self {
             known: [Point2::new(below(0), below(1)), Point2::new(above(0), above(1))],
@@ -74,14 +75,6 @@ impl MapLines {
         let [low, high] = self.known;
         low.x <= point.x && point.x <= high.x && low.y <= point.y && point.y <= high.y
     }
-}
-
-/// Corners of the box of points; `None` without any.
-fn corners<'a>(points: impl Iterator<Item = &'a Point2>) -> Option<[Point2; 2]> {
-    points.fold(None, |found, p| {
-        let [low, high] = found.unwrap_or([*p; 2]);
-        Some([Point2::new(low.x.min(p.x), low.y.min(p.y)), Point2::new(high.x.max(p.x), high.y.max(p.y))])
-    })
 }
 
 /// How much farther a kind counts than a lane.

@@ -32,7 +32,7 @@ pub type Point2 = nalgebra::Point2<Real>;
 pub type Vector2 = nalgebra::Vector2<Real>;
 
 /// Lower left and upper right corner of the box round some points; `None` without any.
-pub(crate) fn bounds(points: impl IntoIterator<Item = Point2>) -> Option<(Point2, Point2)> {
+pub fn bounds(points: impl IntoIterator<Item = Point2>) -> Option<(Point2, Point2)> {
     let mut points = points.into_iter();
     let first = points.next()?;
     Some(points.fold((first, first), |(lo, hi), p| {

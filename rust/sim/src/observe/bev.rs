@@ -140,30 +140,21 @@ impl BevConfig {
     }
 
     fn draw_route(&self, view: &View<'_>, frame: &Pose2, out: &mut [u8]) {
-        let size = self.size_px as Real;
         let goal_s = view.route_s_m + view.facts.route_remaining_m;
-        let reach_m = 2.0 * size * self.metres_per_px;
+        let reach_m = 2.0 * self.size_px as Real * self.metres_per_px;
         let half_width = (ROUTE_HALF_WIDTH_M / self.metres_per_px).max(0.5);
-        let mut band = |from: Point2, to: Point2, byte: u8| {
-            let (a, b) = (self.to_px(frame.to_local(from)), self.to_px(frame.to_local(to)));
-            visit_band(a, b, half_width, [size, size], |x, y| {
-                let at = y as usize * self.size_px + x as usize;
-                out[at] = out[at].max(byte);
-            });
-        };
         let points = view.route.points().iter().zip(view.route.arc_lengths_m());
         let mut from = view.route.at(view.route_s_m).position;
         for (to, s) in points.skip_while(|(_, s)| **s <= view.route_s_m) {
             if *s > view.route_s_m + reach_m {
                 break;
             }
-            band(from, *to, if *s <= goal_s + 0.5 { 255 } else { 128 });
+            self.draw_band(frame, [from, *to], half_width, if *s <= goal_s + 0.5 { 255 } else { 128 }, out);
             from = *to;
         }
     }
 
     fn draw_lights(&self, view: &View<'_>, frame: &Pose2, out: &mut [u8]) {
-        let size = self.size_px as Real;
         let elevation_m = view.states.elevation_m(view.agent_idx);
         for light in view.map.lights.iter().filter(|l| l.is_on_level(view.map, elevation_m)) {
             let byte = match light.state(view.step_idx) {
@@ -172,12 +163,17 @@ impl BevConfig {
                 LightState::Green => 85,
                 LightState::Unknown => continue,
             };
-            let [a, b] = light.stop_line.map(|p| self.to_px(frame.to_local(p)));
-            visit_band(a, b, 0.5, [size, size], |x, y| {
-                let at = y as usize * self.size_px + x as usize;
-                out[at] = out[at].max(byte);
-            });
+            self.draw_band(frame, light.stop_line, 0.5, byte, out);
         }
+    }
+
+    /// Raises what a band round a segment covers to a byte; half its width in pixels.
+    fn draw_band(&self, frame: &Pose2, ends: [Point2; 2], half_width: Real, byte: u8, out: &mut [u8]) {
+        let [a, b] = ends.map(|p| self.to_px(frame.to_local(p)));
+        visit_band(a, b, half_width, [self.size_px as Real; 2], |x, y| {
+            let at = y as usize * self.size_px + x as usize;
+            out[at] = out[at].max(byte);
+        });
     }
 
     /// Draws the box of an agent, a pixel wide at least.

@@ -114,7 +114,7 @@ impl MapSegments {
         ] {
             let road = road.filter(|_| elevation_m.is_some() && kind == SegmentKind::RoadEdge);
             let cut = Cut { road, ..whole };
-            for ring in polygons.iter().flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes)) {
+            for ring in polygons.iter().flat_map(Polygon::rings) {
                 segments.add_ring(ring, &cut, kind);
             }
         }
@@ -285,7 +285,7 @@ mod tests {
 
     fn square(x: Real, y: Real, side_m: Real) -> Polygon {
         let at = |dx, dy| Point2::new(x + dx * side_m, y + dy * side_m);
-        Polygon { exterior: vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)], holes: Vec::new() }
+        Polygon::from_exterior(vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)])
     }
 
     fn length_of(segments: &MapSegments, kind: SegmentKind) -> Real {

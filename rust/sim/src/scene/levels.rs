@@ -6,6 +6,7 @@
 use super::map::{Elevations, HIGHEST_M, LEVEL_M, Lane, Map};
 use super::road_area::{RoadParts, road_area};
 use crate::geom::{Point2, Polygon, Real};
+use std::borrow::Borrow;
 use std::ops::Range;
 
 /// Heights within a square of this side are of one place, metres.
@@ -97,7 +98,7 @@ pub fn level_bounds<'a>(
 ) -> Vec<Real> {
     let pieces = lines.flat_map(|(line, heights)| line.windows(2).zip(heights.windows(2)));
     let all = pieces.clone().flat_map(|(_, heights)| heights).copied().chain(tracks.clone().map(|(_, z)| z));
-    let [low, high] = all.fold(range_of(&[]), |[low, high], z| [low.min(z), high.max(z)]);
+    let [low, high] = range_of(all);
     if high - low <= LEVEL_M || low == high {
         return Vec::new();
     }
@@ -196,7 +197,7 @@ pub fn cut_by_level(line: &[Point2], heights: &[Real], bounds: &[Real]) -> Vec<(
 }
 
 /// Least and greatest of some heights.
-pub fn range_of(heights: &[Real]) -> [Real; 2] {
+pub fn range_of(heights: impl IntoIterator<Item = impl Borrow<Real>>) -> [Real; 2] {
     let none = [Real::INFINITY, Real::NEG_INFINITY];
-    heights.iter().fold(none, |[low, high], z| [low.min(*z), high.max(*z)])
+    heights.into_iter().fold(none, |[low, high], z| [low.min(*z.borrow()), high.max(*z.borrow())])
 }

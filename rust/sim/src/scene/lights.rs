@@ -1,5 +1,6 @@
 //! Traffic lights: the lane that each controls, the line where it is waited for, and its state at every step.
 
+use super::road_area::HALF_LANE_M;
 use super::{LEVEL_M, Map};
 use crate::geom::{Point2, Polyline, Real, Vector2};
 use crate::named::named;
@@ -8,8 +9,6 @@ use serde::{Deserialize, Serialize};
 /// How far behind a stop line a route is compared with the controlled lane, and how far they may be apart, metres.
 const ALONG_M: Real = 8.0;
 const APART_M: Real = 1.75;
-/// Half the width of a lane, metres.
-const HALF_LANE_M: Real = 1.75;
 
 named! {
     /// State of a light.

@@ -163,10 +163,10 @@ impl Map {
         let polygons =
             [&self.drivable_area, &self.ped_crossings, &self.walkways, &self.stop_lines, &self.carpark_areas];
         let areas = polygons.into_iter().flatten().chain(self.lanes.iter().map(|l| &l.polygon));
-        let rings = areas.flat_map(|p| std::iter::once(&p.exterior).chain(&p.holes));
+        let rings = areas.flat_map(Polygon::rings);
         let lines = self.lanes.iter().map(|l| &l.centreline);
         let lines = lines.chain(&self.road_dividers).chain(&self.lane_dividers);
-        rings.chain(lines).map(|points| along(points)).sum()
+        rings.chain(lines.map(Vec::as_slice)).map(along).sum()
     }
 
     /// Where vehicles may drive: the drivable area, else the lanes' surfaces.

@@ -2,7 +2,7 @@
 
 use crate::geom::{Bitmap, Boundary, Point2, Real, Region};
 use crate::observe::{BevConfig, MapSegments};
-use crate::scene::{LaneIndex, Map, Scene};
+use crate::scene::{LaneIndex, Map, Scene, range_of};
 use std::sync::OnceLock;
 
 /// Ground is made for elevations this far apart, metres.
@@ -72,8 +72,7 @@ impl Grounds {
         let heights = scene.tracks.elevation_m.iter().zip(&scene.tracks.valid);
         let heights = heights.filter(|(_, valid)| **valid).map(|(z, _)| *z);
         let heights = heights.chain(map.lanes.iter().flat_map(|lane| &lane.elevation_m).copied());
-        let (low_m, high_m) =
-            heights.fold((Real::INFINITY, Real::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        let [low_m, high_m] = range_of(heights);
         let count = if of_map && scene.has_levels() { ((high_m - low_m) / SLOT_M) as usize + 1 } else { 0 };
         Self {
             whole: Ground::new(map, None, bev),
