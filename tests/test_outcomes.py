@@ -9,9 +9,10 @@ from array_scenes import STEPS, TIMES_S, agent, array_scene, rebuilt, wide_road
 import ccdiff_env
 from ccdiff_env import planners
 from ccdiff_env.errors import ConfigError, DatasetError, MissingFeatureError
+from ccdiff_env.planners.ego import save_ego
 from ccdiff_env.training.cloning import demonstrations, export_demonstrations
 from ccdiff_env.training.outcomes import OUTCOMES, Learning, play_episodes
-from ccdiff_env.training.recipe import ROAD, Mirrored, Priced
+from ccdiff_env.training.recipe import ROAD, Priced
 
 STEADY = agent("ego", 10.0 * TIMES_S)
 STOPS = agent("ego", np.minimum(10.0 * TIMES_S, 90.0))
@@ -248,28 +249,38 @@ def in_a_mirror(scene):
     return rebuilt(scene, **moved, heading=-log["heading"], map_layers=layers, mend=False)
 
 
-def test_worlds_in_a_mirror_are_those_of_the_mirrored_scene(scenes):
+@pytest.mark.parametrize("even", [False, True])
+def test_an_even_policy_drives_in_a_mirror_as_it_does_without(even, scenes, tmp_path):
+    torch = pytest.importorskip("torch")
+    from ccdiff_env.training.ego_network import Agent, reflection
+
     scene = scenes["left-turn-04"]
     sees = {"ego_columns": ["default", *ROAD], "agent_columns": ["default", "yaw_rate"]}
-    given = {"scenes": scene, "traffic": "idm", "decision_steps": 3, "observation": sees}
-    given |= {"dynamics": "unicycle", "autoreset_mode": "same_step", "terminate_at_goal": False}
-    mirrored = Mirrored(ccdiff_env.make_vec(2, **given))
-    other = ccdiff_env.make_vec(1, **given | {"scenes": in_a_mirror(scene)})
-    bare = ccdiff_env.make_vec(1, **given)
-    seen = [env.reset(seed=0)[0] for env in (mirrored, other, bare)]
-    random, ended = np.random.default_rng(0), 0
-    for _ in range(60):
-        np.testing.assert_allclose(seen[0][0], seen[1][0], atol=2e-3)
-        np.testing.assert_array_equal(seen[0][1], seen[2][0])
-        assert not np.allclose(seen[0][0], seen[0][1], atol=0.05)
+    fitting = {"dynamics": "unicycle", "decision_steps": 3, "observation": sees}
+    given = {"traffic": "idm", "terminate_at_goal": False, **fitting}
+    plain, mirrored = (
+        ccdiff_env.make_vec(1, scenes=s, **given) for s in (scene, in_a_mirror(scene))
+    )
+    layout = plain.worlds.layout
+    torch.manual_seed(0)
+    made = Agent(layout, (0.2, 0.1), even=even)
+    torch.nn.init.normal_(made.policy[-1].weight, std=0.3)
+    here, there = plain.reset(seed=0)[0], mirrored.reset(seed=0)[0]
+    made.see(torch.from_numpy(here))
+    save_ego(tmp_path / "ego.safetensors", made.tensors(), fitting, {})
+    policy = planners.load(tmp_path / "ego.safetensors")
+    places, signs = reflection(layout)
+    random, sides, differences = np.random.default_rng(0), np.array([1.0, -1.0]), []
+    for _ in range(30):
+        np.testing.assert_allclose(here[:, places] * signs.numpy(), there, atol=2e-3)
+        np.testing.assert_allclose(policy.act(here), made.act(here), atol=1e-5)
+        differences.append(np.abs(policy.act(here) - policy.act(there) * sides).max())
         action = random.uniform([-0.3, -0.1], [0.6, 0.1], (1, 2)).astype(np.float32)
-        steps = [env.step(np.repeat(action, env.num_envs, 0)) for env in (mirrored, other, bare)]
-        seen = [step[0] for step in steps]
-        assert steps[0][1].tolist() == pytest.approx([float(s[1][0]) for s in steps[1:]], abs=1e-2)
-        if steps[1][2][0] or steps[1][3][0]:
-            last = [step[4]["final_obs"] for step in steps[:2]]
-            np.testing.assert_allclose(last[0][0], last[1][0], atol=2e-3)
-            ended += 1
-    assert ended > 0
-    with pytest.raises(ConfigError, match="flat observations and two actions"):
-        Mirrored(ccdiff_env.make_vec(2, **given | {"dynamics": "delta_pose"}))
+        here, there = plain.step(action)[0], mirrored.step(action * sides)[0]
+    assert max(differences) < 0.01 if even else max(differences) > 0.1
+    if even:
+        tensors = {**policy.tensors, "mirror": np.full(layout.size, 1.5, np.float32)}
+        tensors["var"] = tensors.pop("std") ** 2
+        save_ego(tmp_path / "bad.safetensors", tensors, fitting, {})
+        with pytest.raises(DatasetError, match=r"mirror.* 1\.5, expected a place, 1 to"):
+            planners.load(tmp_path / "bad.safetensors")

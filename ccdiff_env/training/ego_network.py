@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.ego import EgoPolicy
 from ccdiff_env.training.recipe import CORRELATION
 from ccdiff_env.worlds.spaces import Layout
@@ -18,6 +19,22 @@ WIDTH_ROWS, WIDTH = 64, 128
 #: Updates in bfloat16 take half the time where the processor has it, eight times as long where not.
 HALF = torch.cpu._is_avx512_bf16_supported()
 CLONE_STEPS, CLONE_BATCH = 500, 1024  #: Minibatches of :func:`imitate`, and their size.
+
+
+#: Columns of observations that change their sign in a mirror. Those named after a side change it.
+_ACROSS = ("y", "sin", "velocity_y", "yaw_rate", "route_distance", "route_sin", "last_action_1")
+
+
+def reflection(layout: Layout) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return places [D] and signs [D] of a row's numbers in a mirror, where left is right."""
+    places, signs = torch.arange(layout.size), torch.ones(layout.size)
+    for entry in layout.entries:
+        for i, name in enumerate(entry.columns):
+            there = slice(entry.offset + i, entry.offset + entry.size, len(entry.columns))
+            signs[there] = -1.0 if name in _ACROSS else 1.0
+            sides = ("left", "right") if "left" in name else ("right", "left")
+            places[there] += entry.columns.index(name.replace(*sides)) - i
+    return places, signs
 
 
 class Greatest(torch.autograd.Function):
@@ -50,13 +67,27 @@ def _hidden(size: int, width: int) -> list[nn.Module]:
 
 
 class Agent(nn.Module):
-    """Policy and value: all agents pass one network, the greatest of each feature stays."""
+    """Policy and value: all agents pass one network, the greatest of each feature stays.
+
+    Args:
+        layout: What it observes.
+        noise: Standard deviations [W] of the actions at first.
+        width: Of the hidden layers.
+        even: Whether it drives in a mirror as it does without: policy and value are means of those
+            for what it observes and for that in a mirror. Roads that it cannot learn by heart, it
+            learns to drive on.
+
+    Raises:
+        ConfigError: If it is to be even, and there are not two actions, the second to the left.
+    """
 
     mean: torch.Tensor
     var: torch.Tensor
     count: torch.Tensor
 
-    def __init__(self, layout: Layout, noise: tuple[float, ...], width: int = WIDTH) -> None:
+    def __init__(
+        self, layout: Layout, noise: tuple[float, ...], width: int = WIDTH, *, even: bool = False
+    ) -> None:
         super().__init__()
         entries = {entry.name: entry for entry in layout.entries}
         rest, seen = layout.size, 0
@@ -79,6 +110,16 @@ class Agent(nn.Module):
         for name, value in (("mean", 0.0), ("var", 1.0)):
             self.register_buffer(name, torch.full((layout.size,), value))
         self.register_buffer("count", torch.tensor(1e-4))
+        self.even = even
+        if even:
+            if len(noise) != 2:
+                raise ConfigError(f"an even policy has two actions, not {len(noise)}")
+            self.places, self.signs = reflection(layout)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return what a file of the policy holds, by name."""
+        mirror = {"mirror": self.signs * (self.places + 1)} if self.even else {}
+        return self.state_dict() | mirror
 
     def take(self, policy: EgoPolicy) -> None:
         """Begin with the networks of a policy, and with its means and variances for good."""
@@ -88,6 +129,8 @@ class Agent(nn.Module):
 
     def see(self, obs: torch.Tensor) -> None:
         """Take observations [E, D] into mean and variance; rows of agents share theirs."""
+        if self.even:
+            obs = torch.cat([obs, self.reflected(obs)])
         mean, var = obs.mean(0), obs.var(0, unbiased=False)
         if self.shape:
             rows = obs[:, self.rows].reshape(-1, self.shape[1])
@@ -123,10 +166,18 @@ class Agent(nn.Module):
         rest = x[:, : self.rows.start], x[:, self.mask.stop :]
         return torch.cat([*rest, found[order.argsort()]], dim=1)
 
+    def reflected(self, x: torch.Tensor) -> torch.Tensor:
+        """Return observations [B, D] in a mirror."""
+        return x[:, self.places] * self.signs.to(x.dtype)
+
     def forward(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Means [B, W] of the actions and values [B]."""
-        features = self.features(x)
-        return self.policy(features), self.value(features).squeeze(1)
+        features = self.features(torch.cat([x, self.reflected(x)]) if self.even else x)
+        mean, value = self.policy(features), self.value(features).squeeze(1)
+        if not self.even:
+            return mean, value
+        (mean, other), (value, turned) = mean.chunk(2), value.chunk(2)
+        return 0.5 * (mean + other * torch.tensor([1.0, -1.0])), 0.5 * (value + turned)
 
     def quick(self, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Means and values for an update, by bfloat16 where that is fast."""
@@ -148,7 +199,7 @@ class Agent(nn.Module):
         """Begin as a clone of decisions that were shown, observations [N, D] and actions [N, W]."""
         self.see(obs)
         actor = [p for name, p in self.named_parameters() if not name.startswith("value")]
-        imitate(lambda x: self.policy(self.features(x)), actor, self.normalised(obs), actions, seed)
+        imitate(lambda x: self(x)[0], actor, self.normalised(obs), actions, seed)
 
     @torch.no_grad()
     def act(self, obs: Floats) -> Floats:

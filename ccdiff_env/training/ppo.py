@@ -39,10 +39,11 @@ from ccdiff_env.training.recipe import (
     LAMBDA,
     LAST,
     LONG,
+    LONG_REWARD,
     MINIBATCH,
+    REWARD,
     ROLLOUT,
     WORLDS,
-    Mirrored,
     Priced,
     traffic_options,
 )
@@ -93,8 +94,7 @@ class Worlds:
                 num_threads=args.threads,
                 **own,
             )
-            priced = Priced(env, by_speed=args.long)
-            return Mirrored(priced) if args.long else priced
+            return Priced(env, by_speed=args.long)
 
         self.envs = [made(*share) for share in shares.items()]
         ends = np.cumsum([env.num_envs for env in self.envs])
@@ -200,7 +200,10 @@ def train(args: argparse.Namespace) -> None:
     }
     config = WorldConfig().with_options(**fitting, start_spread_steps=50)
     is_assisted = isinstance(config.action.dynamics, AssistedLimits)
-    alone = {name: WORLDS[name] for name in ("reward", "terminate_at_goal")}
+    alone = {
+        "reward": LONG_REWARD if args.long else REWARD,
+        "terminate_at_goal": WORLDS["terminate_at_goal"],
+    }
     config = config.with_options(**{"reward": ASSISTED_WEIGHTS} if is_assisted else alone)
     checkpoint = args.out / "checkpoint.pt"
     settings = {n: of for n, of in vars(args).items() if n not in FREE}
@@ -214,7 +217,7 @@ def train(args: argparse.Namespace) -> None:
     if given is not None:
         given.check(worlds.envs[0].worlds)
     layout = worlds.envs[0].worlds.layout
-    agent = Agent(layout, tuple(args.noise))
+    agent = Agent(layout, tuple(args.noise), even=args.long)
     optimiser = torch.optim.Adam(agent.parameters(), lr=args.learning_rate, eps=1e-5, fused=True)
     if saved:
         agent.load_state_dict(saved["agent"])
@@ -246,7 +249,7 @@ def train(args: argparse.Namespace) -> None:
         torch.save(state, checkpoint.with_suffix(".tmp"))
         checkpoint.with_suffix(".tmp").replace(checkpoint)
         about = {"done": done, **bound}
-        save_ego(args.out / "ego.safetensors", agent.state_dict(), fitting, about)
+        save_ego(args.out / "ego.safetensors", agent.tensors(), fitting, about)
 
     keep_settings(args.out / "run.json", settings)
     begin = kept = time.perf_counter() - done["seconds"]

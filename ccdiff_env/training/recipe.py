@@ -65,12 +65,13 @@ LIGHTS: dict[str, Any] = {
     "on_red_light": "terminate",
 }  # fmt: skip
 #: Columns beside the default where an ego learns for long: the way to the end of the road, and how
-#: others turn and brake.
+#: others turn and brake. To leave the road costs what a fault does, else it evades to there.
 ROAD = ["road_left", "road_front_left", "road_front", "road_front_right", "road_right"]
 LONG: dict[str, Any] = {
     "ego_columns": ["default", *ROAD],
     "agent_columns": ["default", "acceleration", "yaw_rate"],
 }
+LONG_REWARD = REWARD | {"off_road": -10.0}
 #: What is priced by the ego's speed v costs v / 4 m/s as much if it is a close call, at most twice,
 #: and 0.5 + v / 5 m/s as much if it is a fault.
 CLOSE_MPS, FAULT_MPS = 4.0, 5.0
@@ -152,62 +153,3 @@ class Priced(VectorWrapper):
             reward[end] += WRONG_WAY * metrics["wrong_way"][end]
         self._before = obs.copy()
         return obs, reward.astype(np.float32), terminated, truncated, infos
-
-
-#: Columns of observations that change their sign in a mirror. Those named after a side change it.
-_ACROSS = ("y", "sin", "velocity_y", "yaw_rate", "route_distance", "route_sin", "last_action_1")
-
-
-class Mirrored(VectorWrapper):
-    """Worlds of which every second one is seen in a mirror, and steered so: left is right.
-
-    Roads that a policy cannot learn by heart, it learns to drive on.
-
-    Args:
-        env: Worlds of :func:`ccdiff_env.make_vec` with flat observations and two actions, of which
-            the second is to the left; or :class:`Priced`.
-
-    Raises:
-        ConfigError: If observations or actions are others.
-    """
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        self.worlds, layout = env.worlds, env.worlds.layout
-        space = env.single_action_space
-        if env.single_observation_space.shape != (layout.size,) or space.shape != (2,):
-            raise ConfigError("Mirrored: expected flat observations and two actions")
-        sign, order = np.ones(layout.size, np.float32), np.arange(layout.size)
-        for entry in layout.entries:
-            for i, name in enumerate(entry.columns):
-                end = entry.offset + entry.size
-                there = slice(entry.offset + i, end, len(entry.columns))
-                sign[there] = -1.0 if name in _ACROSS else 1.0
-                is_left = "left" in name
-                other = name.replace(*("left", "right") if is_left else ("right", "left"))
-                order[there] += entry.columns.index(other) - i
-        self._sign, self._order = sign, order
-
-    def seen(self, obs: Any) -> Any:
-        """Return observations [..., D] as they are in a mirror."""
-        return obs[..., self._order] * self._sign
-
-    def reset(self, **given: Any) -> tuple[Any, dict[str, Any]]:
-        """Reset as the worlds do."""
-        obs, infos = self.env.reset(**given)
-        return self._turned(obs), infos
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step as the worlds do, each second one by actions to the other side."""
-        turned = np.array(actions)
-        turned[::2, 1] *= -1.0
-        obs, reward, terminated, truncated, infos = self.env.step(turned)
-        if "final_obs" in infos:
-            for i in np.flatnonzero(infos["_final_obs"][::2]) * 2:
-                infos["final_obs"][i] = self.seen(infos["final_obs"][i])
-        return self._turned(obs), reward, terminated, truncated, infos
-
-    def _turned(self, obs: Any) -> Any:
-        obs = obs.copy()
-        obs[::2] = self.seen(obs[::2])
-        return obs

@@ -83,8 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--long",
         action="store_true",
-        help="for millions of decisions: half of the worlds in a mirror, the end of the road and "
-        "how others turn and brake in sight, close calls and faults priced by speed",
+        help="for millions of decisions: a policy that drives in a mirror as without, the end of "
+        "the road and how others turn and brake in sight, close calls and faults priced by speed",
     )
     parser.add_argument("--threads", type=int, default=2, help="threads of torch and worlds")
     parser.add_argument("--seed", type=int, default=0, help="seed of networks and worlds")

@@ -23,6 +23,8 @@ pub struct NetworkOfEgo {
     mask: Range<usize>,
     encoder: Option<[Packed; 2]>,
     policy: [Packed; 3],
+    /// Of each number in a mirror, where left is right: its place, and its sign. Where there is one, the policy is even.
+    mirror: Vec<(usize, Real)>,
     x: Vec<Real>,
     hidden: [Vec<Real>; 2],
 }
@@ -51,10 +53,12 @@ impl NetworkOfEgo {
         let none = || (layout.size..layout.size, 0);
         let (agents, columns) = place("agents").unwrap_or_else(none);
         let (mask, _) = place("agents_mask").unwrap_or_else(none);
+        let is_even = tensors.contains_key("mirror");
         let weights = Weights::new(path, tensors);
         let row = |name: &str| weights.take(name, &[layout.size]).unwrap_or_default().to_vec();
         let layer = |name, inputs, outputs| weights.layer(name, inputs, outputs);
         let (mean, std) = (row("mean"), row("std"));
+        let places = if is_even { row("mirror") } else { Vec::new() };
         let encoder =
             (columns > 0).then(|| [layer("encoder.0", columns, first), layer("encoder.2", first, near)]);
         let inputs = layout.size - agents.len() - mask.len() + encoder.as_ref().map_or(0, |_| near);
@@ -67,8 +71,26 @@ impl NetworkOfEgo {
         if let Some(least) = std.iter().find(|s| **s <= 0.0) {
             return Err(broken(path, "std", least.to_string(), "above 0"));
         }
+        if is_even && num_actions != 2 {
+            return Err(broken(
+                path,
+                "mirror",
+                format!("of {num_actions} actions"),
+                "two, the second to the left",
+            ));
+        }
+        let far = |p: &&Real| p.fract() != 0.0 || !(1.0..=layout.size as Real).contains(&p.abs());
+        if let Some(place) = places.iter().find(far) {
+            return Err(broken(
+                path,
+                "mirror",
+                place.to_string(),
+                format!("a place, 1 to {}, with a sign", layout.size),
+            ));
+        }
+        let mirror = places.iter().map(|p| (p.abs() as usize - 1, p.signum())).collect();
         let (x, hidden) = (Vec::new(), Default::default());
-        Ok(Self { mean, std, agents, mask, encoder, policy, x, hidden })
+        Ok(Self { mean, std, agents, mask, encoder, policy, mirror, x, hidden })
     }
 
     /// Numbers of a row, and of an action.
@@ -81,6 +103,18 @@ impl NetworkOfEgo {
         let scaled = |((x, mean), std): ((&Real, &Real), &Real)| ((x - mean) / std).clamp(-CLIP, CLIP);
         self.x.clear();
         self.x.extend(row.iter().zip(&self.mean).zip(&self.std).map(scaled));
+        let mut action = self.decide(row);
+        if !self.mirror.is_empty() {
+            self.x = self.mirror.iter().map(|(place, sign)| sign * self.x[*place]).collect();
+            let turned = self.decide(row);
+            let sides = turned.iter().zip([1.0, -1.0]);
+            action.iter_mut().zip(sides).for_each(|(x, (other, side))| *x = 0.5 * (*x + side * other));
+        }
+        action.iter().map(|x| x.clamp(-1.0, 1.0)).collect()
+    }
+
+    /// The action for normalised numbers; agents are there where they are in the row.
+    fn decide(&mut self, row: &[Real]) -> Vec<Real> {
         let [a, b] = &mut self.hidden;
         let mut features: Vec<Real> =
             self.x[..self.agents.start].iter().chain(&self.x[self.mask.end..]).copied().collect();
@@ -100,6 +134,6 @@ impl NetworkOfEgo {
         linear(&features, first, true, a);
         linear(a, second, true, b);
         linear(b, last, false, a);
-        a.iter().map(|x| x.clamp(-1.0, 1.0)).collect()
+        a.clone()
     }
 }
