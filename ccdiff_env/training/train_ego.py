@@ -53,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="weight of the KL divergence from the zero action, which is that of the base, if any",
     )
     parser.add_argument(
-        "--dynamics", default="assisted", help="dynamics of the ego: assisted, unicycle, or bicycle"
+        "--dynamics",
+        default="assisted",
+        choices=("assisted", "unicycle", "bicycle"),
+        help="dynamics of the ego",
     )
     parser.add_argument(
         "--base", default="idm", help="rule that assisted actions change: idm or pdm"
