@@ -93,10 +93,9 @@ def save_ego(
             f"policy: options {sorted(others)}, expected some of {', '.join(FITTING)}"
         )
     names = [f"{layer}.{part}" for layer in _LAYERS for part in ("weight", "bias")]
+    names.append("mirror")
     kept = {name: np.asarray(tensors[name], np.float32) for name in names if name in tensors}
-    for name in ("mean", "mirror"):
-        if name in tensors:
-            kept[name] = np.asarray(tensors[name], np.float32)
+    kept["mean"] = np.asarray(tensors["mean"], np.float32)
     kept["std"] = np.sqrt(np.asarray(tensors["var"], np.float32) + np.float32(1e-4))
     config = WorldConfig().with_options(**options)
     metadata = {

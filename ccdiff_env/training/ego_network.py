@@ -74,11 +74,11 @@ class Agent(nn.Module):
         noise: Standard deviations [W] of the actions at first.
         width: Of the hidden layers.
         even: Whether it drives in a mirror as it does without: policy and value are means of those
-            for what it observes and for that in a mirror. Roads that it cannot learn by heart, it
-            learns to drive on.
+            for what it observes and for that in a mirror, so that each decision teaches both. It
+            has two actions then, of which the second is to the left.
 
     Raises:
-        ConfigError: If it is to be even, and there are not two actions, the second to the left.
+        ConfigError: If it is to be even, and there are not two actions.
     """
 
     mean: torch.Tensor

@@ -65,12 +65,13 @@ LIGHTS: dict[str, Any] = {
     "on_red_light": "terminate",
 }  # fmt: skip
 #: Columns beside the default where an ego learns for long: the way to the end of the road, and how
-#: others turn and brake. To leave the road costs what a fault does, else it evades to there.
+#: others turn and brake.
 ROAD = ["road_left", "road_front_left", "road_front", "road_front_right", "road_right"]
 LONG: dict[str, Any] = {
     "ego_columns": ["default", *ROAD],
     "agent_columns": ["default", "acceleration", "yaw_rate"],
 }
+#: Leaving the road costs about what a fault does: where it was cheaper, an ego evaded to there.
 LONG_REWARD = REWARD | {"off_road": -10.0}
 #: What is priced by the ego's speed v costs v / 4 m/s as much if it is a close call, at most twice,
 #: and 0.5 + v / 5 m/s as much if it is a fault.
