@@ -96,9 +96,9 @@ def test_weights_under_names_of_their_own_stand_beside_the_shipped_ones(tmp_path
     page = ["view", "left-turn-00", "--traffic", "mine-1", "-o", str(tmp_path / "page.html")]
     assert cli.main([*page, "--weights", f"mine={routes}"]) == 0
     capsys.readouterr()
-    protocol = ["bench", "planners", *common[3:], "--protocol", "planner-1.3"]
+    protocol = ["bench", "planners", *common[3:], "--protocol", "planner-1.4"]
     assert cli.main([*protocol, "--out", str(tmp_path / "p")]) == 2
-    assert "--weights: planner-1.3 fixes it" in capsys.readouterr().err
+    assert "--weights: planner-1.4 fixes it" in capsys.readouterr().err
 
 
 def test_a_method_is_put_together_from_a_network_a_form_and_a_mode():

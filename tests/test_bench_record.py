@@ -123,7 +123,7 @@ def test_results_of_a_level_are_headed_by_it(tmp_path):
         for row, name in zip(result["result"], hashes, strict=True):
             row["scene"] = name
     ((heading, table),) = tables(tmp_path, *results)
-    assert heading == "planner-1.3 smoke, seed 0, version 1"
+    assert heading == "planner-1.4 smoke, seed 0, version 1"
     assert order(table)[1][1:-2] == [TRAFFIC[name].label for name in PROTOCOL.panel]
 
 

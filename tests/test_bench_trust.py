@@ -99,7 +99,7 @@ class Idle:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.3 fixes at 100"),
+        ({"horizon_steps": 5}, "horizon_steps to 5, which planner-1.4 fixes at 100"),
         ({"speed_limit_mps": 100.0}, "speed_limit_mps"),
         ({"traffic": "idm"}, "traffic"),
         ({"dt_s": 0.05}, "dt_s"),
@@ -402,26 +402,26 @@ def test_the_protocol_fixes_scenes_and_weights():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--traffic", "idm"], "--traffic: planner-1.3 fixes it"),
-        (["--seeds", "0,1"], "--seeds has 2, planner-1.3 smoke takes 1"),
+        (["--traffic", "idm"], "--traffic: planner-1.4 fixes it"),
+        (["--seeds", "0,1"], "--seeds has 2, planner-1.4 smoke takes 1"),
         (
             ["--level", "mini", "--scenes", "nuscenes:x", "--seeds", "5,5,5"],
-            "--seeds has 1, planner-1.3 mini takes 3",
+            "--seeds has 1, planner-1.4 mini takes 3",
         ),
         (
             ["--planners", f"{__name__}:Leaps"],
-            "moves by DeltaPoseLimits, planner-1.3 allows unicycle",
+            "moves by DeltaPoseLimits, planner-1.4 allows unicycle",
         ),
-        (["--limit", "2"], "--limit: planner-1.3 fixes it"),
-        (["--scenes", "embedded/train"], "--level smoke of planner-1.3 takes no --scenes"),
-        (["--level", "val"], "--level val of planner-1.3 takes --scenes nuscenes:FOLDER"),
+        (["--limit", "2"], "--limit: planner-1.4 fixes it"),
+        (["--scenes", "embedded/train"], "--level smoke of planner-1.4 takes no --scenes"),
+        (["--level", "val"], "--level val of planner-1.4 takes --scenes nuscenes:FOLDER"),
         (["--level", "val", "--scenes", "nuscenes:x/train"], "takes --scenes nuscenes:FOLDER"),
         (["--level", "vla"], "no level 'vla', there is smoke, city, mini, val"),
-        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.3"),
+        (["--protocol", "planner-2"], "no protocol 'planner-2', there is planner-1.4"),
     ],
 )
 def test_options_cannot_change_what_the_protocol_fixes(tmp_path, capsys, words, said):
-    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.3"]
+    command = ["bench", "planners", "--out", str(tmp_path / "r"), "--protocol", "planner-1.4"]
     assert cli.main([*command, *words]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "r").exists()
@@ -434,7 +434,7 @@ def test_a_level_is_told_by_what_was_played():
     def level(sha256=PROTOCOL.sha256, scenes=scenes, traffic=panel, seeds=(0,)):
         return PROTOCOL.level_of(sha256, scenes, traffic, seeds)
 
-    assert level() == level(seeds=(7,)) == "planner-1.3 smoke"
+    assert level() == level(seeds=(7,)) == "planner-1.4 smoke"
     assert level(sha256="x") is None
     assert level(traffic=panel[1:]) is None
     assert level(seeds=(1, 2)) is None
@@ -442,12 +442,12 @@ def test_a_level_is_told_by_what_was_played():
     assert PROTOCOL.level_of(PROTOCOL.sha256, scenes, panel, (0,), ["delta_pose"]) is None
     assert level(scenes={**scenes, "queue-03": "x"}) is None
     some = dict.fromkeys(ccdiff_env.scenes.splits()["val"][:93], "x")
-    assert level(scenes=some, seeds=range(val["num_seeds"])) == "planner-1.3 val, 93 of 150 scenes"
+    assert level(scenes=some, seeds=range(val["num_seeds"])) == "planner-1.4 val, 93 of 150 scenes"
 
 
 def test_seeds_of_a_protocol_are_drawn_when_a_run_begins_and_kept_in_it(tmp_path):
     def drawn(folder, *words):
-        given = ["--protocol", "planner-1.3", "--planners", "idm", "--out", str(tmp_path / folder)]
+        given = ["--protocol", "planner-1.4", "--planners", "idm", "--out", str(tmp_path / folder)]
         args = parse(["bench", "planners", *given, *words])
         PROTOCOL.fix(args)
         return args.seeds
@@ -462,10 +462,10 @@ def test_seeds_of_a_protocol_are_drawn_when_a_run_begins_and_kept_in_it(tmp_path
 
 @pytest.mark.slow
 def test_the_smoke_level_of_the_protocol_in_one_command(tmp_path, capsys):
-    command = ["bench", "planners", "--protocol", "planner-1.3", "--planners", "idm", "--quiet"]
+    command = ["bench", "planners", "--protocol", "planner-1.4", "--planners", "idm", "--quiet"]
     assert cli.main([*command, "--out", str(tmp_path)]) == 0
     ((heading, _),) = Record.read(tmp_path).tables()
-    assert heading.startswith("planner-1.3 smoke")
+    assert heading.startswith("planner-1.4 smoke")
     assert {entry.traffic for entry in Record.read(tmp_path).entries} == set(PROTOCOL.panel)
 
 

@@ -1,11 +1,15 @@
 """Whose plans guidance moves, when and where to: collisions, care, conflicts, targets, routes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from traffic_play import Play
 
+from ccdiff_env import embedded_scenes
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.errors import ConfigError, PolicyError, UnknownNameError
-from ccdiff_env.models import shipped_weights
+from ccdiff_env.models import guidance_preset, shipped_weights
 
 
 def test_careful_plans_leave_the_road_less(scenes):
@@ -229,3 +233,33 @@ def test_finished_plans_are_moved_by_metres_at_most(scenes):
         assert plan["moved_m"][guided].max() > 1.0
         assert 0.0 < held["moved_m"][guided].max() <= 0.5
         assert (held["moved_m"][~guided] == 0.0).all()
+
+
+class Stops:
+    """Brakes until it stands."""
+
+    def __call__(self, obs):
+        return np.tile(np.array([-1.0, 0.0]), (len(obs), 1))
+
+
+@pytest.mark.parametrize(
+    ("traffic", "spared", "rammed"),
+    [("ccdiff-2", 1, None), ("swift-2", 0, None), ("ccdiff-2", None, 8)],
+)
+def test_an_ego_that_stands_is_run_into_if_asked_for_alone(traffic, spared, rammed):
+    drivers = TRAFFIC[traffic]
+    if rammed:
+        guidance = {**guidance_preset("rl"), "least_target_mps": 0.0}
+        drivers = replace(drivers, ccdiff={**drivers.ccdiff, "guidance": guidance})
+    scenes = embedded_scenes("city")[:60]
+    rollouts = drive(scenes, Stops(), drivers, record=[scene.name for scene in scenes])[1].values()
+    found = 0
+    for rollout in rollouts:
+        ego = rollout.agent_ids.index("ego")
+        for event in rollout.collisions("ego")[:1]:
+            plan = [plan for plan in rollout.plans if plan.made_at < event.step][-1:]
+            slow = np.hypot(*rollout.velocity[ego].T)[event.step - 5 : event.step] < 1.0
+            other = rollout.agent_ids.index(event.partner_id)
+            guided = plan and other in np.asarray(plan[0].agents)[np.asarray(plan[0].guided)]
+            found += bool(slow.all() and guided)
+    assert found <= spared if rammed is None else found >= rammed

@@ -205,7 +205,7 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         parser.add_argument(f"--{name}-steps", type=int, metavar="N", help=words)
     parser.add_argument(
         "--protocol",
-        help="fix scenes, traffic and rules by planner-1.3 (default: the options choose them)",
+        help="fix scenes, traffic and rules by planner-1.4 (default: the options choose them)",
     )
     parser.add_argument(
         "--level", help="scenes of the protocol: smoke, city, mini, val (default: smoke)"

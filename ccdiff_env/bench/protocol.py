@@ -21,7 +21,7 @@ from ccdiff_env.system.files import read_bytes
 from ccdiff_env.system.settings import kept_settings, sha256
 from ccdiff_env.traffic.options import DYNAMICS
 
-_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.3.json"
+_FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.4.json"
 #: Arguments that the protocol fixes, beside the scenes and the number of seeds.
 _FIXED = ("traffic", "limit", "weights")
 

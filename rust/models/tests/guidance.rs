@@ -160,6 +160,21 @@ fn who_is_planned_to_stand_is_not_run_into() {
 }
 
 #[test]
+fn a_named_target_that_stands_or_is_planned_to_is_avoided() {
+    let toy = toy(&NEAR_MISS, ModelConfig::fast());
+    let (who, targets) = ([true, false, false], [false, true, false]);
+    let named = WorldGuidance { collision_targets: Some(&targets), ..WorldGuidance::new(&who) };
+    let gap = |guide: &WorldGuidance<'_>, least_target_mps: f32| {
+        let config = GuidanceConfig { least_target_mps, ..config(vec![collision(-50.0), approach(-10.0)]) };
+        let context = toy.context(guide, &config);
+        gap_m(&context, &toy.roll_knots(&context, &guided(&toy, guide, &config, 2)))
+    };
+    let alone = gap(&WorldGuidance::new(&who), 100.0); // nobody is a target, and nobody is avoided
+    assert!(gap(&named, 0.0) < alone - 0.1, "{} {alone}", gap(&named, 0.0));
+    assert!(gap(&named, 100.0) > alone + 0.1, "{} {alone}", gap(&named, 100.0));
+}
+
+#[test]
 fn a_loss_in_python_without_python_is_an_error_and_moves_nothing() {
     let toy = toy(&NEAR_MISS, ModelConfig::fast());
     let who = [true, false, false];

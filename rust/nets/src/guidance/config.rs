@@ -17,6 +17,9 @@ choices! {
     }
 }
 
+/// Speed below which nobody is run into, metres per second.
+pub const LEAST_TARGET_MPS: f32 = 1.0;
+
 /// The tables of guidance.
 pub const TABLES: &[&Table] = &[
     &GuidanceConfig::TABLE,
@@ -48,8 +51,9 @@ options! {
         target: Target = Target::Finished;
         /// Greatest distance of a guided finished plan from the plan that it was, after 2 s; `None`: any.
         bound_m: Option<f32> = None, unit "m", range within(0.0, 1000.0).open_below();
-        /// Contacts are not sought at steps at which the target is planned to be slower than this; 0: who stands is rammed, too.
-        least_target_mps: f32 = 1.0, unit "m/s", range within(0.0, 100.0);
+        /// Contacts with a target are not sought at steps at which it is planned to be slower than this. Such an ego, and one that is
+        /// slower now, is avoided. 0: who stands is rammed, too.
+        least_target_mps: f32 = LEAST_TARGET_MPS, unit "m/s", range within(0.0, 100.0);
         /// Leading actions of the plan that may be moved; `None`: all. With knots several steps apart, a knot may be moved
         /// where the first step nearest to it is one of these.
         executed_steps: Option<usize> = None, range within(1.0, 1000.0);

@@ -75,6 +75,8 @@ pub struct GuidanceContext<'a> {
     pub step_weights: Vec<f32>,
     /// Speed below which the target of a guided agent does not count at a step.
     pub least_target_mps: f32,
+    /// Whether a slower target is avoided, and one that is slower now as well: one of those that were named.
+    pub spares: bool,
     /// What went wrong first in a loss of the user's own.
     pub failure: Arc<OnceLock<String>>,
 }
@@ -105,6 +107,7 @@ impl<'a> GuidanceContext<'a> {
             speed_limit_mps: guide.speed_limit_mps,
             step_weights: step_weights(discount, model.horizon_steps, seen_steps),
             least_target_mps,
+            spares: guide.collision_targets.is_some(),
             failure: Arc::default(),
         }
     }
@@ -119,14 +122,24 @@ impl<'a> GuidanceContext<'a> {
         self.poses.len()
     }
 
-    /// Whether a guided agent has the other one of a pair as a target at a step of plans with speeds [M, T], or its speed does not
-    /// matter, as with a weight that avoids.
-    pub fn counts(&self, weight: f32, speed_mps: &[f32], (i, j): (usize, usize), t: usize) -> bool {
-        let is_aimed_at = |by: usize, target: usize| {
-            let target_mps = speed_mps[target * self.num_steps + t].abs();
-            self.guided[by] && self.partner[target] && target_mps >= self.least_target_mps
+    /// How the contact of a pair counts at a step of plans with speeds [M, T]: as it is weighted (1), not (0), or against its weight
+    /// (-1). A weight that seeks contacts seeks none with a target slower than `least_target_mps`, and avoids it if targets were named.
+    pub fn sign(&self, weight: f32, speed_mps: &[f32], (i, j): (usize, usize), t: usize) -> f32 {
+        if weight >= 0.0 || self.least_target_mps <= 0.0 {
+            return 1.0;
+        }
+        let of = |by: usize, target: usize| {
+            let planned_mps = speed_mps[target * self.num_steps + t].abs();
+            let stands_now = self.spares && self.speed_mps[target].abs() < self.least_target_mps;
+            match planned_mps < self.least_target_mps || stands_now {
+                _ if !(self.guided[by] && self.partner[target]) => 0.0,
+                false => 1.0,
+                true if self.spares => -1.0,
+                true => 0.0,
+            }
         };
-        weight >= 0.0 || self.least_target_mps <= 0.0 || is_aimed_at(i, j) || is_aimed_at(j, i)
+        let (one, other): (f32, f32) = (of(i, j), of(j, i));
+        if one > 0.0 || other > 0.0 { 1.0 } else { one.min(other) }
     }
 
     /// Whether two agents are on different levels.

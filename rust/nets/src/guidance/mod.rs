@@ -22,7 +22,7 @@ mod objective;
 mod report;
 mod rollout;
 
-pub use config::{GuidanceConfig, TABLES, Target};
+pub use config::{GuidanceConfig, LEAST_TARGET_MPS, TABLES, Target};
 pub use context::{GuidanceContext, MOVING_MPS, WorldGuidance};
 pub use guide::{Guidance, Guide};
 pub use knots::KnotMap;

@@ -22,7 +22,9 @@ const RELEASED_DISCOUNT: f32 = 0.9;
 /// Learning rate of what moves plans away from contacts and onto the road: on 28 scenes of `train_val` no centre leaves the road.
 const CAREFUL_RATE: f32 = 0.15;
 
-/// With routes IDM collides as often as without them at this multiple of the learning rate.
+/// At this multiple of the learning rate IDM collides as often where targets that stand are spared as where they are run into,
+const SPARING_SHARE: Real = 1.25;
+/// and with routes as often as without them.
 const ROUTES_SHARE: Real = 1.8;
 
 choices! {
@@ -251,7 +253,13 @@ impl CcdiffConfig {
     pub(crate) fn guidance_scale(&self, tokens: bool, criticality: Real) -> Real {
         match tokens {
             true => criticality * criticality / (GUIDED_DRAWS - 1) as Real,
-            false => criticality * criticality.sqrt() * if self.follow_route { ROUTES_SHARE } else { 1.0 },
+            false => {
+                let spares = self.collision_targets == CollisionTargets::Ego || !self.targets.is_empty();
+                let shares = [(spares, SPARING_SHARE), (self.follow_route, ROUTES_SHARE)];
+                let share: Real =
+                    shares.iter().filter(|(applies, _)| *applies).map(|(_, share)| share).product();
+                share * criticality * criticality.sqrt()
+            }
         }
     }
 

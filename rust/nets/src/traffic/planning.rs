@@ -314,7 +314,8 @@ fn view_of<'a>(
             guidance_scale: *guidance_scale,
             road: world.scene.road.as_ref(),
             roads: (!due.roads.is_empty()).then_some(due.roads.as_slice()),
-            collision_targets: due.is_guided().then_some(&due.collision_targets),
+            collision_targets: (due.is_guided() && due.collision_targets.contains(&false))
+                .then_some(&due.collision_targets),
             speed_limit_mps: Some(world.speed_limit_mps),
             starts: tokens && !due.is_guided(),
             ..WorldGuidance::new(moved)

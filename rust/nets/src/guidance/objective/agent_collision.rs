@@ -37,8 +37,11 @@ impl AgentCollision {
             }
             let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
             let mut penalty = 0.0;
-            for t in (0..plan.num_steps).filter(|t| context.counts(self.weight, &plan.speed_mps, (i, j), *t))
-            {
+            for t in 0..plan.num_steps {
+                let sign = context.sign(self.weight, &plan.speed_mps, (i, j), t);
+                if sign == 0.0 {
+                    continue;
+                }
                 let (at_i, at_j) = (i * plan.num_steps + t, j * plan.num_steps + t);
                 let (dx, dy) = (plan.x_m[at_j] - plan.x_m[at_i], plan.y_m[at_j] - plan.y_m[at_i]);
                 if dx * dx + dy * dy > reach_m * reach_m {
@@ -47,7 +50,7 @@ impl AgentCollision {
                 let nearest =
                     disks.pairs(plan, (i, j), t).min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
                 let Some(pair) = nearest.filter(|p| p.distance_m <= touch_m) else { continue };
-                let weight = share * context.step_weights[t];
+                let weight = sign * share * context.step_weights[t];
                 penalty += weight * (1.0 - pair.distance_m / touch_m);
                 let derivative = -out.scale * both * weight / touch_m;
                 pair.add_gradient(plan, (i, j), t, derivative, moves, out);

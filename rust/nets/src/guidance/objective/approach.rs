@@ -39,9 +39,12 @@ impl Approach {
             }
             let both = f32::from(u8::from(moves.0)) + f32::from(u8::from(moves.1));
             let mut closeness = 0.0;
-            for t in (0..plan.num_steps).filter(|t| context.counts(self.weight, &plan.speed_mps, (i, j), *t))
-            {
-                let weight = share * context.step_weights[t];
+            for t in 0..plan.num_steps {
+                let sign = context.sign(self.weight, &plan.speed_mps, (i, j), t);
+                if sign == 0.0 {
+                    continue;
+                }
+                let weight = sign * share * context.step_weights[t];
                 for pair in disks.pairs(plan, (i, j), t).filter(|p| p.distance_m < REACH_M) {
                     let near = 1.0 - pair.distance_m / REACH_M;
                     closeness += weight * near * near * near;

@@ -12,6 +12,7 @@ pub use seen::{EGO, NEIGHBOURS, OTHER, OWN, PLACES, Rows, SPACING_M, STATES};
 
 use crate::compute::weights::File;
 use crate::error::{Result, require};
+use crate::guidance::LEAST_TARGET_MPS;
 use crate::networks::ccdiff::CCDIFF;
 use crate::networks::tokens::draw::{CAREFUL_DRAWS, bounded};
 use crate::networks::tokens::grid::TOKEN_STEPS;
@@ -131,10 +132,14 @@ impl Swift {
                 && !world.scene.routes[*a].is_parked()
         };
         let agents: Vec<usize> = (0..states.len()).filter(there).collect();
-        let egos = egos_of(world);
+        let mut egos = egos_of(world);
+        let is_target = |e: &usize| states.speed_mps[*e].abs() >= LEAST_TARGET_MPS;
+        let targets: Vec<usize> = egos.iter().copied().filter(is_target).collect();
         let mut criticality = request.plan_override.criticality.unwrap_or(self.config.criticality);
-        if !self.config.guides_at(world) || egos.is_empty() {
+        if !self.config.guides_at(world) || targets.is_empty() {
             criticality = 0.0;
+        } else if criticality > 0.0 {
+            egos = targets; // who stands is seen as any other, and not run into
         }
         let (mut ranking, mut guided) = (Vec::new(), Vec::new());
         if criticality > 0.0 {
