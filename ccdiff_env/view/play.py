@@ -36,8 +36,8 @@ from ccdiff_env.view.sources import log_rollout, play_scene
 #: Embedded scenes of the page: the first nine that ``python -m tools.playground`` lists, in which
 #: criticality decides for a driver who only steers. In the first one the ego is hit.
 SCENES = (
-    "double-left-00", "double-left-02", "hard-brake-04", "tee-crossing-02", "double-left-01",
-    "cut-in-00", "cut-in-02", "free-curve-00", "queue-00",
+    "double-left-00", "double-left-02", "hard-brake-04", "double-left-01", "cut-in-02",
+    "cut-in-00", "free-curve-00", "queue-01", "queue-00",
 )  # fmt: skip
 LIT = "tee-crossing-005"  #: The last one, with traffic lights: IDM waits and reaches its goal.
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
