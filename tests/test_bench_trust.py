@@ -393,7 +393,7 @@ def test_the_protocol_fixes_scenes_and_weights():
     level = PROTOCOL.fields["levels"]["smoke"]
     scenes = {scene.name: scene.hash for scene in ccdiff_env.embedded_scenes(level["embedded"])}
     PROTOCOL.check("smoke", scenes)
-    with pytest.raises(DatasetError, match=r"'queue-03' has hash x, planner-1\.3 fixes"):
+    with pytest.raises(DatasetError, match=r"'queue-03' has hash x, planner-1\.4 fixes"):
         PROTOCOL.check("smoke", {**scenes, "queue-03": "x"})
     with pytest.raises(DatasetError, match="'queue-03' has hash None"):
         PROTOCOL.check("smoke", {k: v for k, v in scenes.items() if k != "queue-03"})
