@@ -224,7 +224,7 @@ def matrix() -> str:
     ]  # fmt: skip
     title = f"collisions of egos by their training, % of {run['scenes'].split()[0]} scenes"
     return lines_chart(
-        title, "criticality of the CCDiff traffic of the test", series, (0, 20, 40, 60, 80)
+        title, "criticality of the CCDiff traffic of the test", series, (0, 20, 40, 60)
     )
 
 
