@@ -72,7 +72,7 @@ _PLANNERS = Made(
     pivot="traffic",
 )
 _EGOS = (
-    "bench planners --planners idm,lane_idm,pdm,ego,ppo --seeds 0 "
+    "bench planners --planners idm,lane_idm,pdm,ego,ppo --seeds 0,1,2 "
     "--traffic replay,idm,ccdiff,ccdiff-1,ccdiff-2"
 )
 _NUPLAN = Made(
@@ -175,10 +175,10 @@ TABLES: dict[str, Made] = {
         _EGOS,
         ("against", "traffic"),
         {
-            "ego less it": Column("difference", digits=3, sign="+"),
+            "ppo less it": Column("difference", digits=3, sign="+"),
             "p": Column("p", digits=4, interval=False),
         },
-        where={"planner": "ego", "figure": "score"},
+        where={"planner": "ppo", "figure": "score"},
         file="pairs.csv",
     ),
     "dial": Made(
