@@ -53,7 +53,9 @@ class TrafficPlan:
     samples: npt.NDArray[np.float32]
     selected_sample: npt.NDArray[np.int64]  #: Sample that each agent follows, [M].
     objectives: tuple[str, ...]  #: Names of the guidance objectives, J of them.
-    losses: npt.NDArray[np.float32]  #: Loss of each objective without its weight, [J, N, M].
+    #: Loss of each objective without its weight, [J, N, M]; contacts that are avoided although its
+    #: weight seeks them, as with an ego that stands, count negative.
+    losses: npt.NDArray[np.float32]
     #: How far guidance moved the plan by 2 s, metres; 0 for agents that are not guided, NaN where
     #: the plan was moved before it was finished, or chosen. Not kept without guidance. [M].
     moved_m: npt.NDArray[np.float32] | None

@@ -6,7 +6,8 @@ use super::objective::Objective;
 /// What guidance did to the plans of the M agents of one world.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GuidanceReport {
-    /// Unweighted losses of the finished plans, [J, N, M], objectives in the order of the configuration.
+    /// Unweighted losses of the finished plans, [J, N, M], objectives in the order of the configuration. What is avoided against a
+    /// weight ([`super::GuidanceContext::sign`]) counts negative.
     pub losses: Vec<f32>,
     /// Sample selected for each agent, [M]; one for all where an objective is joint.
     pub selected_sample: Vec<usize>,
