@@ -243,23 +243,19 @@ class Stops:
 
 
 @pytest.mark.parametrize(
-    ("traffic", "spared", "rammed"),
-    [("ccdiff-2", 1, None), ("swift-2", 0, None), ("ccdiff-2", None, 8)],
+    ("traffic", "least_target_mps", "fewest", "most"),
+    [("ccdiff-2", None, 0, 3), ("swift-2", None, 0, 6), ("ccdiff-2", 0.0, 10, 60)],
 )
-def test_an_ego_that_stands_is_run_into_if_asked_for_alone(traffic, spared, rammed):
+def test_an_ego_that_stands_is_run_into_if_asked_for_alone(traffic, least_target_mps, fewest, most):
+    """Contacts after half a second below 1 m/s, in 60 scenes; of unguided CCDiff there are 3."""
     drivers = TRAFFIC[traffic]
-    if rammed:
-        guidance = {**guidance_preset("rl"), "least_target_mps": 0.0}
+    if least_target_mps is not None:
+        guidance = {**guidance_preset("rl"), "least_target_mps": least_target_mps}
         drivers = replace(drivers, ccdiff={**drivers.ccdiff, "guidance": guidance})
     scenes = embedded_scenes("city")[:60]
-    rollouts = drive(scenes, Stops(), drivers, record=[scene.name for scene in scenes])[1].values()
     found = 0
-    for rollout in rollouts:
-        ego = rollout.agent_ids.index("ego")
+    for rollout in drive(scenes, Stops(), drivers, record=[s.name for s in scenes])[1].values():
+        speed_mps = np.hypot(*rollout.velocity[rollout.agent_ids.index("ego")].T)
         for event in rollout.collisions("ego")[:1]:
-            plan = [plan for plan in rollout.plans if plan.made_at < event.step][-1:]
-            slow = np.hypot(*rollout.velocity[ego].T)[event.step - 5 : event.step] < 1.0
-            other = rollout.agent_ids.index(event.partner_id)
-            guided = plan and other in np.asarray(plan[0].agents)[np.asarray(plan[0].guided)]
-            found += bool(slow.all() and guided)
-    assert found <= spared if rammed is None else found >= rammed
+            found += bool((speed_mps[max(event.step - 5, 0) : event.step] < 1.0).all())
+    assert fewest <= found <= most

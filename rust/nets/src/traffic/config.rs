@@ -22,9 +22,9 @@ const RELEASED_DISCOUNT: f32 = 0.9;
 /// Learning rate of what moves plans away from contacts and onto the road: on 28 scenes of `train_val` no centre leaves the road.
 const CAREFUL_RATE: f32 = 0.15;
 
-/// At this multiple of the learning rate IDM collides as often where targets that stand are spared as where they are run into,
+/// At this multiple of the learning rate IDM collides as often where targets that stand are spared as where they are run into.
 const SPARING_SHARE: Real = 1.25;
-/// and with routes as often as without them.
+/// With routes IDM collides as often as without them at this multiple.
 const ROUTES_SHARE: Real = 1.8;
 
 choices! {
@@ -242,6 +242,11 @@ impl CcdiffConfig {
         require(knows, "ccdiff.follow_route", "true", "false: these weights were trained without routes")
     }
 
+    /// Whether guidance aims at some agents, such as the ego, not at everybody: those that stand are spared.
+    pub(crate) fn names_targets(&self) -> bool {
+        self.collision_targets == CollisionTargets::Ego || !self.targets.is_empty()
+    }
+
     /// Whether plans made now may be guided.
     pub(crate) fn guides_at(&self, world: &WorldView<'_>) -> bool {
         let time_s = world.elapsed_steps as Real * world.dt_s;
@@ -254,11 +259,9 @@ impl CcdiffConfig {
         match tokens {
             true => criticality * criticality / (GUIDED_DRAWS - 1) as Real,
             false => {
-                let spares = self.collision_targets == CollisionTargets::Ego || !self.targets.is_empty();
-                let shares = [(spares, SPARING_SHARE), (self.follow_route, ROUTES_SHARE)];
-                let share: Real =
-                    shares.iter().filter(|(applies, _)| *applies).map(|(_, share)| share).product();
-                share * criticality * criticality.sqrt()
+                let spares = if self.names_targets() { SPARING_SHARE } else { 1.0 };
+                let routes = if self.follow_route { ROUTES_SHARE } else { 1.0 };
+                spares * routes * criticality * criticality.sqrt()
             }
         }
     }

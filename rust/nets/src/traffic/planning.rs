@@ -209,6 +209,7 @@ impl PlannedTraffic {
     /// Plans of groups of worlds, each with its options, one after the other. All batches of the network wait in one line,
     /// from which every thread takes the next.
     fn draw(&mut self, groups: &[(&[PreparedRequest<'_>], &PlanOptions)], moves: bool) -> Result<Vec<Plan>> {
+        let named = self.config.names_targets();
         let tokens = self.copies.get_mut().first().is_some_and(|model| model.network().samples_tokens);
         // with the scale of the guidance
         let moved = |d: &PreparedRequest<'_>| match (moves, d.is_guided(), self.config.careful) {
@@ -224,7 +225,7 @@ impl PlannedTraffic {
             // about equally large
             let size = due.len().div_ceil(due.len().div_ceil(most).max(1)).max(1);
             for (due, moved) in due.chunks(size).zip(moved.chunks(size)) {
-                let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options, tokens));
+                let views = due.iter().zip(moved).map(|(d, m)| view_of(d, m, options, (tokens, named)));
                 shards.push((views.collect(), options));
             }
         }
@@ -298,12 +299,13 @@ impl PlannedTraffic {
     }
 }
 
-/// What the model sees of a world, whose rows `moved` says guidance moves, and at which scale.
+/// What the model sees of a world, whose rows `moved` says guidance moves, and at which scale: a model of tokens or not, with named
+/// targets or all.
 fn view_of<'a>(
     due: &'a PreparedRequest<'_>,
     (moved, guidance_scale): &'a (Vec<bool>, Real),
     options: &PlanOptions,
-    tokens: bool,
+    (tokens, named): (bool, bool),
 ) -> PlanInput<'a> {
     let world = &due.request.world;
     PlanInput {
@@ -314,8 +316,7 @@ fn view_of<'a>(
             guidance_scale: *guidance_scale,
             road: world.scene.road.as_ref(),
             roads: (!due.roads.is_empty()).then_some(due.roads.as_slice()),
-            collision_targets: (due.is_guided() && due.collision_targets.contains(&false))
-                .then_some(&due.collision_targets),
+            collision_targets: (named && due.is_guided()).then_some(&due.collision_targets),
             speed_limit_mps: Some(world.speed_limit_mps),
             starts: tokens && !due.is_guided(),
             ..WorldGuidance::new(moved)
