@@ -156,3 +156,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if in_main:
             signal.signal(signal.SIGTERM, ended)
     return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

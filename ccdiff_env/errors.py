@@ -82,8 +82,14 @@ class MissingFeatureError(CcdiffError, ImportError):
 def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:
     """Return the error for a name that does not exist, with the names that come near it."""
     known = sorted(known)
-    hint = meant(name, known) or f"there are {', '.join(known)}"
-    return ConfigError(f"unknown {what} {name!r}; {hint}")
+    return ConfigError(f"unknown {what} {name!r}; {hint_of(name, known, len(known))}")
+
+
+def hint_of(name: str, known: Iterable[str], shown: int = 5) -> str:
+    """Return the names that come near one that does not exist; else the first of all that do."""
+    known = list(known)
+    names = ", ".join(known[:shown]) + (", ..." if len(known) > shown else "")
+    return meant(name, known) or f"there are {names}"
 
 
 def meant(name: str, known: Iterable[str]) -> str:

@@ -47,6 +47,10 @@ def way_m(rollout):
 
 def breaks(rollout):
     return 1 / 0
+
+
+def words(rollout):
+    return "many"
 """,
 )
 
@@ -101,6 +105,9 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
     ("words", "said"),
     [
         ("--planners idm --metric desk_own:breaks", "metric desk_own:breaks: ZeroDivisionError"),
+        ("--planners idm --metric desk_own:words", "returns 'many', expected a number (in left-"),
+        ("--planners idm --traffic ccdiff-1?criticality=2", "ccdiff-1 says how critical it is"),
+        ("--planners idm --tags tags.csv", "no scene 'left'; there are left-turn-04"),
         ("--planners idm --metric desk_own:nothing", "no 'nothing' in module 'desk_own'"),
         ("--planners idm --metric desk_own:way_m?title=score", "column 'score' is taken"),
         ("--planners desk_own:Brakes?title=PDM-Closed", "the title 'PDM-Closed' is another one's"),
@@ -112,6 +119,7 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(desk, capsys, words, said):
+    (desk / "tags.csv").write_text("scene,tag\nleft,rare\n")
     assert bench(f"planners --limit 1 --seeds 0 --traffic replay {words}") == 2
     first, *below = capsys.readouterr().err.splitlines()
     assert said in first

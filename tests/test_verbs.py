@@ -251,8 +251,9 @@ def test_tables_are_aligned_numbers_to_the_right_and_the_best_is_marked():
     assert align("| a | b |\n|---|---|\n| x | |\n").splitlines()[2] == "x"
 
 
-def test_output_that_nobody_reads_on_ends_without_a_word():
-    command = [sys.executable, "-m", "ccdiff_env.cli", "scenes"]
+@pytest.mark.parametrize("module", ["ccdiff_env.cli", "ccdiff_env_cli"])
+def test_output_that_nobody_reads_on_ends_without_a_word(module):
+    command = [sys.executable, "-m", module, "scenes"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None

@@ -131,6 +131,8 @@ class NamedDrivers(dict[str, _T]):
         driver = f"{entry.driver}?{given}"
         WorldConfig().with_options(traffic=driver)  # refuses options that it does not have
         stem = name.partition("?")[0]
+        if "criticality" in options and "-" in stem:
+            raise ConfigError(f"{name}: {stem} says how critical it is, leave the option out")
         named = KINDS[stem].title if stem in KINDS else entry.label
         label = title_of(name) or f"{named}, {given.replace('&', ', ')}"
         if entry.driver in NETWORKS:

@@ -256,14 +256,18 @@ def measured(metrics: Sequence[str], rollout: Rollout) -> dict[str, float | None
     :class:`PolicyError` that names it and the scene.
     """
     found: dict[str, float | None] = {}
+    where = f"(in {rollout.scene.name} of {rollout.meta.get('planner')})"
     for path, name in zip(metrics, metric_names(metrics), strict=True):
         try:
-            value = float(named_object(path, "metric")(rollout))
+            answer = named_object(path, "metric")(rollout)
         except Exception as error:
-            where = f"{rollout.scene.name} of {rollout.meta.get('planner')}"
-            raise PolicyError(
-                f"metric {path}: {type(error).__name__}: {error} (in {where})"
-            ) from error
+            said = f"metric {path}: {type(error).__name__}: {error} {where}"
+            raise PolicyError(said) from error
+        try:
+            value = float(answer)
+        except (TypeError, ValueError):
+            said = f"metric {path} returns {answer!r:.40}, expected a number {where}"
+            raise PolicyError(said) from None
         found[name] = value if np.isfinite(value) else None
     return found
 

@@ -110,14 +110,14 @@ class Record:
             DatasetError: If something is damaged, or a score is not what its parts make.
             ConfigError: If it is the run of another benchmark.
         """
-        with reading("run of planners", path):
+        with reading("run to play again", path):
             if path.is_file():
                 raise DatasetError("a file, expected a run folder")
             parsed = _parsed(path)
             if "run.json" not in parsed:
-                raise DatasetNotFoundError(f"no run of `bench planners`: no {path / 'run.json'}")
+                raise DatasetNotFoundError(f"no run of a benchmark: no {path / 'run.json'}")
             if (kind := parsed.pop("run.json").get("benchmark")) != "planners":
-                raise ConfigError(f"a run of {kind!a:.40}, expected planners")
+                raise ConfigError(f"a run of {kind!a:.40}, expected one of bench planners")
             entries = [_entry(fields, str(path / name)) for name, fields in parsed.items()]
             if not entries:
                 raise DatasetNotFoundError(f"no raw results in {path}")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from ccdiff_env.bench.planners import usual_window
 from ccdiff_env.bench.scenes import scenes_of
-from ccdiff_env.errors import ConfigError, UnknownNameError, meant
+from ccdiff_env.errors import ConfigError, UnknownNameError, hint_of
 from ccdiff_env.scenes import Scene, map_queries
 from ccdiff_env.system.files import read_text, reading
 
@@ -120,6 +120,6 @@ def read_tags(path: Path, scenes: Sequence[str]) -> Mapping[str, list[str]]:
             if not scene or not tag:
                 raise ConfigError(f"{path}: the row {row}, expected columns scene and tag")
             if scene not in scenes:
-                raise UnknownNameError(f"{path}: no scene {scene!r}; {meant(scene, scenes)}")
+                raise UnknownNameError(f"{path}: no scene {scene!r}; {hint_of(scene, scenes)}")
             found.setdefault(scene, []).append(tag)
     return found

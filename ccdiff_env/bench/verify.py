@@ -18,7 +18,7 @@ from ccdiff_env.bench.record import Entry, Record
 from ccdiff_env.bench.scenes import place_of, scenes_of
 from ccdiff_env.bench.tape import Recorded
 from ccdiff_env.config import WorldConfig
-from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant, unknown
+from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, hint_of, unknown
 from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.system.progress import shown
@@ -120,9 +120,8 @@ def replayed(
         if row["scene"] == scene
     }
     if not there:
-        known = {name for entry in record.entries for name in entry.names}
-        hint = meant(scene, known) or f"there are {', '.join(sorted(known)[:5])}, ..."
-        raise UnknownNameError(f"no scene {scene!r} in {path}; {hint}")
+        known = sorted({name for entry in record.entries for name in entry.names})
+        raise UnknownNameError(f"no scene {scene!r} in {path}; {hint_of(scene, known)}")
     names = list(dict.fromkeys(planner for planner, _, _ in there))
     # a class that names itself is called without its title, too
     calls = {name.partition("?title=")[0]: name for name in names}

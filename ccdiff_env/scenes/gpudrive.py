@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from ccdiff_env import _native
-from ccdiff_env.errors import ConfigError, DatasetNotFoundError, UnknownNameError
+from ccdiff_env.errors import ConfigError, DatasetNotFoundError, UnknownNameError, hint_of
 from ccdiff_env.scenes import SceneSet, cache_folder, warn_of_lone_egos
 from ccdiff_env.scenes.load_report import LoadReport
 
@@ -74,7 +74,8 @@ def load_gpudrive(
     if names is not None:
         known = {Path(file).stem: file for file in files}
         if unknown := [name for name in names if name not in known]:
-            raise UnknownNameError(f"no scene {unknown[0]!r} among {len(files)} files: {path}")
+            hint = hint_of(unknown[0], known)
+            raise UnknownNameError(f"no scene {unknown[0]!r} among files {path}: {hint}")
         files = [known[name] for name in names]
     folder, notes = cache_folder(cache)
     loaded, report = _native.load_gpudrive(files[:limit], cache_directory=folder)

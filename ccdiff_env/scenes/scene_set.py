@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import overload
 
 from ccdiff_env._native import Scene
-from ccdiff_env.errors import ConfigError, UnknownNameError, meant
+from ccdiff_env.errors import ConfigError, UnknownNameError, hint_of
 from ccdiff_env.scenes.load_report import LoadReport
 
 
@@ -69,9 +69,8 @@ class SceneSet(Sequence[Scene]):
             return SceneSet(self._scenes[key], self._report)
         if isinstance(key, str):
             if key not in self._by_name:
-                shown = ", ".join(self.names[:5]) + (", ..." if len(self) > 5 else "")
-                near = meant(key, self.names) or shown
-                raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {near}")
+                hint = hint_of(key, self.names)
+                raise UnknownNameError(f"no scene {key!r} among the {len(self)} loaded: {hint}")
             key = self._by_name[key]
         try:
             return self._scenes[key]

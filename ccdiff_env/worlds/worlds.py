@@ -19,7 +19,7 @@ from ccdiff_env.errors import (
     ConfigError,
     ShapeError,
     UnknownNameError,
-    meant,
+    hint_of,
 )
 from ccdiff_env.models import needs_torch, require_networks, weights_path
 from ccdiff_env.scenes import Scene, SceneSet
@@ -238,8 +238,8 @@ class Worlds:
             return None
         if isinstance(choice, str):
             if choice not in self._index:
-                near = meant(choice, self._index) or f"{', '.join(list(self._index)[:5])} ..."
-                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {near}")
+                hint = hint_of(choice, self._index)
+                raise UnknownNameError(f"no scene {choice!r} among {len(self._index)}: {hint}")
             return self._index[choice]
         index = _integer("scene", choice, "a name or an index")
         if not 0 <= index < len(self._index):
