@@ -9,6 +9,7 @@ import shapely
 import ccdiff_env
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
+from ccdiff_env.scenes.sources import in_windows
 from ccdiff_env.scenes.windows import Windows
 
 pytest.importorskip("py123d", reason="py123d is not installed: make test-py123d")
@@ -262,7 +263,7 @@ def test_windows_are_parts_of_the_whole_log(tmp_path):
         whole = ccdiff_env.load_py123d(tmp_path)
     with pytest.warns(UserWarning, match="no road"):
         read = ccdiff_env.load_py123d(tmp_path, window_s=4, stride_s=1.3, history_s=1)
-    parts = Windows(4.0, 1.3, 1.0).of(whole)
+    parts = in_windows(whole, Windows(4.0, 1.3, 1.0))
     assert read.names == parts.names
     assert len(read) > 15
     for window, part in zip(read, parts, strict=True):

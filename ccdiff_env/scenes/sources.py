@@ -13,9 +13,20 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import SceneSet, load_nuscenes, load_scenarionet, of_kinds, splits
+from ccdiff_env.scenes import (
+    Scene,
+    SceneSet,
+    load_nuscenes,
+    load_scenarionet,
+    of_kinds,
+    splits,
+    with_tracks,
+)
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
 from ccdiff_env.scenes.gpudrive import load_gpudrive
 from ccdiff_env.scenes.py123d import load_py123d
@@ -23,8 +34,8 @@ from ccdiff_env.scenes.windows import Windows, logs_of
 from ccdiff_env.system.files import reading
 
 __all__ = [
-    "DEFAULT", "SOURCES", "Place", "Source", "coverage", "load", "parse", "settle", "split_names",
-    "title",
+    "DEFAULT", "SOURCES", "Place", "Source", "coverage", "in_windows", "load", "parse", "settle",
+    "split_names", "title",
 ]  # fmt: skip
 
 
@@ -369,12 +380,40 @@ def load(
         whole = replace(place, window=None, limit=None, names=logs)
     found = source.load(whole)
     if whole is not place and place.window is not None:
-        found = place.window.of(found)
+        found = in_windows(found, place.window)
     if place.names is not None:
         found = SceneSet([found[name] for name in place.names], found.report)
     if place.limit is not None:
         found = found[: place.limit]
     return found if kinds is None else of_kinds(found, kinds)
+
+
+def in_windows(scenes: SceneSet, window: Windows) -> SceneSet:
+    """Return the windows of all scenes, in order, with the agents that are there in each; a
+    :class:`ConfigError` names the longest scene if none is long enough.
+    """
+    found = [
+        _slice(scene, name, *part)
+        for scene in scenes
+        for name, part in window.cut(scene.name, scene.num_steps, scene.dt).items()
+    ]
+    if not found and len(scenes):
+        longest = max(scenes, key=lambda scene: scene.num_steps)
+        raise ConfigError(
+            f"no scene has the {sum(window.steps(longest.dt)) + 1} steps of a window: "
+            f"{longest.name!r} has {longest.num_steps}; see window_s and history_s"
+        )
+    return SceneSet(found, lambda: scenes.report)
+
+
+def _slice(scene: Scene, name: str, first: int, end: int) -> Scene:
+    if (first, end) == (0, scene.num_steps):
+        return scene
+    whole: dict[str, Any] = {**scene.tracks()}
+    tracks = {field: values[:, first:end] for field, values in whole.items()}
+    return with_tracks(
+        scene, tracks, np.flatnonzero(tracks["valid"].any(axis=1)), name=name, first=first
+    )
 
 
 def coverage(place: Place, names: Collection[str]) -> str:

@@ -5,13 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.scenes import Scene, with_tracks
-from ccdiff_env.scenes.scene_set import SceneSet
 
 HISTORY_S = 3.0  #: History of a window where none is asked for: what environments look back on.
 
@@ -63,36 +58,7 @@ class Windows:
         starts = range(0, num_steps - whole + 1, whole_steps("stride_s", stride, dt))
         return {f"{name}@{round(first * dt, 3):g}": (first, first + whole) for first in starts}
 
-    def of(self, scenes: SceneSet) -> SceneSet:
-        """Return the windows of all scenes, in order, with the agents that are there in each.
-
-        Raises:
-            ConfigError: If no scene is long enough; names the longest one.
-        """
-        found = [
-            _slice(scene, name, *part)
-            for scene in scenes
-            for name, part in self.cut(scene.name, scene.num_steps, scene.dt).items()
-        ]
-        if not found and len(scenes):
-            longest = max(scenes, key=lambda scene: scene.num_steps)
-            raise ConfigError(
-                f"no scene has the {sum(self.steps(longest.dt)) + 1} steps of a window: "
-                f"{longest.name!r} has {longest.num_steps}; see window_s and history_s"
-            )
-        return SceneSet(found, lambda: scenes.report)
-
 
 def logs_of(names: Iterable[str]) -> tuple[str, ...]:
     """Return the names of the logs that windows are of, each once."""
     return tuple(dict.fromkeys(name.rpartition("@")[0] or name for name in names))
-
-
-def _slice(scene: Scene, name: str, first: int, end: int) -> Scene:
-    if (first, end) == (0, scene.num_steps):
-        return scene
-    whole: dict[str, Any] = {**scene.tracks()}
-    tracks = {field: values[:, first:end] for field, values in whole.items()}
-    return with_tracks(
-        scene, tracks, np.flatnonzero(tracks["valid"].any(axis=1)), name=name, first=first
-    )
