@@ -9,12 +9,14 @@ import warnings
 
 import numpy as np
 import pytest
-from array_scenes import rebuilt
+from array_scenes import GOES_ON, played, rebuilt
 from test_scenes_scenarionet import scenario
 
 import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, mean_interval
+from ccdiff_env.bench.verify import replayed
 from ccdiff_env.errors import ConfigError, UnknownNameError
+from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import of_kinds
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -151,6 +153,50 @@ def test_windows_are_parts_of_the_log():
     assert cut.num_steps == 4
     env = ccdiff_env.EgoEnv(scenes="embedded/val?window_s=4&limit=3")
     assert env.reset(seed=0, options={"scene": f"{scene.name}@4"})[1]["scene"].endswith("@4")
+
+
+def test_episodes_in_windows_are_those_that_were_asked_for():
+    """First step and length, as asked for in seconds; whole sets can be pickled."""
+    still = {"driver": "replay", **GOES_ON}
+    for text, history, horizon, more in (
+        ("window_s=8&history_s=1", 10, 80, {}), ("window_s=4", 30, 40, {}),
+        ("window_s=2&history_s=0", 0, 20, {}), ("window_s=5&history_s=6", 60, 50, {}),
+        ("window_s=8&history_s=1", 20, 30, {"history_steps": 20, "horizon_steps": 30}),
+    ):  # fmt: skip
+        scenes = pickle.loads(pickle.dumps(ccdiff_env.load(f"embedded/val?{text}&limit=2")))
+        for given in (scenes, f"embedded/val?{text}&limit=2", scenes[1:]):
+            env = ccdiff_env.EgoEnv(scenes=given, **still, **more)
+            assert env.reset(seed=0)[1]["start_step"] == history
+            steps = sum(1 for _ in played(env))
+            assert steps == horizon
+    parts = {"scenes": scenes, "traffic": "idm"}
+    assert ccdiff_env.parallel_env(agents=2, **parts).worlds.config.horizon_steps == 80
+    for driver in ("pdm", "ego"):
+        config = ccdiff_env.EgoEnv(driver=driver, **parts).worlds.config
+        assert (config.history_steps, config.horizon_steps) == (10, 80)
+    choice = ccdiff_env.AdversarySelectionEnv(scenes=scenes)
+    assert choice.worlds.config.history_steps == 10
+
+
+@pytest.mark.parametrize("verb", ["traffic", "realism"])
+def test_windows_that_a_protocol_cannot_play_are_refused(tmp_path, capsys, verb):
+    words = ["bench", verb, "--methods", "replay", "--out", str(tmp_path)]
+    assert main([*words, "--scenes", "embedded/val?window_s=8&limit=2"]) != 0
+    assert "expected window_s=10&history_s=3 or" in capsys.readouterr().err
+
+
+def test_a_window_is_viewed_as_the_benchmark_plays_it(tmp_path):
+    scenes = "embedded/val?window_s=8&stride_s=6&limit=1"
+    planned = [*PLANNERS, "--seeds", "0", "--scenes", scenes, "--out", str(tmp_path / "run")]
+    assert main(planned) == 0
+    (name,) = ccdiff_env.load(scenes).names
+    ((_, again),) = replayed(tmp_path / "run", name)
+    words = ["view", name, "--scenes", scenes, "--traffic", "replay", "--driver", "idm"]
+    kept = tmp_path / "kept.npz"
+    assert main([*words, "--save", str(kept), "-o", str(tmp_path / "page.html")]) == 0
+    rollout = Rollout.load(kept)
+    assert (rollout.start_step, rollout.num_steps) == (30, 81)
+    assert np.array_equal(rollout.position, again.position)
 
 
 def test_a_benchmark_drives_windows(tmp_path, capsys):

@@ -28,6 +28,7 @@ from ccdiff_env.planners.built_in import Ego, ego_driver
 from ccdiff_env.record.episode import begin, play, recorders_of
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
+from ccdiff_env.scenes.windows import Windows
 from ccdiff_env.system.files import file_name
 from ccdiff_env.system.named_objects import named_object, title_of
 from ccdiff_env.traffic import EGOS, NETWORKS, driver_titles
@@ -119,9 +120,7 @@ def window_of(
         ConfigError: If a scene is shorter than that, or than what is asked for; names it.
     """
     shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
-    window = usual_window(shortest)
-    if (cut := place_of(source).window) is not None:
-        window = dict(zip(window, cut.steps(shortest.dt), strict=True))
+    window = usual_window(shortest, place_of(source).window)
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
     window |= {name: steps for name, steps in asked.items() if steps is not None}
     if min(window.values()) < 1:
@@ -140,8 +139,12 @@ def window_title(window: Mapping[str, int] | None) -> str:
     return ", {horizon_steps} steps after {history_steps}".format(**window) if window else ""
 
 
-def usual_window(scene: Scene) -> dict[str, int]:
-    """Return the window of a scene and longer ones: that of the protocol, else of Waymo."""
+def usual_window(scene: Scene, cut: Windows | None = None) -> dict[str, int]:
+    """Return the window of a scene and longer ones: what they were cut for, else that of the
+    protocol, else of Waymo.
+    """
+    if cut is not None:
+        return dict(zip(SHORT_WINDOW, cut.steps(scene.dt), strict=True))
 
     def steps(window: Mapping[str, int]) -> dict[str, int]:
         step_s: float = PROTOCOL.fields["world"]["dt_s"]

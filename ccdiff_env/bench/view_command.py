@@ -235,8 +235,8 @@ def _played(args: argparse.Namespace) -> Runs:
         raise ConfigError(
             "--save keeps one episode: give one --traffic, one --driver and one --criticality"
         )
-    scene = find_scene(args.what, place_from(args))
-    runs, titles = [], []
+    place = place_from(args)
+    scene, runs, titles = find_scene(args.what, place), [], []
     for traffic, driver, level in choices:
         asked = {"criticality": level, "num_samples": args.samples}
         changed = {name: value for name, value in asked.items() if value is not None}
@@ -246,7 +246,7 @@ def _played(args: argparse.Namespace) -> Runs:
             driver,
             replace(chosen, ccdiff={**chosen.ccdiff, **changed}),
             seed=args.seed or 0,
-            options=usual_window(scene),
+            options=usual_window(scene, place.window),
             record=[scene.name],
         )
         runs.append(rollouts[scene.name])

@@ -17,7 +17,7 @@ from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.planners.built_in import Seat, seat_driver
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.traffic.options import Autoreset
-from ccdiff_env.worlds import Scenes, Worlds, scene_set, world_config
+from ccdiff_env.worlds import Scenes, Worlds, asked_by, scene_set, world_config
 from ccdiff_env.worlds.curriculum import Criticality
 from ccdiff_env.worlds.spaces import FORMS, Form
 
@@ -113,7 +113,7 @@ class OnWorlds(Attributes):
                 f"config.controlled is {config.controlled!r}, expected 'ego' or 'any'"
             )
         chosen = scene_set(scenes)
-        self._seat, config, given = seat_driver(options, config, chosen[0].dt)
+        self._seat, config, given = seat_driver(options, config, asked_by(chosen))
         return chosen, world_config(chosen, config, given, self._form)
 
     def _select_agents(

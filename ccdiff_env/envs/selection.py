@@ -22,7 +22,7 @@ from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError
 from ccdiff_env.planners.built_in import Ego
 from ccdiff_env.traffic import KINDS
-from ccdiff_env.worlds import Worlds, scene_set
+from ccdiff_env.worlds import Worlds, asked_by, scene_set
 from ccdiff_env.worlds.spaces import InfoColumn
 
 F32 = npt.NDArray[np.float32]
@@ -128,7 +128,7 @@ class AdversarySelectionVectorEnv(AsVector):
         if config is None and given.setdefault("traffic", "ccdiff") == "ccdiff":
             given["ccdiff"] = {**DEFAULT_CCDIFF, **own} if isinstance(own, Mapping) else own
         if isinstance(ego, str) and ego in KINDS:  # the worlds drive it, and nobody observes
-            config = config or WorldConfig(dt_s=scenes[0].dt)
+            config = config or WorldConfig(**asked_by(scenes))
             config = config.with_options(observation=_NO_ROWS)
         given |= {"scenes": scenes, "config": config, "driver": ego}
         #: The worlds, in which only the ego's planner acts.

@@ -352,9 +352,9 @@ class Seat:
 
 
 def seat_driver(
-    options: Mapping[str, Any], config: WorldConfig | None, dt_s: float
+    options: Mapping[str, Any], config: WorldConfig | None, asked: Mapping[str, Any]
 ) -> tuple[Seat | None, WorldConfig | None, dict[str, Any]]:
-    """Take a planner out of an environment's option ``driver``; ``dt_s`` is the scenes' step.
+    """Take a planner out of an environment's option ``driver``; ``asked``: what the scenes ask for.
 
     Returns who makes the ego's actions, configuration and options: ``None`` and the same as before
     for a driver of the world. A planner's own configuration stands in for none. A name of neither
@@ -367,7 +367,7 @@ def seat_driver(
     driver, seat = ego_driver(name)
     options = {**options, "driver": driver}
     if config is None and seat is not None:
-        return seat, seat.config.with_options(decision_steps=1), {"dt_s": dt_s, **options}
+        return seat, seat.config.with_options(decision_steps=1), {**asked, **options}
     return seat, config, options
 
 

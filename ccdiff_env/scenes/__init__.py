@@ -88,7 +88,7 @@ def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
             return scene
         return with_tracks(scene, scene.tracks(), chosen)
 
-    return SceneSet(map(kept, scenes), lambda: scenes.report)
+    return scenes.having(map(kept, scenes))
 
 
 def is_lone_ego(scene: Scene) -> bool:

@@ -126,6 +126,7 @@ def load_py123d(
             empty=tuple(empty),
             seconds=time.perf_counter() - started,
         ),
+        window,
     )
     warn_without_road(found)
     return found

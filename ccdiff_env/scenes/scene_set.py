@@ -8,6 +8,7 @@ from typing import overload
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, UnknownNameError, hint_of
 from ccdiff_env.scenes.load_report import LoadReport
+from ccdiff_env.scenes.windows import Windows
 
 
 class SceneSet(Sequence[Scene]):
@@ -17,18 +18,20 @@ class SceneSet(Sequence[Scene]):
         scenes: The scenes, with names that are unique in the set.
         report: What the load has to say, or a function that makes the report when it is first
             looked at; empty where the scenes were not loaded from files.
+        window: How the scenes were cut from logs, for episodes to be those of the windows.
 
     Examples:
         ``scenes[0]``, ``scenes[:4]`` (a :class:`SceneSet`), ``scenes["scene-0061"]``,
         ``"scene-0061" in scenes``.
     """
 
-    __slots__ = ("_by_name", "_names", "_report", "_scenes")
+    __slots__ = ("_by_name", "_names", "_report", "_scenes", "window")
 
     def __init__(
         self,
         scenes: Iterable[Scene],
         report: LoadReport | Callable[[], LoadReport] | None = None,
+        window: Windows | None = None,
     ) -> None:
         self._scenes = tuple(scenes)
         self._names = tuple(scene.name for scene in self._scenes)
@@ -37,6 +40,11 @@ class SceneSet(Sequence[Scene]):
             twin = next(name for name in self._names if self._names.count(name) > 1)
             raise ConfigError(f"two scenes have the same name, {twin!r}: a SceneSet has it once")
         self._report = report if report is not None else LoadReport()
+        self.window = window
+
+    def having(self, scenes: Iterable[Scene], window: Windows | None = None) -> SceneSet:
+        """Return a set of other scenes with the same report."""
+        return SceneSet(scenes, self._report, window or self.window)
 
     @property
     def report(self) -> LoadReport:
@@ -66,7 +74,7 @@ class SceneSet(Sequence[Scene]):
     def __getitem__(self, key: int | str | slice) -> Scene | SceneSet:
         """Return a scene by index or name, or a set by slice (with the whole load's report)."""
         if isinstance(key, slice):
-            return SceneSet(self._scenes[key], self._report)
+            return self.having(self._scenes[key])
         if isinstance(key, str):
             if key not in self._by_name:
                 hint = hint_of(key, self.names)

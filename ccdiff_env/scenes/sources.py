@@ -382,7 +382,7 @@ def load(
     if whole is not place and place.window is not None:
         found = in_windows(found, place.window)
     if place.names is not None:
-        found = SceneSet([found[name] for name in place.names], found.report)
+        found = found.having([found[name] for name in place.names])
     if place.limit is not None:
         found = found[: place.limit]
     return found if kinds is None else of_kinds(found, kinds)
@@ -403,7 +403,7 @@ def in_windows(scenes: SceneSet, window: Windows) -> SceneSet:
             f"no scene has the {sum(window.steps(longest.dt)) + 1} steps of a window: "
             f"{longest.name!r} has {longest.num_steps}; see window_s and history_s"
         )
-    return SceneSet(found, lambda: scenes.report)
+    return scenes.having(found, window)
 
 
 def _slice(scene: Scene, name: str, first: int, end: int) -> Scene:

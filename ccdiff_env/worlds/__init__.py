@@ -5,6 +5,7 @@ from __future__ import annotations
 from ccdiff_env.worlds.configured import (
     SceneChoice,
     Scenes,
+    asked_by,
     normalize_seed,
     scene_set,
     world_config,
@@ -13,6 +14,6 @@ from ccdiff_env.worlds.spaces import StepArrays
 from ccdiff_env.worlds.worlds import Worlds
 
 __all__ = [
-    "SceneChoice", "Scenes", "StepArrays", "Worlds", "normalize_seed", "scene_set",
-    "world_config",
+    "SceneChoice", "Scenes", "StepArrays", "Worlds", "asked_by", "normalize_seed",
+    "scene_set", "world_config",
 ]  # fmt: skip

@@ -40,18 +40,27 @@ def scene_set(scenes: Scenes) -> SceneSet:
     return found
 
 
+def asked_by(scenes: SceneSet) -> dict[str, Any]:
+    """Return the options that scenes ask for: their step, and history and horizon of windows."""
+    dt_s, window = scenes[0].dt, scenes.window
+    if window is None:
+        return {"dt_s": dt_s}
+    history, horizon = window.steps(dt_s)
+    return {"dt_s": dt_s, "history_steps": history, "horizon_steps": horizon}
+
+
 def world_config(
     scenes: SceneSet,
     config: WorldConfig | None,
     options: Mapping[str, Any],
     observation: Form | None = None,
 ) -> WorldConfig:
-    """Return the configuration of plain keywords over a base; the step is that of the scenes.
+    """Return the configuration of plain keywords over a base, or over what the scenes ask for.
 
     Rasters are drawn where the form of observation shows them, and refused elsewhere.
     """
-    if config is None and "dt_s" not in options:
-        options = {**options, "dt_s": scenes[0].dt}
+    if config is None:
+        options = {**asked_by(scenes), **options}
     resolved = (config or WorldConfig()).with_options(**options)
     if observation == "bev" and resolved.observation.bev is None:
         return resolved.with_options(bev=BevConfig())
