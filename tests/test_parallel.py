@@ -281,6 +281,25 @@ def test_all_vehicles_are_those_of_the_start_that_was_drawn():
 RULES = {"agents": 4, "traffic": "idm", "horizon_steps": 40}
 
 
+@pytest.mark.parametrize("more", [{}, {"decision_steps": 3}, {"adversary_shaping": 0.5}], ids=str)
+def test_returns_of_adversaries_too_are_sums_of_rewards(scenes, more):
+    env = parallel_env(scenes=scenes, adversaries=2, **RULES, **more)
+    rng, ends = np.random.default_rng(0), 0
+    for seed in range(6):
+        env.reset(seed=seed)
+        total = dict.fromkeys(env.agents, 0.0)
+        while env.agents:
+            actions = {name: rng.uniform(-1, 1, 2).astype(np.float32) for name in env.agents}
+            _, rewards, dead, cut, infos = env.step(actions)
+            for name, reward in rewards.items():
+                total[name] += reward
+                if dead[name] or cut[name]:
+                    ends += env.role(name) == "adversary"
+                    found = infos[name]["metrics"]["return"]
+                    assert found == pytest.approx(total[name], abs=1e-4)
+    assert ends > 6
+
+
 @pytest.mark.parametrize("more", [{}, {"adversaries": 2}, {"decision_steps": 3}], ids=str)
 def test_rows_show_what_the_parallel_form_shows(scenes, more):
     options = {**RULES, "scenes": scenes, "info": "full", **more}

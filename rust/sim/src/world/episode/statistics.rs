@@ -97,6 +97,11 @@ impl EpisodeStatistics {
         self.min_ttc_s = self.min_ttc_s.min(columns[Col::Ttc as usize]);
     }
 
+    /// Puts another reward in the place of one that was added.
+    pub(crate) fn pay_instead(&mut self, added: Real, reward: Real) {
+        self.total += f64::from(reward) - f64::from(added);
+    }
+
     /// Whether all sums are finite.
     pub(crate) fn is_finite(&self) -> bool {
         let sums = self.components.iter().chain(&self.means).chain([&self.total]);

@@ -3,6 +3,7 @@
 use crate::geom::Real;
 use crate::world::buffers::StepBuffers;
 use crate::world::config::WorldConfig;
+use crate::world::episode::{Phase, Slot};
 use crate::world::reward_columns::{Col, NUM_COLUMNS};
 use crate::world::tick::World;
 
@@ -30,16 +31,14 @@ impl World {
             return false;
         }
         let e = &mut self.episode;
-        let played = |c: usize| {
-            let slot = &e.slots[c];
-            slot.agent_idx.is_some() && slot.ended_at.is_none_or(|at| at > since)
-        };
+        let played = |slot: &Slot| slot.agent_idx.is_some() && slot.ended_at.is_none_or(|at| at > since);
         let (mut sum, mut num_egos, mut num_adversaries) = (0.0, 0_u32, 0_u32);
-        for (c, is_adversary) in self.adversaries.iter().enumerate().filter(|(c, _)| played(*c)) {
+        let cast = e.slots.iter().zip(&self.adversaries).zip(&*out.reward);
+        for ((_, is_adversary), reward) in cast.filter(|((slot, _), _)| played(slot)) {
             if *is_adversary {
                 num_adversaries += 1;
             } else {
-                sum += out.reward[c];
+                sum += *reward;
                 num_egos += 1;
             }
         }
@@ -47,10 +46,17 @@ impl World {
             return false;
         }
         let against = f64::from(sum) / f64::from(num_egos.max(1));
-        for (c, _) in self.adversaries.iter().enumerate().filter(|(c, is)| **is && played(*c)) {
+        let cast = e.slots.iter_mut().zip(&self.adversaries).enumerate();
+        for (c, (slot, _)) in cast.filter(|(_, (slot, is))| **is && played(slot)) {
             let columns = &out.columns[c * NUM_COLUMNS..(c + 1) * NUM_COLUMNS];
             let own: Real = columns[Col::RewardOffRoad as usize] + columns[Col::RewardComfort as usize];
-            out.reward[c] = (f64::from(own * config.adversary_shaping) - against) as Real;
+            let reward = (f64::from(own * config.adversary_shaping) - against) as Real;
+            slot.statistics.pay_instead(out.reward[c], reward);
+            out.reward[c] = reward;
+        }
+        if e.phase == Phase::Ended {
+            self.end();
+            return false;
         }
         let mut left = e.slots.iter().zip(&self.adversaries).filter(|(slot, _)| slot.alive).peekable();
         if left.peek().is_none() || !left.all(|(_, is_adversary)| *is_adversary) {
