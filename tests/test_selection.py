@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from array_scenes import outline
 from gymnasium.utils.env_checker import check_env
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
@@ -114,6 +115,13 @@ def test_an_action_guides_its_vehicle_at_its_strength_and_the_last_one_nobody(ve
     for action in (int(env.action_space.n) - 1, *np.flatnonzero(~env.action_masks())[:1]):
         reward, _, after, shown = played(action, 0)
         assert (reward, after["adversary"], after["guided"], shown) == (0.0, None, 0.0, False)
+    many = vector(num_adversaries=64)
+    many.reset(seed=0)
+    row = set(many.candidates[0])
+    *_, infos = many.step([3])
+    plan = many.worlds.explain(0)
+    assert set(plan.agents[plan.guided]) == row == many.adversaries[0]
+    assert infos["moved_m"][0] == pytest.approx(plan.moved_m[plan.guided].sum())
     two = vector(num_adversaries=2)
     obs, _ = two.reset(seed=0)
     row = two.candidates[0]
@@ -136,6 +144,48 @@ def test_collisions_count_as_asked(scenes):
     hits, at_fault = (np.array(found["all"][name]) for name in ("collisions", "ego_at_fault"))
     assert hits.sum() > 0
     assert found["ego_at_fault"]["collisions"] == (hits * at_fault).tolist()
+
+
+def test_a_contact_counts_when_it_begins_whatever_follows_from_it(scenes):
+    """Against boxes of shapely, where the ego drives on; and where it ends or is removed."""
+    options = {"on_collision": "ignore", "on_traffic_collision": "ignore", **BLIND, **QUICK}
+    options |= {"strengths": (8.0,), "num_adversaries": 8, "counts": "ego_at_fault"}
+    env = AdversarySelectionEnv(scenes=scenes, **options)
+    found, expected = [], []
+
+    def touched():
+        states = env.worlds.native.states(0)
+        tracks = zip(states["position"], states["heading"], env.scene.sizes, strict=True)
+        box = [outline(*at, heading, size) for at, heading, size in tracks]
+        return {j for j in np.flatnonzero(states["active"])[1:] if box[j].intersects(box[0])}
+
+    def look():
+        at_fault = {j for i, j, *_, fault in env.worlds.native.contacts(0) if i == 0 and fault}
+        begun.append((at_fault & touched()) - before[-1])
+        before.append(touched())
+
+    env.vector.on_step = look
+    for scene in range(len(scenes)):
+        env.reset(seed=0, options={"scene": scene})
+        before, done = [touched()], False
+        while not done:
+            begun = []
+            _, _, done, _, info = env.step(0)
+            found.append((info["collisions"], info["ego_at_fault"]))
+            adversaries = env.vector.adversaries[0]
+            expected.append((sum(bool(new & adversaries) for new in begun), any(map(bool, begun))))
+    assert found == expected
+    assert sum(count for count, _ in found) > 0
+    ends = {
+        how: selection.play(
+            scenes,
+            selection.Choice("", "", lambda env: env.chosen(rule_actions(env, "approach")), {}),
+            **{**options, "on_collision": how, "counts": "all"},
+        )["collisions"]
+        for how in ("terminate", "remove")
+    }
+    assert ends["terminate"] == ends["remove"]
+    assert sum(ends["remove"]) > 0
 
 
 def test_worlds_of_the_vector_form_and_copies_run_as_single_ones(scenes):

@@ -155,6 +155,8 @@ class AdversarySelectionVectorEnv(AsVector):
         #: Agents in the rows of each world, and those that were guided in its episode.
         self.candidates: list[list[int]] = [[] for _ in range(num_envs)]
         self.adversaries: list[set[int]] = [set() for _ in range(num_envs)]
+        #: Agents that the ego of each world touches, and whether it is at fault.
+        self._touched: list[dict[int, bool]] = [{} for _ in range(num_envs)]
         #: Worlds [E] whose episode is over, or has not begun.
         self.ended = np.ones(num_envs, np.bool_)
         #: Present observations [E, R, F], which the next decision overwrites.
@@ -172,7 +174,7 @@ class AdversarySelectionVectorEnv(AsVector):
         _, infos = self.ego.reset(seed=seed, options=options)
         which = infos["_scene"]
         for e in np.flatnonzero(which).tolist():
-            self.adversaries[e] = set()
+            self.adversaries[e], self._touched[e] = set(), self._touching(e)
         self.ended[which], self._totals[:, which] = False, 0.0
         self._look(which)
         return self.obs.copy(), infos
@@ -265,14 +267,13 @@ class AdversarySelectionVectorEnv(AsVector):
                         f"traffic is {self.config.traffic!r}, expected a network whose finished "
                         "plans are moved: how far is the cost of guidance"
                     )
-                table["moved_m"][e] = moved_m * self.num_adversaries
+                table["moved_m"][e] = moved_m
                 table["guided"][e] = 1.0
                 self.adversaries[e].add(agent)
                 who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
-            for e in np.flatnonzero(info["collision"] > 0.0).tolist():
-                ego, contacts = native.status(e).ego_idx, native.contacts(e)
-                hits = {j: at_fault for i, j, *_, at_fault in contacts if i == ego}
-                table["ego_at_fault"][e] = any(hits.values())
+            for e in np.flatnonzero(running).tolist():
+                hits = self._begun(e, info)
+                table["ego_at_fault"][e] = max(table["ego_at_fault"][e], *hits.values(), 0.0)
                 faults = [hits[j] for j in self.adversaries[e] & hits.keys()]
                 table["collisions"][e] += any(faults) if self.counts != "all" else bool(faults)
             self.ended |= terminated | truncated
@@ -282,6 +283,20 @@ class AdversarySelectionVectorEnv(AsVector):
         self._look(began)
         rewards = table["collisions"] - self.move_cost * table["moved_m"]
         return rewards.astype(np.float32), {**table, "adversary": who}
+
+    def _begun(self, e: int, info: Info) -> dict[int, bool]:
+        """Agents that the ego of a world begins to touch in a step; whether it is at fault."""
+        before, begins = self._touched[e], info["collision"][e] > 0.0
+        self._touched[e] = now = self._touching(e) if begins or before else {}
+        found = {j: at_fault for j, at_fault in now.items() if j not in before}
+        if begins:  # also where the ego was removed, or touched within the step
+            found[int(info["collision_partner"][e]) - 1] = bool(info["at_fault"][e] > 0.0)
+        return found
+
+    def _touching(self, e: int) -> dict[int, bool]:
+        native = self.worlds.native
+        ego = native.status(e).ego_idx
+        return {j: at_fault for i, j, *_, at_fault in native.contacts(e) if i == ego}
 
     def metrics(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return figures [E] of the episodes so far; ``is_success``: a collision counted."""
