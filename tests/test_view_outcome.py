@@ -10,6 +10,8 @@ from shapely.affinity import rotate, translate
 from shapely.ops import nearest_points
 from view_rollouts import NUM_STEPS, planned_rollout
 
+from ccdiff_env import EgoEnv
+from ccdiff_env.record.recorder import Recorder
 from ccdiff_env.record.rollout import RolloutEvent
 from ccdiff_env.view.contact import impact
 from ccdiff_env.view.link import play_drive
@@ -145,6 +147,27 @@ def test_the_words_on_a_drive_agree_with_its_motion(drive, verb):
     assert found[1] == verb
     assert float(found[2]) == pytest.approx(first.step * 0.1)
     assert float(found[3]) == pytest.approx(own + others, abs=0.1)
+
+
+def test_who_is_removed_by_a_contact_has_had_it(scenes):
+    """The verdict is that on an ego that stays; its speed is that before the contact."""
+    options = {"driver": "constant_velocity", "on_off_road": "ignore", "terminate_at_goal": False}
+    told = []
+    for how in ("terminate", "remove"):
+        env = EgoEnv(scenes=scenes, traffic="replay", on_collision=how, **options)
+        for scene in range(len(scenes)):
+            env.reset(seed=0, options={"scene": scene})
+            recorder, done, hits = Recorder(env), False, 0.0
+            while not done:
+                *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+                recorder.step()
+                done, hits = terminated or truncated, hits + info["collision"]
+            run = recorder.rollout()
+            assert bool(run.collisions("ego")) == (hits > 0)
+            told.append((outcome(run).text.rpartition(",")[0], outcome(run).fault, bool(hits)))
+    stays, removed = told[: len(scenes)], told[len(scenes) :]
+    assert stays == removed
+    assert sum(hit for *_, hit in removed) > 3
 
 
 def test_an_accident_after_the_goal_decides():

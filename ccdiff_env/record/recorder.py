@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ccdiff_env.worlds import Worlds
 
 _STATES = ("position", "heading", "velocity", "active", "elevation_m")
+_CONTACT = ("collision_kind", "collision_partner", "at_fault")  #: Columns.
 
 
 class HasWorlds(Protocol):
@@ -189,7 +190,23 @@ class Recorder:
                 continue
             kind = "static" if self._types[j] == "static" else f"collision_{side}"
             self._events.append(RolloutEvent(at, self._ids[i], self._ids[j], kind, at_fault))
+        for i, j, side, at_fault in self._told_contacts():
+            if not touching & {(i, j), (j, i)}:  # who is removed by a contact touches nobody now
+                touching |= {(i, j), (j, i)}
+                kind = "static" if self._types[j] == "static" else f"collision_{side}"
+                self._events.append(RolloutEvent(at, self._ids[i], self._ids[j], kind, at_fault))
         self._touching = touching
+
+    def _told_contacts(self) -> Iterator[tuple[int, int, str, bool]]:
+        """Contacts that the columns of the step tell: agent, partner, side, whether at fault."""
+        if self._worlds.last is None:
+            return
+        at = [self._worlds.column_names.index(name) for name in _CONTACT]
+        rows = self._worlds.last.columns[self._world_idx][:, at].astype(int).tolist()
+        agents = self._worlds.native.slot_agents(self._world_idx)
+        for agent, (side, partner, at_fault) in zip(agents, rows, strict=True):
+            if agent is not None and partner > 0:
+                yield agent, partner - 1, ("front", "rear", "side")[side - 1], at_fault > 0
 
     def _road_events(self, at: int) -> None:
         off_road = self._worlds.native.off_road(self._world_idx)[0]

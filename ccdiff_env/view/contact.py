@@ -29,13 +29,16 @@ def impact(rollout: Rollout, step: int, one: int, other: int) -> tuple[F64, F64]
     before = step - 1 if step > 0 and rollout.valid[pair, step - 1].all() else step
     a, b = _boxes(rollout, before)[pair]
     apart = gaps_m(a, b)
-    moved = _boxes(rollout, step)[pair, :2]
+    moved, velocity = _boxes(rollout, step)[pair, :2], rollout.velocity[pair, step].astype(float)
+    gone = ~rollout.valid[pair, step]  # removed by the contact: as before it
+    velocity[gone] = rollout.velocity[pair, before][gone]
+    moved[gone] = (np.stack([a, b])[:, :2] + velocity * rollout.dt_s)[gone]
     now = gaps_m(np.r_[moved[0], a[2:]], np.r_[moved[1], b[2:]])
     closed = np.where(apart > 0.0, apart / np.maximum(apart - now, 1e-9), apart)
     turn = (a[2], a[2] + np.pi / 2, b[2], b[2] + np.pi / 2)[int(np.argmax(closed))]
     normal = np.array([np.cos(turn), np.sin(turn)])
     normal *= np.copysign(1.0, normal @ (b[:2] - a[:2]))
-    return normal, rollout.velocity[pair, step].astype(np.float64) @ normal * (1.0, -1.0)
+    return normal, velocity @ normal * (1.0, -1.0)
 
 
 def blocker(rollout: Rollout, agent: int) -> tuple[int, float] | None:

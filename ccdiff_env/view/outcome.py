@@ -224,7 +224,9 @@ def _collision(
     pair = sorted((ids.index(event.agent_id), ids.index(str(event.partner_id))))
     normal, brought = impact(rollout, step, *pair)
     hits, other = pair if brought[0] >= brought[1] else pair[::-1]
-    velocity, heading = rollout.velocity[:, step], rollout.heading[:, step]
+    # of who is removed by it, the step before
+    at = np.arange(len(ids)), np.where(rollout.valid[:, step], step, max(step - 1, 0))
+    velocity, heading = rollout.velocity[at], rollout.heading[at]
     passes = (kinds[hits], kinds[other]) == ("pedestrian", "vehicle")
     if passes and np.hypot(*velocity[other]) > PASSES_MPS:
         hits = other
