@@ -84,6 +84,9 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         (["--shown", "-1"], "--shown is -1, expected at least 0"),
         (["--start", "nobody"], "nobody"),
         (["--base", "nobody"], "one of idm, pdm"),
+        (["--base", "pdm", "--dynamics", "unicycle"], "--base is for assisted dynamics"),
+        (["--start", "ego", "--dynamics", "unicycle"], "--start ego drives by Assisted"),
+        (["--start", "ego", "--base", "idm"], "--start ego drives by AssistedLimits(base='pdm'"),
     ):
         assert cli.main(["train-ego", "--out", str(out), *words]) == 2
         assert said in capsys.readouterr().err

@@ -193,8 +193,12 @@ def train(args: argparse.Namespace) -> None:
     given = load_ego(args.start) if args.start and not args.start.endswith(".pt") else None
     own = {"assisted": {"assisted": {"base": args.base, **ASSISTED}}, "unicycle": DYNAMICS}
     dynamics: Any = own.get(args.dynamics, args.dynamics)
+    asked = WorldConfig().with_options(dynamics=dynamics).action.dynamics
+    trained = given.config.action.dynamics if given else asked
+    if (type(trained), getattr(trained, "base", "")) != (type(asked), getattr(asked, "base", "")):
+        raise ConfigError(f"--start {args.start} drives by {trained}, expected {asked}")
     fitting: dict[str, Any] = {
-        "dynamics": given.config.action.dynamics if given else dynamics,
+        "dynamics": trained if given else dynamics,
         "decision_steps": args.decision_steps,
         **({"observation": LONG} if args.long else {}),
     }

@@ -58,9 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("assisted", "unicycle", "bicycle"),
         help="dynamics of the ego",
     )
-    parser.add_argument(
-        "--base", default="idm", help="rule that assisted actions change: idm or pdm"
-    )
+    parser.add_argument("--base", help="rule of assisted actions: idm or pdm (default: idm)")
     parser.add_argument("--decision-steps", type=int, default=3, help="simulation steps per action")
     parser.add_argument(
         "--worlds", type=int, default=1024, help="worlds, divided among kinds of traffic"
@@ -107,6 +105,9 @@ def run(args: argparse.Namespace) -> int:
     if args.criticality is not None and not guided:
         raise ConfigError(f"--criticality: no traffic of {' '.join(args.traffic)} draws it")
     args.criticality = 1.0 if args.criticality is None else args.criticality
+    if args.base is not None and args.dynamics != "assisted":
+        raise ConfigError(f"--base is for assisted dynamics, not {args.dynamics}: leave it out")
+    args.base = args.base or "idm"
     args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
     check_least(args, threads=1, decisions=1, shown=0, learning_rate=1e-9, noise=1e-6)
     if (BANK in args.traffic) != bool(args.bank):
