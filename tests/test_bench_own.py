@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -267,6 +268,16 @@ def test_reports_have_scores_by_tag_and_papers_whole_tables(desk):
         subprocess.run(["pdflatex", "-halt-on-error", "paper.tex"], check=True, timeout=120)
     (desk / "tags.csv").write_text("scene,tag\nleft-turn-4,rare\n")
     assert bench(words) == 2
+
+
+def test_policies_of_one_name_are_told_apart(desk):
+    files = ["a/mine.safetensors", "b/mine.safetensors"]
+    for file in files:
+        (desk / file).parent.mkdir()
+        shutil.copy(Path(ccdiff_env.__file__).parent / "data/ego.safetensors", desk / file)
+    assert bench(f"planners --planners {','.join(files)} --limit 1 --seeds 0 --traffic replay") == 0
+    table = (desk / "run/table.md").read_text()
+    assert all(f"\n| {file} |" in table for file in files)
 
 
 def test_methods_of_realism_are_compared_in_pairs(desk):

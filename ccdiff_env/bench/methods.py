@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
@@ -18,7 +19,7 @@ from ccdiff_env.system.files import parse_object, reading
 from ccdiff_env.system.named_objects import named_object, strip_title, title_of
 from ccdiff_env.system.tensors import read_tensors
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT, CcdiffConfig, read_driver
-from ccdiff_env.view.captions import is_taken
+from ccdiff_env.view.captions import is_taken, planner_title
 
 _T = TypeVar("_T")
 _D = TypeVar("_D", bound="Drivers")
@@ -171,14 +172,18 @@ def network_of(file: str) -> str:
 
 def titled(names: Iterable[str]) -> list[str]:
     """Return who drives, each once, with titles: those given (``?title=Ours``), and ``name`` of
-    classes and objects that are given by path.
+    classes and objects that are given by path. Policies of one name are called by their paths.
 
     A title of the package, or of another one of them, is a :class:`ConfigError`.
     """
     found: dict[str, str] = {}
-    for text in dict.fromkeys(names):
+    texts = list(dict.fromkeys(names))
+    files = [text for text in texts if text.endswith((".zip", ".safetensors")) and ":" not in text]
+    shown = Counter(map(planner_title, files))
+    for text in texts:
         title = title_of(text)
         own = None if title or ":" not in text or text.startswith(PREFIX) else _name_of(text)
+        own = text if text in files and shown[planner_title(text)] > 1 else own
         if own:
             text = f"{text}{'&' if '?' in text else '?'}title={quote(own)}"
         title = title or own
