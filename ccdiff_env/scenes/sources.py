@@ -211,6 +211,8 @@ def parse(text: str) -> Place:
     options = dict(pairs)
     if len(options) < len(pairs):
         raise _wrong(text, f"an option twice in {given!r}")
+    if stray := re.search(r"\?(\w+=[^/?]*)$", rest):
+        raise _wrong(text, f"{stray[1]!r}, expected limit, window_s, stride_s, history_s, above 0")
     limit = options.pop("limit", None)
     if limit is not None and not limit.isdecimal():
         raise _wrong(text, f"limit is {limit!r}, expected a whole number")
