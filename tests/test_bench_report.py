@@ -3,6 +3,7 @@
 import csv
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from ccdiff_env import cli
@@ -216,3 +217,14 @@ def test_without_matplotlib_a_plot_is_left_out_and_said(tmp_path, monkeypatch, c
     assert plots.plot_robustness(found, {"calm": 0.0, "critical": 1.0}, str, tmp_path / "x") is None
     assert "pip install matplotlib" in capsys.readouterr().out
     assert not list(tmp_path.iterdir())
+
+
+def test_names_of_lines_lie_above_the_axis_and_clear_of_one_another():
+    pytest.importorskip("matplotlib")
+    _, axes = plots.new_plot(4, 3)
+    axes.set_ylim(0.0, 1.0)
+    plots.name_ends(axes, [(0.9, 1.0, "a", "k"), *((0.0, 1.0, name, "k") for name in "bcd")])
+    heights = [text.xyann[1] for text in axes.texts]
+    assert heights[0] == 0.9
+    assert min(heights) > 0.02
+    assert np.all(np.diff(sorted(heights)) > 0.04)

@@ -315,12 +315,15 @@ def name_ends(
     aside: float | None = None,
     fontsize: float = 9,
 ) -> None:
-    """Write names at the ends (y, x, name, colour) of lines, each below the one above it."""
+    """Write names at the ends (y, x, name, colour) of lines, each below the one above it, all of
+    them above the axis.
+    """
     gap = 0.0055 * fontsize * np.ptp(axes.get_ylim()) if gap is None else gap
     aside = 0.02 * np.ptp(axes.get_xlim()) if aside is None else aside
     last = np.inf
-    for y, x, name, colour in sorted(ends, reverse=True):
-        last = min(y, last - gap)
+    for above, (y, x, name, colour) in enumerate(sorted(ends, reverse=True), start=1):
+        least = axes.get_ylim()[0] + gap * (len(ends) - above + 0.6)
+        last = max(min(y, last - gap), least)
         axes.annotate(
             name, (x, y), xytext=(x + aside, last), color=colour, fontsize=fontsize, va="center",
             annotation_clip=False,
