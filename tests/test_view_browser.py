@@ -165,3 +165,21 @@ def test_a_click_chooses_the_agent_and_shows_its_captions(visit):
     assert captions.startswith("1 · car")
     assert "CCDiff" in captions
     assert "m/s" in captions
+
+
+def test_the_scale_bar_covers_no_name(visit):
+    page = visit("one.html", viewport={"width": 390, "height": 844})
+    said = page.evaluate(
+        """() => {
+          const { fillText } = CanvasRenderingContext2D.prototype, said = [];
+          CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {
+            said.push(text);
+            fillText.call(this, text, ...rest);
+          };
+          replay.panes[0].draw(replay);
+          CanvasRenderingContext2D.prototype.fillText = fillText;
+          return said;
+        }"""
+    )
+    assert said[0].endswith(" m")
+    assert "ego" in said[1:]

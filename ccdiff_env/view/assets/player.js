@@ -43,10 +43,10 @@ class Pane {
     if (layers.lanes) this.ground.drawLanes(context, colours, pixel);
     const at = this.run.stepAt(player.time);
     this.ground.drawLights(context, colours, pixel, this.run.lights, at + 1e-6);
+    this.scaleBar(context, camera, width, height, theme, ratio); // below road users and their names
     this.actors.draw(context, at, { layers, theme, pixel, focus: this.index(player.focus) });
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     if (layers.labels) this.actors.labels(context, at, camera, width, height, theme, this.index(player.focus));
-    this.scaleBar(context, camera, width, height, theme);
     const late = player.time > this.run.end + 1e-6, early = player.time < this.run.start - 1e-6;
     this.root.classList.toggle("outside", late || early);
   }
@@ -56,8 +56,10 @@ class Pane {
     return index === undefined ? -1 : index;
   }
 
-  scaleBar(context, camera, width, height, theme) {
+  scaleBar(context, camera, width, height, theme, ratio) {
     const metres = [1, 2, 5, 10, 20, 50, 100, 200].find((m) => m * camera.scale >= 60) || 500;
+    context.save();
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
     const long = metres * camera.scale, x = width - 16 - long, y = innerWidth > 760 ? height - 16 : 30;
     context.strokeStyle = context.fillStyle = COLOURS[theme].ink;
     context.lineWidth = 1.5;
@@ -74,6 +76,7 @@ class Pane {
     context.lineWidth = 3;
     context.strokeText(`${metres} m`, x + long / 2, y - 4);
     context.fillText(`${metres} m`, x + long / 2, y - 4);
+    context.restore();
   }
 
   /** Id of the agent under a pixel, or null. */
