@@ -186,6 +186,27 @@ def test_the_bases_jerk_is_held_outside_emergencies(base, scenes):
             assert np.abs(changes(episode, added_mps2) - added_mps2).max() <= 2.0 * 0.1 + 1e-4
 
 
+@pytest.mark.parametrize("dynamics", ["unicycle", "bicycle", "delta_pose"])
+def test_actions_that_follow_the_log_follow_it_when_they_are_held(scenes, dynamics):
+    strayed_m = {}
+    for steps in (1, 3):
+        env = EgoEnv(scenes=scenes, decision_steps=steps, dynamics=dynamics, **GOES_ON)
+        strayed_m[steps] = [
+            max(info["log_distance"] for *_, info in followed(env, scene))
+            for scene in range(len(scenes))
+        ]
+    assert np.median(strayed_m[3]) < np.median(strayed_m[1]) + 0.2
+
+
+def followed(env, scene):
+    env.reset(seed=0, options={"scene": scene})
+    ended = False
+    while not ended:
+        told = env.step(env.expert_action())
+        ended = told[2] or told[3]
+        yield told
+
+
 def test_plans_that_need_a_model_of_motion_refuse_it(scenes):
     env = begun(scenes=scenes, dynamics="assisted")
     with pytest.raises(ConfigError, match=r"action\.dynamics"):

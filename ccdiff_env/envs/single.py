@@ -179,7 +179,7 @@ class EgoEnv(OnWorlds, DrawnWorld, gymnasium.Env[Any, Any]):
         return self._observation(rows[None], None if bev is None else bev[None])
 
     def expert_action(self) -> Any:
-        """Return the action that leads from here towards the ego's next logged state."""
+        """Return the action that leads to the ego's logged state at the next decision."""
         action: F32 = self.worlds.native.expert_actions(0)[0]
         if self.worlds.discrete:
             return np.int64(action[0])

@@ -404,7 +404,7 @@ def _cut(scene: Scene, first: int, num_steps: int) -> Scene:
         name: np.ascontiguousarray(np.concatenate([array, on[name]], axis=1)[:, first:])
         for name, array in dict[str, Any](tracks).items()
     }
-    return with_tracks(scene, full, np.flatnonzero(full["valid"].any(axis=1)))
+    return with_tracks(scene, full, np.flatnonzero(full["valid"].any(axis=1)), first=first)
 
 
 def attribute(

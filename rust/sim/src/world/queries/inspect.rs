@@ -1,7 +1,7 @@
 //! What can be asked of a running batch of worlds.
 
 use crate::drivers::{Driver, PlanOverride, PlanRecord, WorldView};
-use crate::dynamics::Action;
+use crate::dynamics::{Action, Dynamics};
 use crate::error::{Result, SimError, check_length};
 use crate::events::{Collisions, Contact, OffRoad, off_road};
 use crate::geom::{Point2, Real};
@@ -213,7 +213,7 @@ impl VecWorld {
         Ok(WorldStatus { seed: e.seed, episode: e.number, slots: &e.slots, view })
     }
 
-    /// Actions that bring each slot's agent from where it is towards its next logged state, in the form that
+    /// Actions that bring each slot's agent from where it is towards its logged state at the next decision, in the form that
     /// [`VecWorld::step`] takes; zeros where there is no log.
     ///
     /// # Errors
@@ -224,13 +224,15 @@ impl VecWorld {
         let (e, scene) = (&world.episode, &world.scene);
         let action = |agent: Option<usize>| {
             let a = agent?;
-            let (pose, velocity) = scene.log.at(a, e.step_idx + 1)?;
+            let logged = |steps: usize| Some((steps, scene.log.at(a, e.step_idx + steps)?));
+            let (steps, (pose, velocity)) = (1..=self.config.decision_steps).rev().find_map(logged)?;
             let mut next = AgentStates::new(1);
             next.set_pose(0, pose, velocity);
             let (from, to) = (e.states.kin_state(a), next.kin_state(0));
-            let physical =
-                self.decoder.dynamics().inverse(&from, &to, self.config.dt_s, &scene.footprints[a]);
-            Some(self.decoder.encode(&physical))
+            let (dynamics, steps) = (self.decoder.dynamics(), steps as Real);
+            let whole = dynamics.inverse(&from, &to, self.config.dt_s * steps, &scene.footprints[a]);
+            let is_pose = matches!(dynamics, Dynamics::DeltaPose(_));
+            Some(self.decoder.encode(&if is_pose { whole.map(|part| part / steps) } else { whole }))
         };
         Ok(e.slots.iter().map(|s| action(s.agent_idx).unwrap_or_default()).collect())
     }
