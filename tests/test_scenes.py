@@ -167,6 +167,13 @@ def test_scene_is_pickled_compared_and_hashed_by_content(scenes, root):
                 Scene.from_bytes(wrong)
 
 
+def test_help_says_which_arrays_make_a_scene(scenes):
+    for name, array in scenes[0].tracks().items():
+        assert f"`{name}` [A, T{', 2' * (array.ndim == 3)}]" in Scene.tracks.__doc__
+    assert "MapLayers" in Scene.map_layers.__doc__
+    assert "`tracks()` and `map_layers()`" in Scene.from_arrays.__doc__
+
+
 def test_arrays_make_the_same_scene_again(scenes):
     scene = scenes[0]
     assert rebuilt(scene) == scene

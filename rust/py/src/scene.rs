@@ -88,6 +88,9 @@ fn expect_shape(what: &str, got: &[usize], expected: &[usize]) -> PyResult<()> {
 #[pymethods]
 impl PyScene {
     /// Builds a scene from arrays in the scene frame, far ones in one that is near; `mend` as the loaders mend theirs.
+    ///
+    /// Of A agents (ids, types `vehicle`, `pedestrian`, `cyclist`, `motorcycle` or `static`, the ego first) over T
+    /// steps: `sizes` [A, 3] length, width, height in metres, the others as `tracks()` and `map_layers()` return them.
     #[staticmethod]
     #[pyo3(signature = (name, *, agent_ids, agent_types, sizes, position, heading, velocity, valid, dt=0.1,
         agent_categories=None, token=Text::default(), location=Text::default(), source=Text::default(),
@@ -332,6 +335,9 @@ impl PyScene {
     }
 
     /// Logged states as new arrays in the scene frame; rows that are not valid are zero.
+    ///
+    /// `position` [A, T, 2] m, `heading` [A, T] rad, `velocity` [A, T, 2] m/s in float32, `valid` [A, T] in bool; in
+    /// scenes with levels `elevation_m` [A, T].
     fn tracks<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let tracks = &self.scene.tracks;
         let shape = [self.scene.num_agents(), self.scene.num_steps];
@@ -349,7 +355,7 @@ impl PyScene {
         Ok(dict)
     }
 
-    /// Map layers as new arrays in the scene frame.
+    /// Map layers as new arrays in the scene frame: `ccdiff_env.scenes.scene_types.MapLayers` lists them.
     fn map_layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         scene_map::to_dict(py, &self.scene.map)
     }
