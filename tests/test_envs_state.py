@@ -54,9 +54,10 @@ def test_snapshots_that_do_not_belong_are_refused_and_change_nothing(scenes):
 @pytest.mark.parametrize("traffic", ["ccdiff", "idm"])
 def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
     options = {"traffic": traffic, "on_off_road": "ignore", "on_collision": "ignore"}
+    options["terminate_at_goal"] = False
     options["ccdiff"] = {"denoising_steps": 1} if traffic == "ccdiff" else {}
     env = EgoEnv(scenes=scenes, **options)
-    env.reset(seed=8)
+    env.reset(seed=0)
     for action in ACTIONS[:7]:
         obs, *_ = env.step(action)
     saved = env.snapshot()
@@ -68,21 +69,21 @@ def test_another_seed_is_another_future_of_the_same_state(traffic, scenes):
             trace.append(np.concatenate([row, of.worlds.native.states(0)["position"].ravel()]))
         return np.array(trace)
 
-    forks = [env.fork(seed=3), env.fork(seed=4), env.fork()]
+    forks = [env.fork(seed=1), env.fork(seed=4), env.fork()]
     one, other, own = (future(fork) for fork in forks)
     assert np.array_equal(env.restore(saved), obs)
     assert np.array_equal(future(env), own), "without a seed nothing is sampled again"
     assert (traffic == "idm") == np.array_equal(one, other) == np.array_equal(one, own)
     assert np.array_equal(one[:3], own[:3]), "the present plan stays until the next one"
-    assert np.array_equal(env.restore(saved, seed=3), obs)
+    assert np.array_equal(env.restore(saved, seed=1), obs)
     assert np.array_equal(future(env), one)
     with pytest.raises(SnapshotError, match="seed"):
         env.certificate()
-    assert np.array_equal(env.reset()[0], EgoEnv(scenes=scenes, **options).reset(seed=3)[0])
-    assert env.certificate().seed == 3
+    assert np.array_equal(env.reset()[0], EgoEnv(scenes=scenes, **options).reset(seed=1)[0])
+    assert env.certificate().seed == 1
     worlds = ccdiff_env.make_vec(2, scenes=scenes, autoreset_mode="disabled", **options)
-    worlds.reset(seed=1)
-    assert np.array_equal(worlds.restore(1, saved, seed=3), obs)
+    worlds.reset(seed=0)
+    assert np.array_equal(worlds.restore(1, saved, seed=1), obs)
     for action, first in zip(ACTIONS[7:], one, strict=False):
         assert np.array_equal(worlds.step(np.tile(action, (2, 1)))[0][1], first[: len(obs)])
 

@@ -163,7 +163,7 @@ impl DriverTable {
         if let [(_, only)] = self.traffic[..] {
             return only;
         }
-        let mut rng = Rng::new(seed).split(episode).split(MIX_STREAM).split(agent_idx as u64);
+        let mut rng = Rng::of_episode(seed, episode).split(MIX_STREAM).split(agent_idx as u64);
         let drawn = (rng.next_u64() >> 40) as Real / (1u64 << 24) as Real;
         let found = self.traffic.iter().find(|(up_to, _)| drawn < *up_to);
         found.or(self.traffic.last()).map_or(Driver::REPLAY, |(_, driver)| *driver)

@@ -22,6 +22,13 @@ impl Rng {
         Self { counter: mix(seed.wrapping_add(GOLDEN)) }
     }
 
+    /// Generator of an episode, the n-th of a seed: later ones are children of the first. The plain child n of a seed would be
+    /// the child `seed` of n.
+    pub fn of_episode(seed: u64, number: u64) -> Self {
+        let first = Self::new(seed).split(1);
+        if number == 1 { first } else { first.split(number) }
+    }
+
     /// Next 64 random bits.
     pub fn next_u64(&mut self) -> u64 {
         self.counter = self.counter.wrapping_add(GOLDEN);
@@ -68,5 +75,14 @@ mod tests {
         // SplitMix64 seeded with the counter 0 starts with this number.
         let mut rng = Rng { counter: 0 };
         assert_eq!(rng.next_u64(), 0xE220_A839_7B1D_CDAF);
+    }
+
+    #[test]
+    fn no_two_episodes_have_the_same_stream() {
+        let all = (0..40).flat_map(|seed| (0..40).map(move |n| Rng::of_episode(seed, n).counter));
+        let mut found: Vec<u64> = all.collect();
+        found.sort_unstable();
+        found.dedup();
+        assert_eq!(found.len(), 1600);
     }
 }

@@ -135,7 +135,7 @@ impl Episode {
         self.phase = Phase::Running;
         self.number += 1;
         self.scene_idx = scene_idx;
-        let rng = Rng::new(self.seed).split(self.number).split(u64::MAX);
+        let rng = Rng::of_episode(self.seed, self.number).split(u64::MAX);
         let start = Start::draw(log, Some(scene), config, wanted, rng);
         let start = start.unwrap_or(Start { ego: None, step_idx: config.history_steps });
         self.step_idx = start.step_idx;
@@ -222,7 +222,7 @@ impl Episode {
             }
             _ => Vec::new(),
         };
-        let rng = Rng::new(self.seed).split(self.number).split(u64::MAX - 1);
+        let rng = Rng::of_episode(self.seed, self.number).split(u64::MAX - 1);
         self.slots.clear();
         for c in 0..config.num_slots {
             let agent = match &config.controlled {
@@ -361,7 +361,7 @@ impl Episode {
 
     /// A number that depends on the seed, the episode and the step alone.
     pub(crate) fn noise_seed(&self) -> u64 {
-        Rng::new(self.seed).split(self.number).split(self.elapsed_steps as u64).next_u64()
+        Rng::of_episode(self.seed, self.number).split(self.elapsed_steps as u64).next_u64()
     }
 }
 
