@@ -20,7 +20,7 @@ from ccdiff_env.bench.nuplan_score import nuplan_score
 from ccdiff_env.bench.planner_score import ROW, Judge
 from ccdiff_env.bench.protocol import PROTOCOL
 from ccdiff_env.bench.provenance import source_digest
-from ccdiff_env.bench.scenes import place_of, scenes_of
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.bench.tape import Tape
 from ccdiff_env.envs.selection import DEFAULT_CCDIFF
 from ccdiff_env.errors import ConfigError, PolicyError
@@ -119,8 +119,9 @@ def window_of(
     Raises:
         ConfigError: If a scene is shorter than that, or than what is asked for; names it.
     """
-    shortest = min(scenes_of(source), key=lambda scene: scene.num_steps)
-    window = usual_window(shortest, place_of(source).window)
+    scenes = scenes_of(source)
+    shortest = min(scenes, key=lambda scene: scene.num_steps)
+    window = usual_window(shortest, scenes.window)
     asked = {"history_steps": history_steps, "horizon_steps": horizon_steps}
     window |= {name: steps for name, steps in asked.items() if steps is not None}
     if min(window.values()) < 1:

@@ -45,7 +45,7 @@ def _load(place: Place) -> SceneSet:
 def scenes_of(source: str, names: Sequence[str] | None = None) -> SceneSet:
     """Return the scenes of a text, all or some by name; a process loads them once."""
     scenes = _load(place_of(source))
-    return scenes if names is None else SceneSet([scenes[name] for name in names])
+    return scenes if names is None else scenes.having(scenes[name] for name in names)
 
 
 def chunks(scenes: Sequence[T], size: int) -> list[list[T]]:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from ccdiff_env.bench.jobs import Job, chunk_jobs
 from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device, resolved
 from ccdiff_env.bench.planners import SHORT_WINDOW
-from ccdiff_env.bench.scenes import place_of, scenes_of
+from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.metrics import Motion, OffRoad, causal, speed_limit
@@ -112,15 +112,15 @@ def window_of(source: str) -> dict[str, int] | None:
     Raises:
         ConfigError: If a scene has another one, is too short or has other steps; names it.
     """
-    first, most = scenes_of(source)[0], sum(PAPER_WINDOW.values())
-    wanted, cut = window(first), place_of(source).window
+    scenes, most = scenes_of(source), sum(PAPER_WINDOW.values())
+    wanted, cut = window(first := scenes[0]), scenes.window
     if cut is not None and cut.steps(first.dt) != tuple(wanted.values()):
         raise ConfigError(
             f"{source}: windows of {cut.window_s:g} s cannot be played, expected "
             "window_s=10&history_s=3 or window_s=8&history_s=1"
         )
     least = sum(SHORT_WINDOW.values()) + 1
-    for scene in scenes_of(source):
+    for scene in scenes:
         short = scene.num_steps < least or abs(scene.dt - STEP_S) > 1e-3
         if short or window(scene) is not wanted:
             raise ConfigError(
