@@ -2,15 +2,16 @@
 
 Runs examples/train_ego_sb3.py with some seeds, and keeps how the held-out episodes of its egos, of
 IDM and of PDM-Closed end, and their scores: in docs/results, from which the tables of
-docs/learning.md are written. ``matrix`` trains egos in each traffic of :data:`TRAINED`, ``data`` on
-more and more scenes; both test them on scenes that they never drove. What has finished is not
-repeated.
+docs/learning.md are written. ``parts`` runs it without one part of the recipe after the other.
+``matrix`` trains egos in each traffic of :data:`TRAINED`, ``data`` on more and more scenes; both
+test them on scenes that they never drove. What has finished is not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import resource
 import subprocess
 import sys
@@ -41,6 +42,16 @@ PLANNERS = {
     "idm": "IDM on the log's path",
     "pdm": "PDM-Closed",
 }
+#: Arguments of the example that leave out a part of its recipe, or put a default in its place.
+PARTS = {
+    "the whole recipe": "",
+    "no clone of the log": "--shown 0",
+    "the log's ego alone": '--option ego="ego" standing_share=0',
+    "default dynamics": "--dynamics unicycle",
+    "default reward": "--option reward={}",
+    "ends at the goal": "--option terminate_at_goal=true",
+    "decisions of one step": "--option decision_steps=1",
+}
 #: Arguments of ``train-ego`` for the recipe of the example.
 SAME = "--dynamics unicycle --any-ego --worlds 512 --threads 1"
 #: Traffic of trainings, as ``train-ego`` takes it, by name of their rows.
@@ -68,14 +79,15 @@ FIGURE = {"matrix": "collision", "data": "success"}
 FIGURES = ("collision", "success", "no_at_fault_collision", "on_road", "score")
 
 
-def trained(args: argparse.Namespace, seed: int) -> Path:
+def trained(args: argparse.Namespace, seed: int, words: str = "") -> Path:
     """Train by the example, unless it has been done; return the folder."""
-    folder: Path = args.out / f"{other_place(args).split}-{args.decisions}-{seed}"
+    said = re.sub(r"\W+", "-", words)
+    folder: Path = args.out / f"{other_place(args).split}-{args.decisions}-{seed}{said}"
     if not (folder / "curve.json").is_file():
         script = [sys.executable, str(ROOT / "examples" / "train_ego_sb3.py")]
         script += ["--scenes", str(place_from(args)), "--test-scenes", str(other_place(args))]
         script += ["--decisions", str(args.decisions), "--seed", str(seed), "--out", str(folder)]
-        subprocess.run(script, check=True)
+        subprocess.run([*script, *words.split()], check=True)
     return folder
 
 
@@ -121,6 +133,21 @@ def learned(args: argparse.Namespace) -> None:
     kept = {"command": command, "scenes": tested_on.split, "episodes": 8 * len(scenes)}
     name = "expectations_nuscenes" if trained_on.path else "expectations"
     keep(name, kept | {"trained_on": trained_on.split}, rows)
+
+
+def parts(args: argparse.Namespace) -> None:
+    """Train without each part of the recipe, and keep means, least and most of the seeds."""
+    rows = list[dict[str, Any]]()
+    for name, words in PARTS.items():
+        folders = [trained(args, seed, words) for seed in range(args.seeds)]
+        runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
+        ended = 100.0 * np.array([run["outcomes"]["ego"] for run in runs])
+        success = ended[:, 0].mean(), ended[:, 0].min(), ended[:, 0].max()
+        row = {"part": name, "success": [round(float(v), 1) for v in success]}
+        shares = zip(OUTCOMES[1:], ended[:, 1:].mean(axis=0), strict=True)
+        rows.append(row | {failure: round(float(share), 1) for failure, share in shares})
+    words = f"--decisions {args.decisions} --seeds {args.seeds}"
+    keep("learning_parts", {"command": f"python -m tools.expectations parts {words}"}, rows)
 
 
 def test(folder: Path, scenes: SceneSet, traffic: str) -> list[dict[str, Any]]:
@@ -208,16 +235,16 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("study", nargs="?", default="example", choices=("example", *FIGURE))
+    parser.add_argument("study", nargs="?", default="example", choices=("example", "parts", *FIGURE))
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
     parser.add_argument("--decisions", type=int, default=850_000, help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     args = parser.parse_args()
-    if args.study == "example":
+    if args.study in ("example", "parts"):
         args.scenes = args.scenes or "embedded/city"
-        learned(args)
+        (learned if args.study == "example" else parts)(args)
     else:
         study(args)
 
