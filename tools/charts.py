@@ -62,7 +62,6 @@ def rows_chart(
     rows: Sequence[tuple[str, Figure, Look]],
     ticks: Sequence[float],
     log: float,
-    digits: int = 3,
 ) -> str:
     """Return a chart with a dot and a whisker in each row: name, figure, look.
 
@@ -73,7 +72,7 @@ def rows_chart(
     for y, (_, (value, low, high), look) in enumerate(rows):
         _drawn(axes, look, x=value, y=y, xerr=[[low - value], [high - value]])
         beside = axes.get_yaxis_transform()
-        axes.text(1.02, y, f"{value:.{digits}f}", transform=beside, fontsize=13, va="center")
+        axes.text(1.02, y, f"{value:.3f}", transform=beside, fontsize=13, va="center")
     axes.set_yticks(range(len(rows)), [name for name, *_ in rows], fontsize=13)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")
@@ -82,7 +81,7 @@ def rows_chart(
     axes.axvline(log, linestyle="--", color=colours()["replay"][0])
     above = axes.get_xaxis_transform()
     axes.text(log, 1.0, "log", transform=above, fontsize=11.5, ha="center")
-    said = "; ".join(f"{name} {figure[0]:.{digits}f}" for name, figure, _ in rows)
+    said = "; ".join(f"{name} {figure[0]:.3f}" for name, figure, _ in rows)
     return themed_svg(plot, f"{title}: {said}")
 
 
@@ -241,11 +240,14 @@ def data() -> str:
 
 
 def parts() -> str:
-    """Return the chart of what is left of success without each part of the recipe."""
-    rows, log = kept("learning_parts")["rows"], kept("expectations")["rows"][1]["success"]
-    shown = [(row["part"], _figure(row, "success"), LOOKS["ego"]) for row in rows]
-    title = "success in the test episodes of the example, %"
-    return rows_chart(title, shown, (0, 25, 50, 75, 100), log, digits=0)
+    """Return the chart of success and score without a part of the recipe, with their ranges."""
+    shown, (colour, _) = list[tuple[str, Figure, Look]](), LOOKS["ego"]
+    for row in kept("learning_parts")["rows"]:
+        shown.append((row["part"], _figure(row, "success"), (colour, "o")))
+        shown.append(("", _figure(row, "score"), (colour, "s")))
+    log = kept("expectations")["rows"][1]["score"][0]
+    title = "success (round) and score (square)"
+    return rows_chart(title, shown, (0.6, 0.7, 0.8, 0.9, 1.0), log)
 
 
 #: Charts by name of their file.

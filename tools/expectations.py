@@ -42,6 +42,7 @@ PLANNERS = {
     "idm": "IDM on the log's path",
     "pdm": "PDM-Closed",
 }
+SCORED = ("score", "comfort")  #: Figures of the benchmark beside the shares of the ends.
 #: Arguments of the example that leave out a part of its recipe, or put a default in its place.
 PARTS = {
     "the whole recipe": "",
@@ -122,7 +123,7 @@ def learned(args: argparse.Namespace) -> None:
             row |= {"spread": spread, "seeds": [round(c[-1][2], 4) for c in curves]}
         shares = np.mean([run["outcomes"][planner] for run in runs], axis=0)
         row |= {name: round(100.0 * share, 1) for name, share in zip(OUTCOMES, shares, strict=True)}
-        for figure in ("score", "comfort"):
+        for figure in SCORED:
             row[figure] = [round(v, 4) for v in mean_interval(played, figure)]
         rows.append(row)
     trained_on, tested_on = place_from(args), other_place(args)
@@ -137,15 +138,19 @@ def learned(args: argparse.Namespace) -> None:
 
 def parts(args: argparse.Namespace) -> None:
     """Train without each part of the recipe, and keep means, least and most of the seeds."""
-    rows = list[dict[str, Any]]()
+    scenes, rows = load(other_place(args)), list[dict[str, Any]]()
     for name, words in PARTS.items():
+        row: dict[str, Any] = {"part": name}
         folders = [trained(args, seed, words) for seed in range(args.seeds)]
-        runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
-        ended = 100.0 * np.array([run["outcomes"]["ego"] for run in runs])
-        success = ended[:, 0].mean(), ended[:, 0].min(), ended[:, 0].max()
-        row = {"part": name, "success": [round(float(v), 1) for v in success]}
-        shares = zip(OUTCOMES[1:], ended[:, 1:].mean(axis=0), strict=True)
-        rows.append(row | {failure: round(float(share), 1) for failure, share in shares})
+        driven = [drive(scenes, str(f / "ego.zip"), TRAFFIC["idm"])[0] for f in folders]
+        found = {n: [np.mean([each[n] for each in of]) for of in driven] for n in SCORED}
+        found["success"] = [
+            json.loads((f / "curve.json").read_text(encoding="utf-8"))["outcomes"]["ego"][0]
+            for f in folders
+        ]
+        for figure, of in found.items():
+            row[figure] = [round(float(value), 4) for value in (np.mean(of), min(of), max(of))]
+        rows.append(row)
     words = f"--decisions {args.decisions} --seeds {args.seeds}"
     keep("learning_parts", {"command": f"python -m tools.expectations parts {words}"}, rows)
 
@@ -232,21 +237,22 @@ def table(rows: list[dict[str, Any]]) -> str:
     return str(Table([*heads.values()], shown))
 
 
+STUDIES = {"example": learned, "parts": parts, "matrix": study, "data": study}
+
+
 def main() -> None:
     """Train, drive, and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("study", nargs="?", default="example", choices=("example", "parts", *FIGURE))
+    parser.add_argument("study", nargs="?", default="example", choices=STUDIES)
     parser.add_argument("--out", type=Path, default=Path("runs/expectations"))
     parser.add_argument("--decisions", type=int, default=850_000, help="of each training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings")
     add_scene_arguments(parser, "train")
     add_other_scenes(parser, "test")
     args = parser.parse_args()
-    if args.study in ("example", "parts"):
+    if args.study not in FIGURE:
         args.scenes = args.scenes or "embedded/city"
-        (learned if args.study == "example" else parts)(args)
-    else:
-        study(args)
+    STUDIES[args.study](args)
 
 
 if __name__ == "__main__":
