@@ -246,7 +246,7 @@ def parts() -> str:
         shown.append((row["part"], _figure(row, "success"), (colour, "o")))
         shown.append(("", _figure(row, "score"), (colour, "s")))
     log = kept("expectations")["rows"][1]["score"][0]
-    title = "success (round) and score (square)"
+    title = "success (dot) and score (square)"
     return rows_chart(title, shown, (0.6, 0.7, 0.8, 0.9, 1.0), log)
 
 
