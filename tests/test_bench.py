@@ -29,10 +29,10 @@ VAL = "embedded/val"
 SHIPPED = sorted({file.stem.split("_")[0] for file in weight_files()} & {*METHODS})
 
 
-def measured(method, num_controlled, scenes=1, replan_steps=5):
+def measured(method, num_controlled, scenes=1, replan_steps=5, **given):
     return evaluate(
         source=VAL, names=scenes_of(VAL).names[:scenes], method=method,
-        num_controlled=num_controlled, replan_steps=replan_steps, seed=0,
+        num_controlled=num_controlled, replan_steps=replan_steps, seed=0, **given,
     )  # fmt: skip
 
 
@@ -60,6 +60,20 @@ def test_only_the_control_set_leaves_the_log():
         # the mean over all counts those who replay with zero
         assert row["fde"] == pytest.approx(row["fde_controlled"] / row["num_agents"], rel=1e-6)
         assert full["fde"] == pytest.approx(full["fde_controlled"])
+
+
+def test_the_others_may_be_driven_by_idm():
+    floor, everyone = measured("idm", 0, 3, others="idm"), measured("idm", None, 3)
+    assert [row["fde"] for row in floor] == pytest.approx([row["fde"] for row in everyone])
+    for row, logged in zip(
+        measured("constant_velocity", 1, 3, others="idm"),
+        measured("constant_velocity", 1, 3),
+        strict=True,
+    ):
+        assert row["fde_controlled"] == logged["fde_controlled"]
+        assert row["fde"] > logged["fde"]
+    words = {job.arguments.get("others") for job in traffic_jobs(VAL, ["ccdiff"], others="idm")}
+    assert words == {"idm"}
 
 
 def test_control_sets_grow_by_one_vehicle_at_a_time():

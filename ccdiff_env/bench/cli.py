@@ -116,6 +116,9 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="K for which every --t is run; others only with the first (default: every K)",
     )
     parser.add_argument(
+        "--others", default="replay", choices=("replay", "idm"), help="drivers of the rest"
+    )
+    parser.add_argument(
         "--match",
         metavar="SCR",
         help="compare guided methods at these SCR, comma-separated, interpolated between "
@@ -154,6 +157,7 @@ def _traffic(args: argparse.Namespace) -> int:
         seed=args.seed,
         strengths=strengths,
         keep=_kept(args),
+        others=args.others,
     )
     episodes = run.episodes(jobs, "method", "replan_steps", k="num_controlled")
     played = report.conditions(episodes)

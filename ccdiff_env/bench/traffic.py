@@ -43,6 +43,7 @@ STEP_S: float = WorldConfig().dt_s
 CHUNK = 12
 _PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
 PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
+OTHERS = ("replay", "idm")  #: Drivers of vehicles outside of the control set.
 RANDOM_DRAWS = 3  #: Seeds that a random ranking is drawn and played with.
 STATIONARY_MPS = 0.5  #: Speed below which a logged vehicle counts as standing, m/s.
 
@@ -58,6 +59,7 @@ def traffic_jobs(
     seed: int = 0,
     strengths: Sequence[float] = (),
     keep: str | None = None,
+    others: str = OTHERS[0],
 ) -> list[Job]:
     """Return the jobs of a traffic benchmark: methods x K x replan period x chunks of the scenes.
 
@@ -73,7 +75,7 @@ def traffic_jobs(
     for what, least, values in (("K", 0, asked), ("T in steps", 1, replan_steps)):
         if any(value < least for value in values):
             raise ConfigError(f"{what} is {min(values)}, expected at least {least}")
-    conditions: list[tuple[str, int | None, int]] = [("replay", 0, 5)]
+    conditions: list[tuple[str, int | None, int]] = [(others, 0, 5)]
     guided = {name for name in methods if strengths and METHODS[name].ccdiff.get("criticality")}
     methods = [
         own
@@ -90,6 +92,7 @@ def traffic_jobs(
             conditions += [(method, k, n) for n in (replan_steps if every else replan_steps[:1])]
     given: dict[str, Any] = {"seed": seed, **({"weights": dict(weights)} if weights else {})}
     given |= {"keep": keep} if keep is not None else {}
+    given |= {"others": others} if others != OTHERS[0] else {}
     return [
         job
         for method, k, n in conditions
@@ -176,14 +179,15 @@ def episodes(
     num_controlled: int | None,
     replan_steps: int = 5,
     seed: int = 0,
+    others: str = OTHERS[0],
 ) -> list[Episode]:
     """Play every scene once, all in one batch.
 
-    K vehicles are driven by the method, all for ``None``; 0 replays the log. Networks plan every
-    ``replan_steps``.
+    K vehicles are driven by the method, all for ``None``, the rest by ``others``. Networks plan
+    every ``replan_steps``.
     """
     method = resolved(method)
-    # the control set is named below, so that everybody else replays the log by its driver
+    # the control set is named below, so that everybody else is driven by the others' driver
     ccdiff = {
         **PAPER_PROTOCOL["ccdiff"],
         "background_driver": "ccdiff",
@@ -195,7 +199,7 @@ def episodes(
     own = method.ranking in OWN_RANKINGS and num_controlled != 0
     if own:
         ccdiff |= {"ranking": method.ranking, "num_guided": num_controlled}
-        ccdiff["background_driver"] = "replay"
+        ccdiff["background_driver"] = others
     if method.driver == SWIFT:
         ccdiff = method.options()
     config = WorldConfig().with_options(
@@ -222,7 +226,7 @@ def episodes(
     ]
     for i in everyone:
         kinds = np.array(scenes[i].agent_types) == "vehicle"
-        native.assign(i, np.flatnonzero(kinds).tolist(), "replay")
+        native.assign(i, np.flatnonzero(kinds).tolist(), others)
         if chosen[i]:
             native.assign(i, chosen[i], driver)
         if method.driver in NETWORKS and not own:
@@ -248,6 +252,7 @@ def evaluate(
     weights: Mapping[str, str] | None = None,
     keep: str | None = None,
     device: str = "cpu",
+    others: str = OTHERS[0],
 ) -> list[dict[str, Any]]:
     """Play scenes and measure them: one dictionary per scene, see docs/evaluation.md.
 
@@ -271,6 +276,7 @@ def evaluate(
             num_controlled=num_controlled,
             replan_steps=replan_steps,
             seed=drawn,
+            others=others,
         )
     ]
 

@@ -180,7 +180,7 @@ def tables(played: Played, found: Found) -> list[Block]:
     relative = with_scores(found)
     rows: TableRows = []
     for c, figures in found.items():
-        label = "Floor: log replay" if c.k == "0" else c.cells[0]
+        label = f"Floor: {c.cells[0].replace('Log', 'log')}" if c.k == "0" else c.cells[0]
         pair = relative.get(c, (None, None))
         rows.append([label, *c.cells[1:], *pair, *_known(figures, _SHOWN)])
     heads = ("method", "K", "T s", Column("CS"), Column("RS"), *_SHOWN)
