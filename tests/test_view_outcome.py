@@ -179,6 +179,8 @@ def test_an_accident_after_the_goal_decides():
     assert found.decided_s == pytest.approx(3.0)
     told = [h.told() for h in happenings(replace(hit, events=(goal, *hit.events, late)))]
     assert told == ["ego reached its goal", "ego drove into 1 (car), 5.0 m/s"]
+    told = [h.told() for h in happenings(replace(hit, events=(*hit.events, late)))]
+    assert told == ["ego drove into 1 (car), 5.0 m/s"], "who had an accident is not late"
     arrived = outcome(replace(hit, events=(goal, late)))
     assert (arrived.tone, arrived.text) == ("good", "ego reached its goal at 1.3 s")
 

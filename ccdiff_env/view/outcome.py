@@ -166,7 +166,12 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
     names = _names(rollout)
     standing = np.linalg.norm(rollout.velocity, axis=-1) < STATIONARY_MPS
     replays = [name == "replay" for name in rollout.driver_names]
-    arrived = {event.agent_id for event in rollout.events if event.kind == "goal"}
+    # who arrived or had an accident is not late
+    decided = {
+        event.agent_id
+        for event in rollout.events
+        if event.kind in ("goal", "off_road") or is_collision(rollout, event)
+    }
     sides: dict[tuple[int, frozenset[int]], dict[int, RolloutEvent]] = {}
     for event in rollout.events:
         agent, lane = number[event.agent_id], _lane(guided, event.agent_id)
@@ -175,7 +180,7 @@ def _happenings(rollout: Rollout) -> Iterator[Happening]:
                 pair = frozenset((agent, number[event.partner_id]))
                 sides.setdefault((event.step, pair), {})[agent] = event
         elif event.kind == "time_limit":
-            if event.agent_id not in arrived:
+            if event.agent_id not in decided:
                 kind, did = _end(rollout, agent, names)
                 yield Happening(event.step, agent, -1, lane, kind, names[agent], did)
         elif event.kind != "off_road" or lane != "others":
