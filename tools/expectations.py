@@ -80,8 +80,8 @@ FIGURE = {"matrix": "collision", "data": "success"}
 FIGURES = ("collision", "success", "no_at_fault_collision", "on_road", "score")
 
 
-def trained(args: argparse.Namespace, seed: int, words: str = "") -> Path:
-    """Train by the example, unless it has been done; return the folder."""
+def trained(args: argparse.Namespace, seed: int, words: str = "") -> tuple[str, Any]:
+    """Train by the example, unless it has been done; return the ego's file, and how it went."""
     said = re.sub(r"\W+", "-", words)
     folder: Path = args.out / f"{other_place(args).split}-{args.decisions}-{seed}{said}"
     if not (folder / "curve.json").is_file():
@@ -89,7 +89,8 @@ def trained(args: argparse.Namespace, seed: int, words: str = "") -> Path:
         script += ["--scenes", str(place_from(args)), "--test-scenes", str(other_place(args))]
         script += ["--decisions", str(args.decisions), "--seed", str(seed), "--out", str(folder)]
         subprocess.run([*script, *words.split()], check=True)
-    return folder
+    run = json.loads((folder / "curve.json").read_text(encoding="utf-8"))
+    return str(folder / "ego.zip"), run
 
 
 def train(folder: Path, words: str) -> float:
@@ -106,12 +107,11 @@ def train(folder: Path, words: str) -> float:
 
 def learned(args: argparse.Namespace) -> None:
     """Train egos with all seeds, drive the test scenes, and write."""
-    folders = [trained(args, seed) for seed in range(args.seeds)]
-    runs = [json.loads((f / "curve.json").read_text(encoding="utf-8")) for f in folders]
+    egos, runs = zip(*(trained(args, seed) for seed in range(args.seeds)), strict=True)
     scenes, rows = load(other_place(args)), list[dict[str, Any]]()
     for planner, title in PLANNERS.items():
         own = planner == "ego"
-        driven = [str(f / "ego.zip") for f in folders] if own else [planner]
+        driven = egos if own else [planner]
         played = [row for p in driven for row in drive(scenes, p, TRAFFIC["idm"])[0]]
         row: dict[str, Any] = {"title": title}
         if own:
@@ -141,13 +141,10 @@ def parts(args: argparse.Namespace) -> None:
     scenes, rows = load(other_place(args)), list[dict[str, Any]]()
     for name, words in PARTS.items():
         row: dict[str, Any] = {"part": name}
-        folders = [trained(args, seed, words) for seed in range(args.seeds)]
-        driven = [drive(scenes, str(f / "ego.zip"), TRAFFIC["idm"])[0] for f in folders]
+        egos, runs = zip(*(trained(args, seed, words) for seed in range(args.seeds)), strict=True)
+        driven = [drive(scenes, ego, TRAFFIC["idm"])[0] for ego in egos]
         found = {n: [np.mean([each[n] for each in of]) for of in driven] for n in SCORED}
-        found["success"] = [
-            json.loads((f / "curve.json").read_text(encoding="utf-8"))["outcomes"]["ego"][0]
-            for f in folders
-        ]
+        found["success"] = [run["outcomes"]["ego"][0] for run in runs]
         for figure, of in found.items():
             row[figure] = [round(float(value), 4) for value in (np.mean(of), min(of), max(of))]
         rows.append(row)

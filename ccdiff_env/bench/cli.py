@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from ccdiff_env.bench.methods import GRAMMAR, PAPER_METHODS, titled
+from ccdiff_env.bench.methods import GRAMMAR, OTHERS, PAPER_METHODS, titled
 from ccdiff_env.bench.planners import TRAFFIC, TRAFFIC_HELP
 from ccdiff_env.bench.run import Run, add_weights, weights_from
 from ccdiff_env.errors import ConfigError
@@ -116,7 +116,7 @@ def _add_traffic(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         help="K for which every --t is run; others only with the first (default: every K)",
     )
     parser.add_argument(
-        "--others", default="replay", choices=("replay", "idm"), help="drivers of the rest"
+        "--others", default=OTHERS[0], choices=OTHERS, help="driver of the other vehicles"
     )
     parser.add_argument(
         "--match",

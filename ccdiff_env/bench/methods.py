@@ -361,6 +361,7 @@ PAPER_METHODS: tuple[str, ...] = tuple(
     for suffix in ("", "_unguided")
 )
 
+OTHERS = ("replay", "idm")  #: Drivers of vehicles outside of the control set.
 #: Methods that differ from ``ccdiff`` in who comes first: the same where all are controlled.
 REORDERED = {name for name, method in METHODS.items() if method.ranking != "cliques"}
 

@@ -23,7 +23,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.bench.jobs import Job, chunk_jobs
-from ccdiff_env.bench.methods import METHODS, OWN_RANKINGS, REORDERED, Method, on_device, resolved
+from ccdiff_env.bench.methods import (
+    METHODS,
+    OTHERS,
+    OWN_RANKINGS,
+    REORDERED,
+    Method,
+    on_device,
+    resolved,
+)
 from ccdiff_env.bench.planners import SHORT_WINDOW
 from ccdiff_env.bench.scenes import scenes_of
 from ccdiff_env.config import WorldConfig
@@ -43,7 +51,6 @@ STEP_S: float = WorldConfig().dt_s
 CHUNK = 12
 _PLANNERS = {*NETWORKS} - {SWIFT}  #: Drivers whose plans may be made at other times.
 PAST_STEPS = 30  #: Logged steps that rankings look at, the present one left out.
-OTHERS = ("replay", "idm")  #: Drivers of vehicles outside of the control set.
 RANDOM_DRAWS = 3  #: Seeds that a random ranking is drawn and played with.
 STATIONARY_MPS = 0.5  #: Speed below which a logged vehicle counts as standing, m/s.
 
