@@ -146,6 +146,23 @@ def test_collisions_count_as_asked(scenes):
     assert found["ego_at_fault"]["collisions"] == (hits * at_fault).tolist()
 
 
+def test_whoever_the_traffic_itself_guides_is_an_adversary(scenes):
+    """All that its plans have guided; of several, one used to be kept."""
+    env = AdversarySelectionVectorEnv(
+        len(scenes), scenes=scenes, **BLIND, **selection.traffics("", "", num_guided=None).options
+    )
+    env.reset(seed=[0] * len(scenes), options={"scene": list(range(len(scenes)))})
+    guided = [set() for _ in scenes]
+    while not env.ended.all():
+        running = np.flatnonzero(~env.ended)
+        env.decide([(None, 1.0)] * len(scenes))
+        for e in running.tolist():
+            plan = env.ego.explain(e)
+            guided[e].update(plan.agents[plan.guided].tolist())
+    assert env.adversaries == guided
+    assert max(map(len, guided)) > 1
+
+
 def test_a_contact_counts_when_it_begins_whatever_follows_from_it(scenes):
     """Against boxes of shapely, where the ego drives on; and where it ends or is removed."""
     options = {"on_collision": "ignore", "on_traffic_collision": "ignore", **BLIND, **QUICK}

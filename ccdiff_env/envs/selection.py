@@ -261,7 +261,7 @@ class AdversarySelectionVectorEnv(AsVector):
             for e in np.flatnonzero(running).tolist() if step == 0 else ():
                 if (found := native.guidance(e)) is None:
                     continue
-                agent, moved_m = found
+                guided, moved_m = found
                 if np.isnan(moved_m):
                     raise ConfigError(
                         f"traffic is {self.config.traffic!r}, expected a network whose finished "
@@ -269,8 +269,8 @@ class AdversarySelectionVectorEnv(AsVector):
                     )
                 table["moved_m"][e] = moved_m
                 table["guided"][e] = 1.0
-                self.adversaries[e].add(agent)
-                who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[agent]
+                self.adversaries[e].update(guided)
+                who[e] = self.worlds.scenes[native.status(e).scene_idx].agent_ids[guided[0]]
             for e in np.flatnonzero(running).tolist():
                 hits = self._begun(e, info)
                 table["ego_at_fault"][e] = max(table["ego_at_fault"][e], *hits.values(), 0.0)

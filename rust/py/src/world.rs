@@ -346,15 +346,15 @@ impl PyVecWorld {
         swift::rows(py, &status, &agents)
     }
 
-    /// The vehicle that the latest plan guides (the first of several), and the sum of `moved_m` over all that it guides, NaN where it
-    /// is not kept; `None` where it guides none.
-    fn guidance(&self, world_idx: usize) -> PyResult<Option<(usize, f32)>> {
+    /// The vehicles that the latest plan guides, and the sum of their `moved_m`, NaN where it is not kept;
+    /// `None` where it guides none.
+    fn guidance(&self, world_idx: usize) -> PyResult<Option<(Vec<usize>, f32)>> {
         let me = self.lock()?;
         let Some(plan) = me.world.explain(world_idx, None).map_err(from_sim)? else { return Ok(None) };
-        let guided: Vec<usize> = (0..plan.agents.len()).filter(|row| plan.guided[*row]).collect();
-        let moved_m = |row: &usize| plan.moved_m.get(*row).copied().unwrap_or(f32::NAN);
-        let sum_m = || guided.iter().map(moved_m).sum();
-        Ok(guided.first().map(|row| (plan.agents[*row], sum_m())))
+        let rows = || (0..plan.agents.len()).filter(|row| plan.guided[*row]);
+        let moved_m = rows().map(|row| plan.moved_m.get(row).copied().unwrap_or(f32::NAN)).sum();
+        let agents: Vec<usize> = rows().map(|row| plan.agents[row]).collect();
+        Ok((!agents.is_empty()).then_some((agents, moved_m)))
     }
 
     /// Name of the driver of each agent.
