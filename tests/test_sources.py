@@ -79,7 +79,7 @@ def test_texts_have_parts_and_places_give_them_back(text, parts):
         ("nuscenes:", "no path"),
         ("nuscenes:/a@v1.0-mini/mini_vla", "no split 'mini_vla'"),
         ("nuscenes:/nowhere/mini_vla", "neither a folder nor a split 'mini_vla' (did you mean"),
-        ("embedded?limit=0", "limit is 0, expected at least 1"),
+        ("embedded?limit=0", "limit is 0, expected a whole number, at least 1"),
         ("embedded/val?limit=-1", "'limit=-1', expected limit, window_s"),
         ("embedded/val?limit=2&windows=8", "'limit=2&windows=8', expected limit, window_s"),
         ("gpudrive:/a/*.json?windows=8", "'windows=8', expected limit, window_s"),
@@ -221,6 +221,17 @@ def test_agents_of_some_kinds_stay_with_their_tracks():
         assert np.array_equal(kept.tracks()[name], values[expected])
     (same,) = of_kinds(ccdiff_env.SceneSet([kept]), ["pedestrian"])
     assert same is kept
+    with pytest.warns(UserWarning, match="2 of 2 scenes have nobody but the ego"):
+        ccdiff_env.load("embedded/val", limit=2, kinds=[])
+    for kind in ("vehicles", "Vehicle", ""):
+        with pytest.raises(UnknownNameError, match=f"type '{kind}', expected one of vehi"):
+            ccdiff_env.load("embedded/val", limit=2, kinds=["vehicle", kind])
+
+
+@pytest.mark.parametrize("limit", [0, 2.0, "2", float("nan")])
+def test_a_limit_is_a_whole_number(limit):
+    with pytest.raises(ConfigError, match=f"limit is {limit!r}, expected a whole number, at least"):
+        ccdiff_env.load("embedded/val", limit=limit)
 
 
 @pytest.fixture

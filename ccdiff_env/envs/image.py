@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import UnknownNameError
 from ccdiff_env.scenes import Scene
-from ccdiff_env.traffic.python import AGENT_KINDS
+from ccdiff_env.scenes.scene_types import AGENT_KINDS
 from ccdiff_env.worlds import Worlds
 from ccdiff_env.worlds.spaces import F32, U8
 

@@ -20,6 +20,7 @@ from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, UnknownNameError
 from ccdiff_env.scenes.load_report import LoadReport
 from ccdiff_env.scenes.scene_set import SceneSet
+from ccdiff_env.scenes.scene_types import AGENT_KINDS
 
 __all__ = [
     "EgoReference", "LoadReport", "Scene", "SceneSet", "cache_directory", "cache_folder",
@@ -80,10 +81,14 @@ def with_tracks(
 
 def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
     """Return scenes with agents of some types alone, and their egos."""
+    for kind in kinds:
+        if kind not in AGENT_KINDS:
+            known = ", ".join(AGENT_KINDS)
+            raise UnknownNameError(f"unknown agent type {kind!r}, expected one of {known}")
 
     def kept(scene: Scene) -> Scene:
-        both = zip(scene.agent_ids, scene.agent_types, strict=True)
-        chosen = np.flatnonzero([name == "ego" or kind in kinds for name, kind in both])
+        wanted = [kind in kinds for kind in scene.agent_types]
+        chosen = np.flatnonzero([True, *wanted[1:]])
         if len(chosen) == scene.num_agents:
             return scene
         return with_tracks(scene, scene.tracks(), chosen)

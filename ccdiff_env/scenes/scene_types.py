@@ -13,6 +13,9 @@ U8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 
+#: Types of agents, by their numbers in batches and images.
+AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
+
 #: Layers that ScenarioNet has no feature for.
 OWN_LAYERS = ("drivable_area", "walkways", "stop_lines", "carpark_areas")
 

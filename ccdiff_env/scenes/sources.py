@@ -12,6 +12,7 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,12 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import (
     Scene,
     SceneSet,
+    is_lone_ego,
     load_nuscenes,
     load_scenarionet,
     of_kinds,
     splits,
+    warn_of_lone_egos,
     with_tracks,
 )
 from ccdiff_env.scenes.embedded import embedded_scenes, embedded_splits
@@ -263,8 +266,8 @@ def split_names(source: Source) -> list[str]:
 def _checked(place: Place, text: str) -> Place:
     """Refuse a place that no scenes can be found by."""
     source, there = SOURCES[place.source], place.path is None or _is_there(place.path)
-    if place.limit is not None and place.limit < 1:
-        raise _wrong(text, f"limit is {place.limit}, expected at least 1")
+    if place.limit is not None and (not isinstance(place.limit, Integral) or place.limit < 1):
+        raise _wrong(text, f"limit is {place.limit!r}, expected a whole number, at least 1")
     if source.path is not None and not place.path:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:
@@ -380,14 +383,18 @@ def load(
     if place.window is not None and not source.cuts:
         logs = place.names and logs_of(place.names)
         whole = replace(place, window=None, limit=None, names=logs)
-    found = source.load(whole)
+    found = loaded = source.load(whole)
     if whole is not place and place.window is not None:
         found = in_windows(found, place.window)
     if place.names is not None:
         found = found.having([found[name] for name in place.names])
     if place.limit is not None:
         found = found[: place.limit]
-    return found if kinds is None else of_kinds(found, kinds)
+    if kinds is not None:
+        found = of_kinds(found, kinds)
+    if sum(map(is_lone_ego, found)) > sum(map(is_lone_ego, loaded)):  # of which nobody has warned
+        warn_of_lone_egos(found)
+    return found
 
 
 def in_windows(scenes: SceneSet, window: Windows) -> SceneSet:

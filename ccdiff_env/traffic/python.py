@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ccdiff_env import _native
 from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError
+from ccdiff_env.scenes.scene_types import AGENT_KINDS as AGENT_KINDS
 from ccdiff_env.system.fields import documented
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic.checked_options import check
@@ -25,8 +26,6 @@ F32 = npt.NDArray[np.float32]
 I64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
 
-#: Name of each number in :attr:`TrafficBatch.kind`.
-AGENT_KINDS = ("vehicle", "pedestrian", "cyclist", "motorcycle", "static")
 #: Distance between places of :attr:`TrafficBatch.route_m`, m.
 ROUTE_SPACING_M: float = _native.ROUTE_SPACING_M
 

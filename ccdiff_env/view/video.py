@@ -13,8 +13,8 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
+from ccdiff_env.scenes.scene_types import AGENT_KINDS
 from ccdiff_env.traffic import TrafficPlan
-from ccdiff_env.traffic.python import AGENT_KINDS
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision, still
 from ccdiff_env.view.outcome import outcome
