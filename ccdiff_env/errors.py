@@ -7,7 +7,8 @@ refuses; each is also the built-in kind that fits, so that generic handlers work
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -77,6 +78,17 @@ class ThreadError(CcdiffError, RuntimeError):
 
 class MissingFeatureError(CcdiffError, ImportError):
     """An optional dependency is not installed; the message names the install command."""
+
+
+@contextmanager
+def raised_by(what: str, where: str) -> Iterator[None]:
+    """Raise what code of others raises as a :class:`PolicyError` that says whose, and where."""
+    try:
+        yield
+    except CcdiffError:
+        raise
+    except Exception as error:
+        raise PolicyError(f"{what}: {type(error).__name__}: {error} (in {where})") from error
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> ConfigError:

@@ -16,13 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env.config import BevConfig, WorldConfig
-from ccdiff_env.errors import (
-    CcdiffError,
-    ConfigError,
-    PolicyError,
-    ShapeError,
-    unknown,
-)
+from ccdiff_env.errors import CcdiffError, ConfigError, ShapeError, raised_by, unknown
 from ccdiff_env.interop.nuplan import PREFIX, nuplan_planner
 from ccdiff_env.planners import SHIPPED, load
 from ccdiff_env.planners.planning import FRAMES, Tracker
@@ -338,17 +332,13 @@ class Seat:
         self, ask: Callable[[], Any], worlds: Worlds, indices: Sequence[int] | npt.NDArray[np.int64]
     ) -> Any:
         """Ask the planner; what it raises names it, scenes and steps."""
-        try:
+        found = [worlds.native.status(int(i)) for i in indices[:3]]
+        where = ", ".join(
+            f"{worlds.scenes[s.scene_idx].name} at step {s.elapsed_steps}" for s in found
+        )
+        more = f" and {len(indices) - 3} more" if len(indices) > 3 else ""
+        with raised_by(self.name, where + more):
             return ask()
-        except CcdiffError:
-            raise
-        except Exception as error:
-            found = [worlds.native.status(int(i)) for i in indices[:3]]
-            where = [f"{worlds.scenes[s.scene_idx].name} at step {s.elapsed_steps}" for s in found]
-            more = f" and {len(indices) - 3} more" if len(indices) > 3 else ""
-            raise PolicyError(
-                f"{self.name}: {type(error).__name__}: {error} (in {', '.join(where)}{more})"
-            ) from error
 
 
 def seat_driver(

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
-from ccdiff_env.errors import CcdiffError, ConfigError, PolicyError, ShapeError
+from ccdiff_env.errors import ConfigError, PolicyError, ShapeError, raised_by
 from ccdiff_env.scenes.scene_types import AGENT_KINDS as AGENT_KINDS
 from ccdiff_env.system.fields import documented
 from ccdiff_env.system.named_objects import named_instance
@@ -216,15 +216,9 @@ class BoundTraffic:
         """
         scenes = tuple(self._scenes[i] for i in arrays["scene_idx"])
         batch = TrafficBatch(**arrays, scenes=scenes, dt_s=self._dt_s)
-        try:
+        where = ", ".join(scene.name for scene in scenes[:3])
+        with raised_by(f"traffic {self._name!r}", where):
             answer = self._model(batch)
-        except CcdiffError:
-            raise
-        except Exception as error:
-            where = ", ".join(scene.name for scene in scenes[:3])
-            raise PolicyError(
-                f"traffic {self._name!r}: {type(error).__name__}: {error} (in {where})"
-            ) from error
         if hasattr(answer, "detach"):
             answer = answer.detach().cpu().numpy()
         try:

@@ -19,7 +19,7 @@ from nuplan.planning.simulation.simulation_time_controller.simulation_iteration 
     SimulationIteration,
 )
 
-from ccdiff_env.errors import CcdiffError, PolicyError
+from ccdiff_env.errors import raised_by
 from ccdiff_env.interop.nuplan.roads import Centreline, wrap
 from ccdiff_env.interop.nuplan.scene_map import SceneMap
 from ccdiff_env.interop.nuplan.settings import Settings, made_of, of_devkit
@@ -149,18 +149,12 @@ class NuPlanPlanner:
         for i in range(native.num_worlds):
             if native.slot_agents(i)[0] is None or not native.slot_alive(i)[0]:
                 continue
-            try:
+            status = native.status(i)
+            where = f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps}"
+            with raised_by(self._settings.name, where):
                 drive, planner = self._drives.get(i) or self._begin(i)
                 given = drive.input()
                 steps[i] = drive.follow(given, planner.compute_trajectory(given))
-            except CcdiffError:
-                raise
-            except Exception as error:
-                status = native.status(i)
-                raise PolicyError(
-                    f"{self._settings.name}: {type(error).__name__}: {error} (in "
-                    f"{self._worlds.scenes[status.scene_idx].name} at step {status.elapsed_steps})"
-                ) from error
         # zero means zero, and each side has its own bound
         most = np.where(steps > 0, self._bounds[:, 1], -self._bounds[:, 0])
         return np.clip(steps / most, -1.0, 1.0)  # type: ignore[no-any-return]
