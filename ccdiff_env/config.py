@@ -205,7 +205,7 @@ class WorldConfig(WorldOptions):
 
         It holds the options of drivers that drive; all networks share those of CCDiff.
         """
-        return json.dumps(_plain(self), allow_nan=False)
+        return json.dumps(plain(self), allow_nan=False)
 
     @classmethod
     def from_json(cls, text: str) -> WorldConfig:
@@ -372,23 +372,23 @@ def _take_options(text: Any, options: dict[str, Any], what: str, shares: Iterabl
 
 def _plain_field(name: str, value: Any) -> Any:
     """Form of a field in JSON."""
-    plain = _plain(value)
+    form = plain(value)
     if name == "controlled" and not isinstance(value, str):
-        return {"per_scene" if isinstance(value, Mapping) else "ids": plain}
-    return {"list": plain} if name == "ranking" and isinstance(value, Mapping) else plain
+        return {"per_scene" if isinstance(value, Mapping) else "ids": form}
+    return {"list": form} if name == "ranking" and isinstance(value, Mapping) else form
 
 
-def _plain(value: Any) -> Any:
-    """Form of a value in JSON."""
+def plain(value: Any) -> Any:
+    """Return the form of a value in JSON, with functions by their names."""
     if isinstance(value, Mapping):
         return {
             name: object_name(entry, name)
             if isinstance(entry, types.FunctionType)
-            else _plain(entry)
+            else plain(entry)
             for name, entry in value.items()
         }
-    if isinstance(value, tuple):
-        return [_plain(entry) for entry in value]
+    if isinstance(value, (tuple, list)):
+        return [plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)  # JSON has none: Rust refuses the text by the field's name
     if not dataclasses.is_dataclass(value):
@@ -397,7 +397,7 @@ def _plain(value: Any) -> Any:
         f.name: _plain_field(f.name, getattr(value, f.name)) for f in dataclasses.fields(value)
     }
     if isinstance(value, WorldConfig):
-        own = {name: {p.kind: _plain(p.options)} for name, p in value.named_drivers.items()}
+        own = {name: {p.kind: plain(p.options)} for name, p in value.named_drivers.items()}
         options = fields.pop("ccdiff")
         fields["named_drivers"] = (
             {"ccdiff": {"ccdiff": options}} if value.takes_ccdiff() else {}

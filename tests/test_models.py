@@ -195,7 +195,7 @@ def test_damaged_weight_files_are_refused(weights, tmp_path):
         ({"guidance": "rl", "guided": [[0], [1]]}, ShapeError, "lists of agents"),
         ({"guidance": "rl", "guided": [[0, 99]]}, ConfigError, r"guided\[0\] is 99, expected 0 to"),
         ({"guidance": "rl", "guided": [[-1]]}, ConfigError, r"guided\[0\] is -1"),
-        ({"guidance": {"discount": math.nan}, "guided": [[0]]}, ConfigError, "finite numbers"),
+        ({"guidance": {"discount": math.nan}, "guided": [[0]]}, ConfigError, "discount is .nan"),
         ({"steps": [-1]}, ConfigError, r"steps\[0\] is -1, expected 0 to"),
         ({"steps": [100_000]}, ConfigError, r"steps\[0\] is 100000"),
         ({"seeds": [-1]}, ConfigError, r"seeds\[0\] is -1"),

@@ -1,5 +1,6 @@
 """Whose plans guidance moves, when and where to: collisions, care, conflicts, targets, routes."""
 
+import traceback
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,8 @@ from traffic_play import Play
 
 from ccdiff_env import embedded_scenes
 from ccdiff_env.bench.planners import TRAFFIC, drive
-from ccdiff_env.errors import ConfigError, PolicyError, UnknownNameError
-from ccdiff_env.models import guidance_preset, shipped_weights
+from ccdiff_env.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
+from ccdiff_env.models import TrajectoryModel, guidance_preset, shipped_weights
 
 
 def test_careful_plans_leave_the_road_less(scenes):
@@ -189,6 +190,18 @@ def without_a_row(states, batch):
     return states[:, 1:, :, 2].mean(dim=-1)
 
 
+def of_past_speeds(states, batch):
+    return batch["speed_mps"].expand(states.shape[:2])
+
+
+def elsewhere_differentiable(states, batch):
+    return states.detach().requires_grad_().sum(dim=(2, 3))
+
+
+def looks_for_the_ego(states, batch):
+    return batch["ego"]
+
+
 def _guided(scenes, objective, **guidance):
     """Poses of the first guided plans, two samples each."""
     guidance = {"learning_rate": 0.3, "objectives": [objective], **guidance}
@@ -217,12 +230,32 @@ def test_a_cost_that_cannot_be_had_is_refused(scenes):
     pytest.importorskip("torch")
     with pytest.raises(ConfigError, match="expected what can be imported, as module:name"):
         _guided(scenes, {"kind": "python", "call": lambda states, batch: 0})
-    for call, message in (
-        ("test_traffic_guidance:nothing", "no 'nothing' in module"),
-        (without_a_row, "losses has shape"),
+    for call, error, message in (
+        ("test_traffic_guidance:nothing", ConfigError, "no 'nothing' in module"),
+        (without_a_row, ShapeError, "losses has shape"),
+        (of_past_speeds, PolicyError, "'.*:of_past_speeds' returns .* cannot differentiate"),
+        (elsewhere_differentiable, PolicyError, "cannot differentiate by the states"),
     ):
-        with pytest.raises(PolicyError, match=message):
+        with pytest.raises(error, match=message):
             _guided(scenes, {"kind": "python", "call": call})
+    # a choice among samples needs no gradient
+    chosen = _guided(scenes, {"kind": "python", "call": of_past_speeds}, gradient_steps=0)
+    assert all(np.isfinite(plan["losses"]).all() for plan in chosen)
+
+
+def test_what_a_cost_raises_is_the_cause_with_its_traceback(scenes):
+    pytest.importorskip("torch")
+    objective = {"kind": "python", "call": looks_for_the_ego}
+    model = TrajectoryModel(shipped_weights("ccdiff"))
+    for ask in (
+        lambda: _guided(scenes, objective),
+        lambda: model.plan(scenes[:1], [30], guidance={"objectives": [objective]}, guided=[[1]]),
+    ):
+        with pytest.raises(PolicyError, match=r"'.*:looks_for_the_ego': KeyError: 'ego'") as failed:
+            ask()
+        assert isinstance(failed.value.__cause__, KeyError)
+        frames = traceback.extract_tb(failed.value.__cause__.__traceback__)
+        assert (frames[-1].name, frames[-1].line) == ("looks_for_the_ego", 'return batch["ego"]')
 
 
 def test_finished_plans_are_moved_by_metres_at_most(scenes):

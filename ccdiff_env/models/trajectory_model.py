@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ccdiff_env import _native
+from ccdiff_env.config import plain
 from ccdiff_env.errors import CheckpointError, ConfigError
 from ccdiff_env.models.weights import needs_torch, require_networks
 from ccdiff_env.scenes import Scene
@@ -176,10 +177,6 @@ class TrajectoryModel:
             _check(f"guided[{i}]", own, most)
         if isinstance(guidance, str):
             guidance = guidance_preset(guidance)
-        try:
-            objective = None if guidance is None else json.dumps(dict(guidance), allow_nan=False)
-        except ValueError:
-            raise ConfigError(f"guidance is {guidance!r}, expected finite numbers") from None
         plans = self._native.plan_scenes(
             list(scenes),
             list(steps),
@@ -187,7 +184,7 @@ class TrajectoryModel:
             solver_steps=solver_steps,
             num_samples=num_samples,
             guidance_weight=guidance_weight,
-            guidance=objective,
+            guidance=None if guidance is None else json.dumps(plain(guidance)),
             guided=None if guided is None else [list(g) for g in guided],
             attention=attention,
             follow_route=follow_route,

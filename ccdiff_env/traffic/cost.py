@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ccdiff_env.errors import PolicyError, expect_shape
+from ccdiff_env.errors import PolicyError, expect_shape, raised_by
 from ccdiff_env.system.named_objects import named_object
 
 F32 = npt.NDArray[np.float32]
@@ -19,44 +19,53 @@ def _function(name: str) -> Any:
     return named_object(name, "cost")
 
 
-def evaluate(name: str, own_gradient: bool, states: F32, batch: dict[str, Any]) -> tuple[F32, F32]:
+def evaluate(
+    name: str, own_gradient: bool, moves: bool, states: F32, batch: dict[str, Any]
+) -> tuple[F32, F32]:
     """Call a cost, and return its losses [N, M] and their gradient [N, M, T, 4].
 
     Args:
         name: ``"module:function"``. It takes the last two, as torch tensors, and returns losses
             [N, M], which torch differentiates.
         own_gradient: Whether it takes arrays and returns losses and the gradient of their sum.
+        moves: Whether a gradient is needed; a choice among samples needs none.
         states: [N, M, T, 4] of N samples, M vehicles, T steps: x, y (m), speed (m/s), heading (rad)
             in the scene frame.
         batch: What is known of the vehicles: ``pose`` [M, 3], ``speed_mps`` [M], ``size_m`` [M, 2]
             now, whether each is ``moving``, ``guided``, a ``target`` [M], and ``dt_s``.
 
     Raises:
-        PolicyError: If the answer has another type or is not finite.
+        PolicyError: If it raises, or if the answer has another type, is not finite, or has no
+            gradient where one is needed.
         ShapeError: If it has another shape.
     """
-    losses: Any
-    gradient: Any
-    if own_gradient:
-        losses, gradient = _function(name)(states, batch)
-    else:
-        import torch
-
-        given = torch.from_numpy(states).requires_grad_()
-        known = {
-            key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
-            for key, value in batch.items()
-        }
-        found = _function(name)(given, known)
-        if not isinstance(found, torch.Tensor):
-            raise PolicyError(f"cost {name!r} returns {type(found).__name__}, expected a tensor")
-        losses, gradient = found.detach(), torch.zeros_like(given)
-        if found.requires_grad:
-            (of_states,) = torch.autograd.grad(found.sum(), given, allow_unused=True)
-            gradient = gradient if of_states is None else of_states
-    arrays = [np.ascontiguousarray(array, dtype=np.float32) for array in (losses, gradient)]
-    expect_shape("losses", arrays[0], states.shape[:2])
-    expect_shape("gradient", arrays[1], states.shape)
-    if not all(np.isfinite(array).all() for array in arrays):
+    with raised_by(f"cost {name!r}", f"plans of shape {states.shape}"):
+        answer = _asked(name, own_gradient, moves, states, batch)
+        losses, gradient = (np.ascontiguousarray(array, dtype=np.float32) for array in answer)
+    expect_shape("losses", losses, states.shape[:2])
+    expect_shape("gradient", gradient, states.shape)
+    if not (np.isfinite(losses).all() and np.isfinite(gradient).all()):
         raise PolicyError(f"cost {name!r} returns losses or a gradient that are not finite")
-    return arrays[0], arrays[1]
+    return losses, gradient
+
+
+def _asked(name: str, own_gradient: bool, moves: bool, states: F32, batch: dict[str, Any]) -> Any:
+    if own_gradient:
+        return _function(name)(states, batch)
+    import torch
+
+    given = torch.from_numpy(states).requires_grad_()
+    arrays = {key: of for key, of in batch.items() if isinstance(of, np.ndarray)}
+    known = batch | {key: torch.from_numpy(array) for key, array in arrays.items()}
+    found = _function(name)(given, known)
+    if not isinstance(found, torch.Tensor):
+        raise PolicyError(f"cost {name!r} returns {type(found).__name__}, expected a tensor")
+    gradient: Any = None if moves else torch.zeros_like(given)
+    if moves and found.requires_grad:
+        (gradient,) = torch.autograd.grad(found.sum(), given, allow_unused=True)
+    if gradient is None:
+        raise PolicyError(
+            f"cost {name!r} returns losses that torch cannot differentiate by the states; where "
+            "there is nothing to lose, return states.sum((2, 3)) * 0.0"
+        )
+    return found.detach(), gradient

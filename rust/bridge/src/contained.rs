@@ -1,8 +1,10 @@
 //! A driver whose panics stay in the module that made it.
 
 use crate::BoxedDriver;
+use crate::cost::raised;
 use ccdiff_sim::drivers::{AgentMotion, DriverModel, PlanRequest, PlanState, WorldView};
 use ccdiff_sim::{Result, SimError};
+use pyo3::prelude::*;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::OnceLock;
 
@@ -48,8 +50,14 @@ impl DriverModel for Contained {
             return Err(self.error(message.clone()));
         }
         let driver = &mut self.driver;
-        catch_unwind(AssertUnwindSafe(|| driver.plan(requests)))
-            .unwrap_or_else(|cause| Err(self.error(fault(cause))))
+        let plans = catch_unwind(AssertUnwindSafe(|| driver.plan(requests)))
+            .unwrap_or_else(|cause| Err(self.error(fault(cause))));
+        plans.inspect_err(|error| {
+            if let Some(raised) = raised(&error.to_string()) {
+                // left where the caller finds it, as by `PythonDriver`
+                Python::attach(|py| raised.restore(py));
+            }
+        })
     }
 
     fn act(&self, world: &WorldView<'_>, plan: Option<&PlanState>, agent_idx: usize) -> AgentMotion {

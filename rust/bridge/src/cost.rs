@@ -4,13 +4,24 @@ use ccdiff_nets::guidance::{Called, GuidanceContext, PythonCost, Rollout};
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::sync::Mutex;
+
+/// What costs raised, until the failed plan raises it anew.
+static RAISED: Mutex<Vec<PyErr>> = Mutex::new(Vec::new());
+
+/// What a cost raised for which a plan failed, in these words.
+pub(crate) fn raised(message: &str) -> Option<PyErr> {
+    let all = RAISED.lock().map(|mut all| std::mem::take(&mut *all)).unwrap_or_default();
+    all.into_iter().find(|error| message.contains(&error.to_string()))
+}
 
 /// Calls `ccdiff_env.traffic.cost.evaluate` with the states [N, M, T, 4] of samples of a world, and with what is known of its
-/// agents.
+/// agents. What it raises is kept ([`raised`]): planning threads cannot raise it.
 pub fn call_cost(
     cost: &PythonCost,
     context: &GuidanceContext<'_>,
     plans: &[&Rollout],
+    moves: bool,
 ) -> Result<Called, String> {
     let (m, t) = (context.num_agents(), plans.first().map_or(0, |plan| plan.num_steps));
     let call = |py: Python<'_>| -> PyResult<Called> {
@@ -40,10 +51,16 @@ pub fn call_cost(
             known.set_item(name, flags.clone().into_pyarray(py))?;
         }
         known.set_item("dt_s", context.dt_s)?;
-        let arguments = (&cost.call, cost.own_gradient, states, known);
+        let arguments = (&cost.call, cost.own_gradient, moves, states, known);
         let made = py.import("ccdiff_env.traffic.cost")?.call_method1("evaluate", arguments)?;
         let (losses, gradient): (PyReadonlyArray2<'_, f32>, PyReadonlyArray4<'_, f32>) = made.extract()?;
         Ok((losses.as_slice()?.to_vec(), gradient.as_slice()?.to_vec()))
     };
-    Python::attach(|py| call(py).map_err(|error| error.to_string()))
+    Python::attach(call).map_err(|error| {
+        let message = error.to_string();
+        if let Ok(mut all) = RAISED.lock() {
+            all.push(error);
+        }
+        message
+    })
 }

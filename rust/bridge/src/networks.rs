@@ -130,7 +130,8 @@ impl PyTrajectoryModel {
         };
         let logged = Logged { scenes: &scenes, steps: &steps, seeds: &seeds, guided, follow_route };
         let plans = py.detach(|| logged.plans(&mut self.lock(), &options));
-        let plans = plans.map_err(from_model)?;
+        let plans =
+            plans.map_err(|e| crate::cost::raised(&e.to_string()).unwrap_or_else(|| from_model(e)))?;
         scenes.iter().zip(plans).map(|(scene, plan)| plan_dict(py, scene, plan)).collect()
     }
 }

@@ -27,8 +27,8 @@ options! {
 
 /// Losses [N, M] and their gradient with respect to the states [N, M, T, 4].
 pub type Called = (Vec<f32>, Vec<f32>);
-/// Calls the function, with the plans of N samples of a world; an error is text.
-pub type Caller = fn(&PythonCost, &GuidanceContext<'_>, &[&Rollout]) -> Result<Called, String>;
+/// Calls the function, with the plans of N samples of a world, and whether a gradient is needed; an error is text.
+pub type Caller = fn(&PythonCost, &GuidanceContext<'_>, &[&Rollout], bool) -> Result<Called, String>;
 
 static CALLER: OnceLock<Caller> = OnceLock::new();
 
@@ -48,7 +48,7 @@ impl PythonCost {
         let (m, t) = (context.num_agents(), plans.first().map_or(0, |plan| plan.num_steps));
         let called = match CALLER.get() {
             _ if context.failure.get().is_some() => return,
-            Some(caller) => caller(self, context, plans),
+            Some(caller) => caller(self, context, plans, out.iter().any(|out| out.scale != 0.0)),
             None => Err("Python is not there".into()),
         };
         let fits = |(losses, gradient): &Called| {
