@@ -459,3 +459,31 @@ def test_videos_last_as_long_as_the_drive(dt_steps, fps, scenes):
     assert [env.metadata["render_fps"] for env in envs] == [fps] * len(envs)
     plans = AdversarySelectionVectorEnv(1, scenes=scenes)
     assert plans.metadata["render_fps"] == 1.0 / (0.1 * plans.decision_steps)
+
+
+def _seeded(env, seed):
+    if isinstance(env, SB3VecEnv):
+        env.seed(seed)
+        return env.reset()
+    return env.reset(seed=seed)[0]
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda: ccdiff_env.AdversarySelectionEnv(ego="idm"),
+        lambda: SB3VecEnv(ccdiff_env.make_vec(2)),
+        lambda: AgentSB3VecEnv(AgentVectorEnv(2, agents=2)),
+    ],
+)
+def test_any_integer_is_a_seed_and_no_other_number(made):
+    env = made()
+    first = _seeded(env, 7)
+    for kind in (np.uint8, np.int64, np.uint64):
+        assert np.array_equal(_seeded(env, kind(7)), first)
+    assert np.array_equal(_seeded(env, np.int64(2**40 + 1)), _seeded(env, 2**40 + 1))
+    for seed in (-1, 2**70):
+        _seeded(env, seed)
+    for wrong in (7.0, "7", np.float32(7), np.array([1.5]), float("nan")):
+        with pytest.raises(ConfigError, match="seed is"):
+            _seeded(env, wrong)

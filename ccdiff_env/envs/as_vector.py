@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -15,7 +14,7 @@ from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.drawing import Image
 from ccdiff_env.envs.image import image
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.worlds import StepArrays, normalize_seed
+from ccdiff_env.worlds import StepArrays, exact_seed, normalize_seed
 from ccdiff_env.worlds.spaces import F32, U8, Bool, Form
 
 Info = dict[str, Any]
@@ -94,7 +93,7 @@ class AsVector(Attributes, VectorEnv[Any, Any, Any]):
             seeds = [fresh if one is None else normalize_seed(one) for (one, *_), fresh in pairs]
         elif seed is not None:
             super().reset(seed=normalize_seed(seed))
-            first = operator.index(cast("int", seed))
+            first = exact_seed(seed)
             seeds = [normalize_seed(first + i) for i in range(num_worlds)]
         self._seeded = True
         return seeds

@@ -17,6 +17,7 @@ from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ConfigError, MissingFeatureError
 from ccdiff_env.planners.sb3_policy import Sb3Policy, algorithm_of
+from ccdiff_env.worlds import exact_seed
 from ccdiff_env.worlds.fit import STATISTICS
 
 try:
@@ -117,6 +118,10 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, *spaces)
         self.metadata["render_fps"] = env.metadata["render_fps"]
 
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Choose the seeds of the next reset: any integer n, for row i n + i."""
+        return super().seed(None if seed is None else exact_seed(seed))
+
     def reset(self) -> Any:
         """Reset all worlds, with the seeds and options of :meth:`seed` and ``set_options``.
 
@@ -126,13 +131,12 @@ class SB3VecEnv(VecEnv):
             ConfigError: For an option that the worlds do not take, or another number of
                 dictionaries.
         """
-        seeds = [None if s is None else int(s) for s in self._seeds]
         if len(self._options) != self.num_envs:
             raise ConfigError(f"{len(self._options)} options, expected {self.num_envs}")
         rows = [reset_options(one, self.env.unwrapped.reset_option_names) for one in self._options]
         names = dict.fromkeys(name for one in rows for name in one)
         options = {name: [one.get(name) for one in rows] for name in names}
-        obs, infos = self.env.reset(seed=seeds, options=options)
+        obs, infos = self.env.reset(seed=list(self._seeds), options=options)
         self.reset_infos = self._infos_of(infos, np.arange(self.num_envs))
         self._reset_seeds()
         self._reset_options()

@@ -22,7 +22,7 @@ from ccdiff_env.envs.vector import EgoVectorEnv
 from ccdiff_env.errors import ActionError, ConfigError, ResetNeededError, ShapeError
 from ccdiff_env.planners.built_in import Ego
 from ccdiff_env.traffic import KINDS
-from ccdiff_env.worlds import Worlds, asked_by, scene_set
+from ccdiff_env.worlds import Worlds, asked_by, normalize_seed, scene_set
 from ccdiff_env.worlds.spaces import InfoColumn
 
 F32 = npt.NDArray[np.float32]
@@ -350,7 +350,7 @@ class AdversarySelectionEnv(DrawnWorld, gymnasium.Env[Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[F32, Info]:
         """Begin a new episode, as :meth:`EgoEnv.reset`; ``agent_ids`` says who is in which row."""
-        super().reset(seed=None if seed is None else seed % 2**63)
+        super().reset(seed=None if seed is None else normalize_seed(seed))
         obs, _ = self.vector.reset(seed=seed, options=options)
         self._show()
         return obs[0], {**self.worlds.begin_episode(0, "full"), "agent_ids": self.agent_ids()}

@@ -6,6 +6,7 @@ from ccdiff_env.worlds.configured import (
     SceneChoice,
     Scenes,
     asked_by,
+    exact_seed,
     normalize_seed,
     scene_set,
     world_config,
@@ -14,6 +15,6 @@ from ccdiff_env.worlds.spaces import StepArrays
 from ccdiff_env.worlds.worlds import Worlds
 
 __all__ = [
-    "SceneChoice", "Scenes", "StepArrays", "Worlds", "asked_by", "normalize_seed",
-    "scene_set", "world_config",
+    "SceneChoice", "Scenes", "StepArrays", "Worlds", "asked_by", "exact_seed",
+    "normalize_seed", "scene_set", "world_config",
 ]  # fmt: skip

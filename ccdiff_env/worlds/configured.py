@@ -72,12 +72,17 @@ def world_config(
     return resolved
 
 
-def normalize_seed(seed: Any) -> int:
-    """Fold any integer into 0 .. 2^63 - 1; those within are themselves."""
+def exact_seed(seed: Any) -> int:
+    """Return a seed as an integer of Python; a :class:`ConfigError` refuses what is none."""
     try:
-        number = operator.index(seed)
+        return operator.index(seed)
     except TypeError:
         raise ConfigError(f"seed is {seed!r}, expected an integer or None") from None
+
+
+def normalize_seed(seed: Any) -> int:
+    """Fold any integer into 0 .. 2^63 - 1; those within are themselves."""
+    number = exact_seed(seed)
     if 0 <= number < 2**63:
         return number
     digest = hashlib.blake2b(str(number).encode(), digest_size=8).digest()
