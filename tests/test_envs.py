@@ -1,6 +1,8 @@
 """The single environment: Gymnasium's contract, options, hostile input, pictures."""
 
+import re
 import warnings
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -24,6 +26,7 @@ from ccdiff_env.errors import (
 from ccdiff_env.scenes.map_queries import road_distance
 
 ID = "ccdiff_env/Ego-v0"
+TASKS = (Path(__file__).parents[1] / "docs/tasks.md").read_text("utf-8")
 FORMS = [
     {},
     {"observation": "dict"},
@@ -132,9 +135,15 @@ def test_metrics_at_the_end_sum_up_the_steps(scenes):
     assert metrics["return"] == pytest.approx(sum(info["reward"] for info in infos))
     assert metrics["min_ttc"] == min(i["ttc"] for i in infos)
     assert metrics["mean_speed"] == pytest.approx(np.mean([i["speed"] for i in infos]))
-    for name in ("collision", "off_road", "wrong_way"):
+    events = ("collision", "at_fault", "off_road", "wrong_way", "goal_reached")
+    for name in events:
         assert metrics[name] == max(i[name] > 0 for i in infos)
-    assert metrics["route_completion"] == infos[-1]["route_completion"]
+    for name in ("progress", "route_completion", "is_success"):
+        assert metrics[name] == infos[-1][name]
+    said = re.search(r'`info\["metrics"\]` has (.+) and 1 for (.+) that ever happened', TASKS)
+    assert set(re.findall(r"`(\w+)`", said[2])) == set(events)
+    named = {name for name in metrics if not name.startswith("reward_")}
+    assert set(re.findall(r"`(\w+)`", said[0])) == named
 
 
 @pytest.mark.parametrize(("level", "keys"), [("none", 0), ("end", 0), ("full", None)])
