@@ -154,6 +154,7 @@ def nan_at(step):
         (lambda d: d["tracks"]["3"]["state"].update(valid="yes"), "an array of numbers"),
         (lambda d: d["metadata"].update(sdc_id="nobody"), "sdc_id"),
         (lambda d: d["metadata"].update(ts=np.zeros(T)), "ts"),
+        (lambda d: d["metadata"].update(ts=np.arange(3) * 0.1), r"ts is 3, expected 11: .*\.pkl"),
         (lambda d: d["metadata"].update(ts=None, sample_rate=10), "sample_rate is .*seconds"),
         (lambda d: d["map_features"]["1"].update(polyline=np.zeros(4)), "polyline"),
         (lambda d: d["map_features"].update(x=3), "map_features"),

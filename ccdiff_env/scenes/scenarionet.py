@@ -126,15 +126,18 @@ def _nuscenes_ego(source: ScenarioFields, ego: _Track, dt: float, reference: str
         ego.velocity[shown] += np.gradient(ahead, dt * np.flatnonzero(shown), axis=0)
 
 
-def _time_step(source: ScenarioFields, metadata: Mapping[str, Any]) -> float:
+def _time_step(source: ScenarioFields, metadata: Mapping[str, Any], num_steps: int) -> float:
     """Seconds between steps, from the time stamps or the sample rate."""
-    stamps = metadata.get("ts", metadata.get("timestep"))
-    times = np.zeros(0) if stamps is None else source.array(stamps, "metadata.ts")
+    name = "ts" if "ts" in metadata else "timestep"
+    stamps = metadata.get(name)
+    times = np.zeros(0) if stamps is None else source.array(stamps, f"metadata.{name}")
+    if stamps is not None and len(times) < num_steps:
+        raise source.fault(f"length of metadata.{name}", len(times), f"{num_steps}")
     if len(times) > 1:
         steps = np.diff(times)
         dt = float(np.median(steps))
         if not (np.isfinite(steps).all() and dt > 0):
-            raise source.fault("metadata.ts", steps[:3], "times in seconds that increase")
+            raise source.fault(f"metadata.{name}", steps[:3], "times in seconds that increase")
         off = int((np.abs(steps - dt) > 0.2 * dt).sum())
         if off:
             source.notes.append(f"{off} time steps differ from {dt:.3f} s by more than a fifth")
@@ -400,7 +403,7 @@ def read_description(
     sdc_id = metadata.get("sdc_id")
     ego = None if sdc_id is None else source.text(sdc_id, "metadata.sdc_id")
     tracks = _tracks(source, num_steps, ego)
-    dt = _time_step(source, metadata)
+    dt = _time_step(source, metadata, num_steps)
     if tracks and tracks[0].id == _EGO_ID and metadata.get("dataset") == "nuscenes":
         _nuscenes_ego(source, tracks[0], dt, ego_reference)
     scene: Scene | None = None
