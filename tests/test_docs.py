@@ -415,11 +415,18 @@ def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_pa
 
 
 @pytest.mark.parametrize("tool", [p.stem for p in TOOLS if "__main__" in p.read_text("utf-8")])
-def test_a_tool_that_is_asked_for_help_writes_nothing_else(tool, tmp_path, monkeypatch, capsys):
+def test_a_tool_that_helps_or_lacks_data_writes_nothing(tool, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", [tool, "--help"])
     monkeypatch.delitem(sys.modules, f"tools.{tool}", raising=False)
     with pytest.raises(SystemExit, match="0"):
         runpy.run_module(f"tools.{tool}", run_name="__main__")
     assert capsys.readouterr().out.startswith("usage:")
+    if tool == "gallery":
+        monkeypatch.setenv("CCDIFF_DATA", str(tmp_path))
+        monkeypatch.setattr(sys, "argv", [tool, "pages"])
+        with pytest.raises(SystemExit, match="2"):
+            runpy.run_module("tools.gallery", run_name="__main__")
+        missing = f"CCDIFF_DATA: data set is missing: {tmp_path / 'nuscenes'}\n"
+        assert capsys.readouterr().err == missing
     assert not [*tmp_path.iterdir()]

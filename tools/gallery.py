@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.errors import DatasetError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.scenes.embedded import embedded_scenes
@@ -30,11 +31,9 @@ EACH = 5  #: Scenes that one planner wins, and that it loses.
 
 def scenes_here() -> list[Scene]:
     """Return the embedded scenes, and those of nuScenes where there are data."""
-    data = os.environ.get("CCDIFF_DATA")
     found = [*embedded_scenes("val"), *embedded_scenes("train")]
-    if data:
-        place = Place("nuscenes", f"{data}/nuscenes", "v1.0-trainval", "val", limit=TRIED)
-        found += load(place)
+    if data := os.environ.get("CCDIFF_DATA"):
+        found += load(Place("nuscenes", f"{data}/nuscenes", "v1.0-trainval", "val", limit=TRIED))
     return found
 
 
@@ -47,13 +46,12 @@ def driven(
     return {row["scene"]: row["score"] for row in rows}, rollouts
 
 
-def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
+def write_gallery(folder: Path, scenes: Sequence[Scene]) -> Path:
     """Write a page for each scene in which criticality makes the difference for one of
     :data:`DRIVERS`: in critical traffic it collides or leaves the road, in realistic traffic it
     reaches its goal and nobody collides. Each drives about as often. Pages of an ego that is hit
     come first. Returns the index.
     """
-    scenes = scenes or scenes_here()
     found: dict[str, list[tuple[tuple[bool, bool], int, list[Rollout]]]] = {}
     for number, driver in enumerate(DRIVERS):
         critical, calm = (driven(scenes, driver, name)[1] for name in ("ccdiff-1", "ccdiff"))
@@ -72,11 +70,10 @@ def write_gallery(folder: Path, scenes: Sequence[Scene] = ()) -> Path:
     return write_index((page for _, page in shown), folder, title, home=HOME)
 
 
-def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene] = ()) -> Path:
+def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene]) -> Path:
     """Write pages of two planners side by side: at most :data:`EACH` scenes in which the first one
     scores most above the other, and as many in which it scores most below. Returns the index.
     """
-    scenes = scenes or scenes_here()
     (mine, runs), (theirs, others) = (driven(scenes, of, "ccdiff-1") for of in (one, other))
     less = {name: score - theirs[name] for name, score in mine.items()}
     order = sorted(less, key=less.__getitem__)
@@ -97,4 +94,9 @@ if __name__ == "__main__":
     args = parser.parse_args()
     if len(args.planners) not in (0, 2):
         parser.error(f"{len(args.planners)} planners, expected two or none")
-    print(write_duel(args.folder, *args.planners) if args.planners else write_gallery(args.folder))
+    try:
+        scenes = scenes_here()
+    except DatasetError as error:
+        parser.exit(2, f"CCDIFF_DATA: {error}\n")
+    write = write_duel if args.planners else write_gallery
+    print(write(args.folder, *args.planners, scenes=scenes))
