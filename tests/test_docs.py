@@ -405,7 +405,7 @@ def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_pa
     )
     score = {key: {row["scene"]: row["score"] for row in rows} for key, (rows, _) in played.items()}
     less = {n: score["pdm", "ccdiff-1"][n] - score["idm", "ccdiff-1"][n] for n in names}
-    index = gallery.write_duel(tmp_path / "duel", "pdm", "idm", scenes).read_text(encoding="utf-8")
+    index = gallery.write_duel(tmp_path / "duel", scenes, "pdm", "idm").read_text(encoding="utf-8")
     pages = (page.stem for page in (tmp_path / "duel").glob("*-*.html"))
     order = sorted(pages, key=lambda name: index.index(f'href="{name}.html'))
     ranked = sorted(less.values())

@@ -70,7 +70,7 @@ def write_gallery(folder: Path, scenes: Sequence[Scene]) -> Path:
     return write_index((page for _, page in shown), folder, title, home=HOME)
 
 
-def write_duel(folder: Path, one: str, other: str, scenes: Sequence[Scene]) -> Path:
+def write_duel(folder: Path, scenes: Sequence[Scene], one: str, other: str) -> Path:
     """Write pages of two planners side by side: at most :data:`EACH` scenes in which the first one
     scores most above the other, and as many in which it scores most below. Returns the index.
     """
@@ -99,4 +99,4 @@ if __name__ == "__main__":
     except DatasetError as error:
         parser.exit(2, f"CCDIFF_DATA: {error}\n")
     write = write_duel if args.planners else write_gallery
-    print(write(args.folder, *args.planners, scenes=scenes))
+    print(write(args.folder, scenes, *args.planners))
