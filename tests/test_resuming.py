@@ -1,6 +1,7 @@
 """Runs that go on in their folder: others are refused, and what ends a run early loses nothing."""
 
 import json
+import os
 import signal
 
 import numpy as np
@@ -10,6 +11,7 @@ from test_models import QUICK, road
 from ccdiff_env import cli, embedded_scenes
 from ccdiff_env.errors import CcdiffError, ConfigError
 from ccdiff_env.models import TrajectoryModel, shipped_weights
+from ccdiff_env.system.files import write_aside
 from ccdiff_env.system.settings import keep_settings
 from ccdiff_env.training import distil, networks
 from ccdiff_env.training.networks import train
@@ -31,6 +33,15 @@ def test_a_folder_keeps_one_choice_of_settings(tmp_path):
     ):
         with pytest.raises(ConfigError, match=said):
             keep_settings(path, {**first, **changed})
+
+
+def test_names_of_folders_need_not_be_utf_8(tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    path = folder / "run.json"
+    keep_settings(path, {"scenes": str(folder)})
+    assert keep_settings(path, {"scenes": str(folder)})["scenes"] == str(folder)
+    write_aside(folder / "report.html", f"of {folder.name}")
+    assert (folder / "report.html").read_bytes() == rb"of caf\udce9"
 
 
 def test_a_training_goes_on_with_what_it_was_begun_with(tmp_path):

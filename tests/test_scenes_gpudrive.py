@@ -114,6 +114,13 @@ def test_folders_and_patterns_are_read(tmp_path):
     for i in range(40):
         save(tmp_path / f"s{i:02}.json")
     assert len(ccdiff_env.load_gpudrive(tmp_path / "s1?.json", cache=False)) == 10
+    (odd := tmp_path / "[a]*").mkdir()
+    save(odd / "t.json")
+    assert ccdiff_env.load_gpudrive(odd / "t*.json", cache=False).names == ("t",)
+    (odd / "t.json").unlink()
+    for limit in (0, -1, 1.5):
+        with pytest.raises(errors.ConfigError, match=f"limit is {limit}, expected"):
+            ccdiff_env.load_gpudrive(tmp_path, limit=limit)
     everything = ccdiff_env.load_gpudrive(tmp_path, cache=False)
     assert everything.names == tuple(f"s{i:02}" for i in range(40))
     assert everything["s07"].name == everything[7].name == "s07"

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache as _memoise
 from functools import partial
 from importlib import resources
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -24,8 +25,8 @@ from ccdiff_env.scenes.scene_types import AGENT_KINDS
 
 __all__ = [
     "EgoReference", "LoadReport", "Scene", "SceneSet", "cache_directory", "cache_folder",
-    "is_lone_ego", "load_nuscenes", "load_scenarionet", "of_kinds", "splits", "warn_of_lone_egos",
-    "warn_without_road", "with_tracks",
+    "expect_limit", "is_lone_ego", "load_nuscenes", "load_scenarionet", "of_kinds", "splits",
+    "warn_of_lone_egos", "warn_without_road", "with_tracks",
 ]  # fmt: skip
 
 _TRACKS = ("position", "heading", "velocity", "valid", "elevation_m")
@@ -94,6 +95,12 @@ def of_kinds(scenes: SceneSet, kinds: Sequence[str]) -> SceneSet:
         return with_tracks(scene, scene.tracks(), chosen)
 
     return scenes.having(map(kept, scenes))
+
+
+def expect_limit(limit: object) -> None:
+    """Refuse a number of scenes that is none; ``None`` is all of them."""
+    if limit is not None and (not isinstance(limit, Integral) or limit < 1):
+        raise ConfigError(f"limit is {limit!r}, expected a whole number, at least 1")
 
 
 def is_lone_ego(scene: Scene) -> bool:

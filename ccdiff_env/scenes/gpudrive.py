@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, DatasetNotFoundError, UnknownNameError, hint_of
-from ccdiff_env.scenes import SceneSet, cache_folder, warn_of_lone_egos
+from ccdiff_env.scenes import SceneSet, cache_folder, expect_limit, warn_of_lone_egos
 from ccdiff_env.scenes.load_report import LoadReport
 
 __all__ = ["load_gpudrive", "scene_files"]
@@ -29,7 +29,11 @@ def scene_files(path: str | os.PathLike[str]) -> list[str]:
     elif folder.is_dir():
         found = sorted(os.fspath(file) for file in folder.rglob("*.json"))
     else:
-        found = sorted(glob.glob(text, recursive=True))
+        # what is there is no pattern, whatever letters it has
+        there = os.path.dirname(text)
+        while there and not os.path.isdir(there):
+            there = os.path.dirname(there)
+        found = sorted(glob.glob(glob.escape(there) + text[len(there) :], recursive=True))
     if not found:
         raise DatasetNotFoundError(f"no scenes of GPUDrive at {text}: expected .json files")
     names: dict[str, str] = {}
@@ -70,6 +74,7 @@ def load_gpudrive(
         ConfigError: Two files have one name.
         UnknownNameError: No file has a name of ``names``.
     """
+    expect_limit(limit)
     files = scene_files(path)
     if names is not None:
         known = {Path(file).stem: file for file in files}

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import DatasetError, DatasetNotFoundError, MissingFeatureError
-from ccdiff_env.scenes import SceneSet, warn_without_road
+from ccdiff_env.scenes import SceneSet, expect_limit, warn_of_lone_egos, warn_without_road
 from ccdiff_env.scenes.load_report import LoadReport, SceneReport
 from ccdiff_env.scenes.scenario_fields import F64, ScenarioFields
 from ccdiff_env.scenes.windows import Windows
@@ -86,6 +86,7 @@ def load_py123d(
         api = import_module("py123d.api.scene.arrow.arrow_scene_api")
     except ImportError as error:
         raise MissingFeatureError(f"logs of py123d need it, and {error}: {_INSTALL}") from error
+    expect_limit(limit)
     window = None if window_s is None else Windows(window_s, stride_s, history_s)
     started, folder = time.perf_counter(), Path(path)
     with reading("logs", folder):
@@ -129,6 +130,7 @@ def load_py123d(
         window,
     )
     warn_without_road(found)
+    warn_of_lone_egos(found)
     return found
 
 

@@ -12,7 +12,6 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.scenes import (
     Scene,
     SceneSet,
+    expect_limit,
     is_lone_ego,
     load_nuscenes,
     load_scenarionet,
@@ -266,8 +266,10 @@ def split_names(source: Source) -> list[str]:
 def _checked(place: Place, text: str) -> Place:
     """Refuse a place that no scenes can be found by."""
     source, there = SOURCES[place.source], place.path is None or _is_there(place.path)
-    if place.limit is not None and (not isinstance(place.limit, Integral) or place.limit < 1):
-        raise _wrong(text, f"limit is {place.limit!r}, expected a whole number, at least 1")
+    try:
+        expect_limit(place.limit)
+    except ConfigError as error:
+        raise _wrong(text, str(error)) from None
     if source.path is not None and not place.path:
         raise _wrong(text, "no path")
     if place.split is not None and source.splits is None:

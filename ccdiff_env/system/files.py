@@ -97,7 +97,7 @@ def parse_object(text: str | bytes) -> dict[str, Any]:
 
     A ``ValueError`` refuses what is no object, nested too deep, has more than :data:`MOST_VALUES`
     values, or holds what cannot be computed with or written again: numbers that are not finite,
-    integers beyond 64 bits, half letters.
+    integers beyond 64 bits, half letters other than those of :func:`os.fsdecode`.
     """
     plain = text if isinstance(text, str) else text.decode("utf-8-sig")
     if num_values(plain) > MOST_VALUES:
@@ -114,7 +114,7 @@ def parse_object(text: str | bytes) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"a JSON {type(value).__name__}, expected an object")
     if _HALF_LETTER.search(plain):
-        json.dumps(value, ensure_ascii=False).encode()
+        os.fsencode(json.dumps(value, ensure_ascii=False))
     return value
 
 
@@ -152,7 +152,10 @@ def write_aside(path: Path, data: str | bytes) -> None:
         try:
             aside.unlink(missing_ok=True)
             with aside.open("xb") as file:
-                file.write(data.encode() if isinstance(data, str) else data)
+                # names of folders may hold bytes that are no UTF-8
+                file.write(
+                    data.encode(errors="backslashreplace") if isinstance(data, str) else data
+                )
             aside.replace(path)
         finally:
             aside.unlink(missing_ok=True)
