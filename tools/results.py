@@ -246,6 +246,15 @@ TABLES: dict[str, Made] = {
     "ablation": _ABLATION,
     "rankings": _RANKINGS,
     "rankings_dense": replace(_RANKINGS, part="@v1.0-mini/val"),
+    "rankings_idm": Made(
+        f"{_ABLATION.command.replace('1,2', '1').replace('ccdiff_no_enc,', '')} --others idm",
+        ("method",),
+        {
+            "SCR": Column("scr_controlled", interval=False),
+            "brought about": Column("scr_by_controlled", interval=False),
+        },
+        where={"K": "1"},
+    ),
     "training": Made(
         "train",
         ("method",),
