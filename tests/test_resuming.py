@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import sys
+from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
@@ -42,6 +44,20 @@ def test_names_of_folders_need_not_be_utf_8(tmp_path):
     assert keep_settings(path, {"scenes": str(folder)})["scenes"] == str(folder)
     write_aside(folder / "report.html", f"of {folder.name}")
     assert (folder / "report.html").read_bytes() == rb"of caf\udce9"
+
+
+def test_a_folder_is_one_process_s_until_it_ends(tmp_path, capsys):
+    run = ["bench", "traffic", "--methods", "replay", "--scenes", "embedded/val?limit=1"]
+    run += ["--out", str(tmp_path / "run"), "--quiet"]
+    begun = f"import pathlib; from {keep_settings.__module__} import keep_settings as keep\n"
+    begun += "keep(pathlib.Path('run/run.json'), {}); print(flush=True); input()"
+    with Popen([sys.executable, "-c", begun], cwd=tmp_path, stdin=PIPE, stdout=PIPE) as other:
+        other.stdout.readline()
+        assert cli.main(run) == 2
+        assert "bench: another process writes into" in capsys.readouterr().err
+        other.kill()
+    for _ in range(2):
+        assert cli.main(run) == 0
 
 
 def test_a_training_goes_on_with_what_it_was_begun_with(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 import time
@@ -25,7 +24,7 @@ from ccdiff_env.scenes import is_lone_ego
 from ccdiff_env.scenes.arguments import place_from
 from ccdiff_env.scenes.sources import coverage
 from ccdiff_env.system.files import reading, write_aside
-from ccdiff_env.system.settings import kept_settings
+from ccdiff_env.system.settings import kept_settings, write_settings
 from ccdiff_env.system.table import Block, Table, document, latex_tables
 from ccdiff_env.system.terminal import counted, say, say_page
 from ccdiff_env.system.version import __version__
@@ -84,7 +83,7 @@ class Run:
     def _begin(self) -> None:
         """Write what the run is, now that work begins: what is refused before leaves no folder."""
         self._begun = True
-        write_aside(self.folder / "run.json", json.dumps(self._facts, indent=1))
+        write_settings(self.folder / "run.json", self._facts)
 
     def tell_window(self, window: Mapping[str, int] | None) -> None:
         """Say which steps episodes have, in titles, too, where these are not the usual ones."""

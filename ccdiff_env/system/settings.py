@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ccdiff_env.errors import ConfigError
-from ccdiff_env.system.files import parse_object, read_text, reading, write_aside
+from ccdiff_env.system.files import parse_object, read_text, reading, write_aside, writing
+
+_LOCKS: dict[Path, IO[bytes]] = {}  #: Of folders that this process writes into.
 
 
 def check_least(args: argparse.Namespace, **least: float) -> None:
@@ -32,8 +35,28 @@ def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
         DatasetError: If the file is damaged.
     """
     known = {**kept_settings(path, settings), **settings}
-    write_aside(path, json.dumps(known, indent=1, default=dict))
+    write_settings(path, known)
     return known
+
+
+def write_settings(path: Path, known: Mapping[str, Any]) -> None:
+    """Write the file of a run, whose folder is this process's alone until it ends.
+
+    A folder of another process is a :class:`ConfigError`.
+    """
+    with writing(lock := path.parent.resolve() / ".lock"):
+        if lock not in _LOCKS:
+            file = lock.open("ab")
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ConfigError(
+                    f"another process writes into {path.parent}; choose another folder"
+                ) from None
+            except OSError:
+                pass  # of a file system without locks
+            _LOCKS[lock] = file
+    write_aside(path, json.dumps(known, indent=1, default=dict))
 
 
 def kept_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
