@@ -13,12 +13,13 @@ from test_view import elements, unpacked
 
 import ccdiff_env
 from ccdiff_env import cli, embedded_scenes
-from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.planners import TRAFFIC, drive, window_of
 from ccdiff_env.errors import ConfigError, ShapeError
 from ccdiff_env.planners.planning import overlap
 from ccdiff_env.record.counterfactual import EgoPlan, avoidable, with_rescue
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import SceneSet
+from ccdiff_env.scenes.scenarionet_export import write_scenario
 from ccdiff_env.view import log_rollout, page_html, write_page
 from ccdiff_env.view.video import Video
 
@@ -70,6 +71,20 @@ def test_a_scene_is_played_as_the_benchmark_plays_it(options, tmp_path):
     run, like = Rollout.load(kept), expected[scenes[1].name]
     assert run.num_steps == like.num_steps
     assert run.position.tobytes() == like.position.tobytes()
+
+
+def test_a_scene_beside_shorter_ones_is_played_as_alone(tmp_path):
+    windows = ccdiff_env.load("embedded/val?window_s=8&history_s=1")
+    for file, scene in (("short", windows[0]), ("long", embedded_scenes("val")[1])):
+        write_scenario(scene, tmp_path / f"{file}.pkl")
+    words = ["view", scene.name, "--scenes", f"scenarionet:{tmp_path}", "--traffic", "idm"]
+    assert (
+        cli.main([*words, "--save", str(tmp_path / "run.npz"), "-o", str(tmp_path / "a.html")]) == 0
+    )
+    assert window_of(f"scenarionet:{tmp_path}") == {"history_steps": 10, "horizon_steps": 80}
+    (alone,) = ccdiff_env.load(f"scenarionet:{tmp_path / 'long.pkl'}")
+    like = drive(SceneSet([alone]), "idm", TRAFFIC["idm"], record=[alone.name])[1][alone.name]
+    assert Rollout.load(tmp_path / "run.npz").position.tobytes() == like.position.tobytes()
 
 
 @pytest.fixture

@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     play.add_argument(
         "--traffic",
         nargs="+",
-        help=f"simulate the scene as bench planners does, with this traffic, of: {TRAFFIC_HELP}; "
+        help=f"simulate the scene as bench planners of it alone, in this traffic: {TRAFFIC_HELP}; "
         "several are shown beside each other (default: the log is shown)",
     )
     play.add_argument(
