@@ -140,6 +140,16 @@ def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monke
     assert cli.main([*ego, "--decisions", "1024"]) == 0
     done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
     assert done["decisions"] == 1024
+    again = [
+        *ego,
+        "--start",
+        str(tmp_path / "ego" / "checkpoint.pt"),
+        "--out",
+        str(tmp_path / "on"),
+    ]
+    assert cli.main([*again, "--dynamics", "unicycle"]) == 2
+    assert "checkpoint.pt drives by AssistedLimits(" in capsys.readouterr().err
+    assert cli.main([*again, "--decisions", "1"]) == 0
     zip_file = tmp_path / "policy.zip"
     zip_file.touch()
     assert cli.main([*ego, "--start", str(zip_file), "--out", str(tmp_path / "other")]) == 2

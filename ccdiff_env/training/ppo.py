@@ -10,6 +10,7 @@ import argparse
 import time
 from collections import Counter
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -190,7 +191,9 @@ def train(args: argparse.Namespace) -> None:
     if args.smoke:
         args.worlds, args.decisions = 16 * len(args.traffic), 1
     torch.set_num_threads(args.threads)
-    given = load_ego(args.start) if args.start and not args.start.endswith(".pt") else None
+    goes_on = bool(args.start) and args.start.endswith(".pt")  # the policy is beside it
+    policy = Path(args.start).with_name("ego.safetensors") if goes_on else args.start
+    given = load_ego(policy) if policy else None
     own = {"assisted": {"assisted": {"base": args.base, **ASSISTED}}, "unicycle": DYNAMICS}
     dynamics: Any = own.get(args.dynamics, args.dynamics)
     asked = WorldConfig().with_options(dynamics=dynamics).action.dynamics
@@ -226,11 +229,11 @@ def train(args: argparse.Namespace) -> None:
     if saved:
         agent.load_state_dict(saved["agent"])
         optimiser.load_state_dict(saved["optimiser"])
-    elif given is not None:
-        agent.take(given)
-    elif args.start:
+    elif goes_on:
         agent.load_state_dict(torch.load(args.start, weights_only=True)["agent"])
         agent.log_std.data = torch.tensor(args.noise).log()
+    elif given is not None:
+        agent.take(given)
     elif args.shown and not is_assisted:
         log = {"config": config.with_options(decision_steps=1), **worlds.drawn}
         steps = {"seed": args.seed, "decision_steps": config.decision_steps}
