@@ -193,6 +193,9 @@ def test_mistakes_are_named():
         attribute(started(scene), ego="idm")
     with pytest.raises(ConfigError, match="reacts"):
         avoidability(started(scene), reactive=True)
+    for wrong in ({"num_samples": -1}, {"seed": 1.5}):
+        with pytest.raises(ConfigError, match=next(iter(wrong))):
+            avoidability(started(scene), **wrong)
     for wrong in ({"draws": 0}, {"ego": "replay"}, {"ego": "nobody"}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             avoidability(started(scene, traffic="idm"), reactive=True, **wrong)
@@ -252,5 +255,12 @@ def test_other_settings_need_another_folder(scenes, folder, tmp_path):
         load_bank(tmp_path)
     with pytest.raises(ConfigError, match=r"criticality 1\.0, now 2\.0"):
         record_bank(scenes, folder, ego="idm", criticality=2.0, seed=5)
-    with pytest.raises(ConfigError, match="draws"):
-        record_bank(scenes, folder, draws=0)
+    for name, wrong in (
+        ("draws", 0), ("draws", 1.5), ("workers", 0), ("seed", 7.5), ("seed", "7"),
+        ("criticality", -1.0), ("criticality", float("nan")), ("ego", "nobody"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=name):
+            record_bank(scenes, tmp_path / "new", **{name: wrong})
+    assert not (tmp_path / "new").exists()
+    given = {"seed": np.int64(5), "criticality": np.float32(1.0)}
+    assert len(record_bank(scenes, folder, draws=2, **given)) == 6

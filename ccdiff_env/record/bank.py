@@ -24,7 +24,8 @@ from ccdiff_env.scenes import Scene, SceneSet
 from ccdiff_env.system.files import read_bytes, reading, write_aside
 from ccdiff_env.system.processes import results_of_processes
 from ccdiff_env.system.settings import keep_settings, sha256
-from ccdiff_env.worlds import Scenes, scene_set
+from ccdiff_env.traffic.checked_options import check
+from ccdiff_env.worlds import Scenes, exact_seed, scene_set
 
 FORMAT = "ccdiff-env bank 1"
 #: The world of every episode. It goes on to the end of the horizon, so that slower egos meet the
@@ -73,8 +74,12 @@ def record_bank(
         ConfigError: If the folder holds a bank of other settings, or one is out of range.
         DatasetError: If what the folder holds is damaged.
     """
-    if draws < 1 or workers < 1:
-        raise ConfigError(f"draws, workers are {draws}, {workers}, expected at least 1")
+    for name, count in (("draws", draws), ("workers", workers)):
+        if type(count) is not int or count < 1:
+            raise ConfigError(f"{name} is {count!r}, expected an integer of at least 1")
+    check("CcdiffConfig", "", {"criticality": criticality})
+    criticality, seed = float(criticality), exact_seed(seed)
+    ego_driver(ego)  # what is wrong leaves no folder
     chosen, root = scene_set(scenes), Path(folder)
     settings = {
         "format": FORMAT,

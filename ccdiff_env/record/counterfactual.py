@@ -180,13 +180,15 @@ def ego_plans(num_samples: int, seed: int = 0) -> list[EgoPlan]:
     beside it; the rest is drawn at random.
 
     Args:
-        num_samples: Plans to return.
+        num_samples: Plans to return, at least 1.
         seed: For the random ones.
     """
+    if type(num_samples) is not int or num_samples < 1:
+        raise ConfigError(f"num_samples is {num_samples!r}, expected an integer of at least 1")
     accelerations, offsets = json.loads(_native.schema("steady_plans"))
     plans = [EgoPlan((a, a), 0.0, d) for d in offsets for a in accelerations]
     plans += [EgoPlan((first, 2.0), 1.5, d) for d in offsets for first in (-8.0, -4.0)]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(normalize_seed(seed))
     while len(plans) < num_samples:
         first, second = rng.uniform(-8.0, 4.0, 2)
         switch, offset = rng.uniform(0.3, 2.5), rng.uniform(-4.0, 4.0)
