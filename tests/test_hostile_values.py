@@ -182,6 +182,13 @@ def test_a_network_plans_for_agents_a_thousand_kilometres_apart():
     assert np.isfinite(plan.samples).all()
 
 
+def test_thousands_of_vehicles_in_one_place_take_a_step():
+    crowd = (agent(f"n{i}", 0.4 * np.arange(40), size=(4.5, 2.0, 1.6)) for i in range(2000))
+    env = EgoEnv(scenes=[array_scene(agent("ego", 0.5 * np.arange(40)), *crowd)], traffic="idm")
+    env.reset(seed=0)
+    assert env.step([0.0, 0.0])[4]["speed"] == 5.0
+
+
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
 def test_motions_and_episodes_of_absurd_values(value):
     with pytest.raises(errors.SceneError, match="size"):

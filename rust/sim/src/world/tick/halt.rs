@@ -43,11 +43,17 @@ pub(super) fn halt(
         let pairs = collisions.pairs();
         if part == parts {
             let gone = |a: u32| !e.states.active[a as usize];
-            e.given_contacts.retain(|pair| pairs.contains(pair) || gone(pair.0) || gone(pair.1));
+            e.given_contacts.retain(|pair| pairs.binary_search(pair).is_ok() || gone(pair.0) || gone(pair.1));
         }
-        for (i, j) in pairs {
-            let ends = [*i as usize, *j as usize];
-            if e.given_contacts.contains(&(*i, *j)) || !ends.iter().any(|a| is_driven(e, *a)) {
+        let mut given_idx = 0; // given contacts are in the order of the pairs, but those of late arrivals
+        for pair in pairs {
+            let ends = [pair.0 as usize, pair.1 as usize];
+            given_idx += e.given_contacts[given_idx..].iter().take_while(|given| *given < pair).count();
+            if e.given_contacts.get(given_idx) == Some(pair)
+                || !ends.iter().any(|a| is_driven(e, *a))
+                || !ends.iter().any(|a| may_stop(e, scene, *a))
+                || e.given_contacts.contains(pair)
+            {
                 continue;
             }
             for (a, other) in [(ends[0], ends[1]), (ends[1], ends[0])] {
