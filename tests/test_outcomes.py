@@ -95,6 +95,10 @@ def test_demonstrations_drive_as_the_log_does():
     np.testing.assert_allclose(before[gains, 0], 0.25, atol=0.26)
     with pytest.raises(ConfigError, match="number"):
         demonstrations([scene], 0)
+    for steps, said in ((0, "at least 1"), (-1, "at least 1"), (51, "that last two decisions")):
+        with pytest.raises(ConfigError, match=f"decision_steps is {steps}, expected .*{said}"):
+            demonstrations([scene], 8, decision_steps=steps, dynamics="unicycle")
+    assert len(demonstrations([scene], 8, decision_steps=40, dynamics="unicycle")[0]) == 8
     assert len(TIMES_S) == STEPS
 
 

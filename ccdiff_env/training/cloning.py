@@ -41,33 +41,39 @@ def demonstrations(
         obs, actions: Flat observations [N, D], actions [N, W] in [-1, 1].
 
     Raises:
-        ConfigError: If ``number`` is below 1, or the dynamics have no inverse.
+        ConfigError: If ``number`` or ``decision_steps`` is below 1, the dynamics have no inverse,
+            or no episode lasts two decisions.
     """
-    if number < 1:
-        raise ConfigError(f"number is {number}, expected at least 1")
+    for name, count in (("number", number), ("decision_steps", decision_steps)):
+        if count < 1:
+            raise ConfigError(f"{name} is {count}, expected at least 1")
     goes_on = {"on_collision": "ignore", "on_off_road": "ignore", "terminate_at_goal": False}
     given = options | goes_on | {"traffic": "replay", "driver": "replay"}
     env = make_vec(WORLDS, scenes=scenes, autoreset_mode="same_step", info="none", **given)
     last = last_action_columns(env)
     obs, _ = env.reset(seed=seed)
-    shape, k, found, have = (STEPS, *(env.action_space.shape or ())), decision_steps, [], 0
+    k, found, have = decision_steps, list[tuple[F32, F32]](), 0
+    steps = STEPS if 2 * k < STEPS else 3 * k
+    shape = (steps, *(env.action_space.shape or ()))
     idle, begins = np.zeros(shape[1:], np.float32), np.ones(WORLDS, np.int64)
     while have < number:
-        seen = np.empty((STEPS, *obs.shape), np.float32)
+        seen = np.empty((steps, *obs.shape), np.float32)
         done = np.empty(shape, np.float32)
-        episode = np.empty((STEPS, WORLDS), np.int64)
-        for t in range(STEPS):
+        episode = np.empty((steps, WORLDS), np.int64)
+        for t in range(steps):
             seen[t], episode[t] = obs, begins
             done[t] = [env.worlds.native.expert_actions(i)[0] for i in range(WORLDS)]
             obs, _, terminated, truncated, _ = env.step(idle)
             begins = begins + (terminated | truncated)
         done = done.clip(-1.0, 1.0)
-        for t in range(k, STEPS - k, k):
+        for t in range(k, steps - k, k):
             whole = (episode[t - k] == episode[t]) & (episode[t + k - 1] == episode[t])
             row = seen[t, whole]
             row[:, last] = done[t - k : t, whole].mean(axis=0)[:, : len(last)]
             found.append((row, done[t : t + k, whole].mean(axis=0)))
             have += len(row)
+        if have == 0:
+            raise ConfigError(f"decision_steps is {k}, expected episodes that last two decisions")
     rows, actions = (np.concatenate(parts)[:number] for parts in zip(*found, strict=True))
     return rows, actions
 
