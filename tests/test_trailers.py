@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from array_scenes import TIMES_S, agent, array_scene, log_env, played
+from array_scenes import TIMES_S, agent, array_scene, log_env, outline, played
 
 import ccdiff_env
 from ccdiff_env import EgoEnv
+from ccdiff_env.envs.selection import AdversarySelectionVectorEnv
 from ccdiff_env.errors import ConfigError
 
 EGO = agent("ego", -60.0 + 6.0 * TIMES_S)
@@ -137,3 +138,21 @@ def test_a_truck_that_is_stopped_by_a_contact_stops_with_its_trailer():
     *_, (_, states, _) = played(log_env(*agents, traffic="constant_velocity"))
     assert states["speed"][1] == states["speed"][2] == 0.0
     assert states["position"][1, 0] - states["position"][2, 0] == pytest.approx(8.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("behind_m", [-60.0, 8.0, 15.0])
+def test_what_its_trailer_touches_an_adversary_has_touched(behind_m):
+    """The log of the ego turns into nobody, into both boxes, and into the trailer alone."""
+    x = 20.0 + 8.0 * TIMES_S
+    y = 30.0 - 5.0 * np.clip(TIMES_S - 4.0, 0.0, 2.0)
+    scene = array_scene(agent("ego", x - behind_m, y), *hitched(x))
+    env = AdversarySelectionVectorEnv(1, scenes=[scene], ego="replay")
+    env.reset(seed=0)
+    counted = 0.0
+    while not env.ended.all():
+        counted += env.decide([([1], 1.0)])[1]["collisions"][0]
+    states = env.worlds.native.states(0)
+    ego, *boxes = map(outline, *states["position"].T, states["heading"], scene.sizes)
+    touched = [box.intersects(ego) for box in boxes]
+    assert touched == [behind_m == 8.0, behind_m > 0.0]
+    assert counted == any(touched)

@@ -274,7 +274,7 @@ class AdversarySelectionVectorEnv(AsVector):
             for e in np.flatnonzero(running).tolist():
                 hits = self._begun(e, info)
                 table["ego_at_fault"][e] = max(table["ego_at_fault"][e], *hits.values(), 0.0)
-                faults = [hits[j] for j in self.adversaries[e] & hits.keys()]
+                faults = [hits[j] for j in self._theirs(e) & hits.keys()] if hits else []
                 table["collisions"][e] += any(faults) if self.counts != "all" else bool(faults)
             self.ended |= terminated | truncated
             if self.on_step is not None:
@@ -291,6 +291,14 @@ class AdversarySelectionVectorEnv(AsVector):
         found = {j: at_fault for j, at_fault in now.items() if j not in before}
         if begins:  # also where the ego was removed, or touched within the step
             found[int(info["collision_partner"][e]) - 1] = bool(info["at_fault"][e] > 0.0)
+        return found
+
+    def _theirs(self, e: int) -> set[int]:
+        """Adversaries of a world's episode, and what they tow."""
+        found = set(self.adversaries[e])
+        for towed, front in self.worlds.scenes[self.worlds.native.status(e).scene_idx].towed:
+            if front in found:
+                found.add(towed)
         return found
 
     def _touching(self, e: int) -> dict[int, bool]:
