@@ -9,6 +9,7 @@ import re
 import resource
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import pytest
 from array_scenes import STEPS, agent, array_scene, begun
 
 import ccdiff_env
-from ccdiff_env import EgoEnv, EgoVectorEnv, Scene, WorldConfig, _native, errors
+from ccdiff_env import EgoEnv, EgoVectorEnv, Scene, WorldConfig, _native, embedded_scenes, errors
 from ccdiff_env.bench import scenarios
 from ccdiff_env.bench.page import write_report_page
 from ccdiff_env.bench.replays import write_replay
@@ -80,19 +81,45 @@ def test_pages_of_a_folder_do_not_replace_each_other_and_a_foreign_file_is_left_
     assert len([*index.parent.glob("*.html")]) == 3
 
 
+@contextmanager
+def files_of(most_bytes):
+    """Files cannot get larger, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("view left-turn-00 -o", "a.gif"),
+        ("view left-turn-00 -o", "a.mp4"),
+        ("train-ego --smoke --out", "checkpoint.pt"),
+    ],
+)
+def test_no_half_of_a_video_or_a_checkpoint_is_left(words, name, tmp_path, capsys):
+    embedded_scenes("all"), embedded_scenes("train")  # unpacked before
+    learns = words.startswith("train")
+    (path := tmp_path / name).write_text("before")
+    with files_of(20_000):
+        assert main([*words.split(), str(tmp_path / "run" if learns else path)]) == 2
+    assert f"{name}'" in capsys.readouterr().err
+    assert path.read_text() == "before"
+    left = {file.name for file in tmp_path.rglob("*") if file.is_file()}
+    assert left == {name, *["run.json", ".lock"] * learns}
+
+
 def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("before")
     os.symlink(path, tmp_path / f".b.csv.{os.getpid()}")
     files.write_aside(tmp_path / "b.csv", "1,2\r\n")
     assert (tmp_path / "b.csv").read_bytes() == b"1,2\r\n"
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
-    try:
-        with pytest.raises(OSError, match=r"File too large: '.*a\.csv'$"):
-            files.write_aside(path, "x" * 10**6)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with files_of(1000), pytest.raises(OSError, match=r"File too large: '.*a\.csv'$"):
+        files.write_aside(path, "x" * 10**6)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "b.csv"]
     assert path.read_text() == "before"
     longest = tmp_path / ("é" * 125 + ".html")  # 255 bytes, the most that a name may have

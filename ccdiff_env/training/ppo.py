@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import time
 from collections import Counter
 from contextlib import suppress
@@ -26,6 +27,7 @@ from ccdiff_env.record.bank import load_bank
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import place_from, scenes_from
 from ccdiff_env.scenes.sources import load, parse, settle
+from ccdiff_env.system.files import write_aside
 from ccdiff_env.system.seeds import spread_seed
 from ccdiff_env.system.settings import keep_settings, kept_settings
 from ccdiff_env.training.cloning import demonstrations
@@ -253,8 +255,8 @@ def train(args: argparse.Namespace) -> None:
                 f"{args.out} keeps what was saved before"
             )
         state = {"agent": agent.state_dict(), "optimiser": optimiser.state_dict(), "done": done}
-        torch.save(state, checkpoint.with_suffix(".tmp"))
-        checkpoint.with_suffix(".tmp").replace(checkpoint)
+        torch.save(state, packed := io.BytesIO())
+        write_aside(checkpoint, packed.getvalue())
         about = {"done": done, **bound}
         save_ego(args.out / "ego.safetensors", agent.tensors(), fitting, about)
 

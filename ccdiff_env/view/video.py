@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.scenes.scene_types import AGENT_KINDS
+from ccdiff_env.system.files import writing
 from ccdiff_env.traffic import TrafficPlan
 from ccdiff_env.view import render
 from ccdiff_env.view.captions import DRIVER_TITLES, agent_titles, driver_of, is_collision, still
@@ -228,4 +230,10 @@ def save_video(videos: Sequence[Video], path: Path) -> None:
     last, every = max(video.num_steps for video in videos) - 1, 1.0 / (FPS * videos[0].dt_s)
     steps = [int(k * every + 1e-6) for k in range(math.ceil(last / every - 1e-9))] + [last]
     images = [side_by_side(videos, step) for step in steps]
-    save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), path, FPS)
+    aside = path.with_name(f".{os.getpid()}{path.suffix}")
+    with writing(path):  # whole or not at all
+        try:
+            save(np.stack(images + images[-1:] * round(HOLD_S * FPS)), aside, FPS)
+            aside.replace(path)
+        finally:
+            aside.unlink(missing_ok=True)
