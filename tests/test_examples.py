@@ -6,6 +6,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ccdiff_env
@@ -92,7 +93,7 @@ def test_torchrl_takes_single_vector_and_several_vehicles():
     from torchrl.envs.libs.pettingzoo import PettingZooWrapper
     from torchrl.envs.utils import check_env_specs
 
-    worlds = ccdiff_env.make_vec(3, autoreset_mode="same_step", info="none")
+    worlds, twin = (ccdiff_env.make_vec(3, autoreset_mode="disabled") for _ in range(2))
     game = ccdiff_env.parallel_env(agents=3, names="slot", info="none")
     for env in (
         GymEnv("ccdiff_env/Ego-v0", traffic="idm"),
@@ -100,3 +101,15 @@ def test_torchrl_takes_single_vector_and_several_vehicles():
         PettingZooWrapper(game),
     ):
         check_env_specs(env)
+    env = GymWrapper(worlds)
+    env.set_seed(5)
+    twin.reset(seed=5)
+    twin.reset()
+    ends = 0
+    for step in env.rollout(150, break_when_any_done=False).unbind(1):
+        _, rewards, terminated, truncated, _ = twin.step(step["action"].numpy())
+        np.testing.assert_array_equal(rewards, step["next", "reward"][:, 0])
+        if (done := terminated | truncated).any():
+            twin.reset(options={"reset_mask": done})
+        ends += done.sum()
+    assert ends > 3  # also of second episodes
