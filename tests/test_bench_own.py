@@ -116,6 +116,8 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
         ("--planners pdm?title=Ours", "the title 'Ours' is another one's"),
         ("--planners idm --traffic ccdif-1", "did you mean 'ccdiff-1'"),
         ("--planners idm --metric avoidble", "expected module:function of a rollout, or avoidable"),
+        ("--planners idm --seeds=", "--seeds is '', expected integers, comma-separated"),
+        ("--planners idm --replays -1", "--replays is -1, expected at least 0"),
         ("--planners idm --metric EPDMS", "metric 'EPDMS' cannot be had: NAVSIM"),
     ],
 )

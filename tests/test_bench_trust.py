@@ -405,7 +405,7 @@ def test_the_protocol_fixes_scenes_and_weights():
         (["--traffic", "idm"], "--traffic: planner-1.4 fixes it"),
         (["--seeds", "0,1"], "--seeds has 2, planner-1.4 smoke takes 1"),
         (
-            ["--level", "mini", "--scenes", "nuscenes:x", "--seeds", "5,5,5"],
+            ["--level", "mini", "--scenes", "nuscenes:x", "--seeds", "5,05,5"],
             "--seeds has 1, planner-1.4 mini takes 3",
         ),
         (

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 from ccdiff_env.bench.methods import GRAMMAR, OTHERS, PAPER_METHODS, titled
 from ccdiff_env.bench.planners import TRAFFIC, TRAFFIC_HELP
@@ -15,13 +13,13 @@ from ccdiff_env.errors import ConfigError
 from ccdiff_env.planners.built_in import EGO_HELP
 from ccdiff_env.scenes.arguments import add_scene_arguments, place_from
 from ccdiff_env.scenes.windows import whole_steps
+from ccdiff_env.system.settings import check_least, listed
 from ccdiff_env.system.table import escaped
 from ccdiff_env.system.terminal import say
 
 #: Traffic of ``bench planners`` without a protocol.
 _USUAL_TRAFFIC = "replay,idm,ccdiff,ccdiff-0.5,ccdiff-1"
 
-T = TypeVar("T")
 #: Help of an option that names planners.
 PLANNERS = f"comma-separated, of: {EGO_HELP.partition('of: ')[2]}"
 
@@ -81,14 +79,7 @@ def add_replays(parser: argparse.ArgumentParser, which: str) -> None:
 
 def counts(text: str) -> list[int | None]:
     """Return values of K; ``None`` for Full."""
-    return _listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
-
-
-def _listed(option: str, text: str, one: Callable[[str], T], what: str) -> list[T]:
-    try:
-        return list(dict.fromkeys(map(one, text.split(","))))
-    except (ValueError, OverflowError):
-        raise ConfigError(f"{option} is {text!r}, expected {what}, comma-separated") from None
+    return listed("--k", text, lambda k: None if k == "Full" else int(k), "numbers and Full")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,8 +128,8 @@ def _traffic(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.traffic import traffic_jobs, window_of
 
     methods = list(PAPER_METHODS) if args.methods == "all" else titled(args.methods.split(","))
-    match = _listed("--match", args.match, float, "rates") if args.match else []
-    strengths = _listed("--strengths", args.strengths, float, "criticalities") if match else []
+    match = listed("--match", args.match, float, "rates") if args.match else []
+    strengths = listed("--strengths", args.strengths, float, "criticalities") if match else []
     if match and not all(0.0 < rate < 1.0 for rate in match):
         raise ConfigError(f"--match is {args.match!r}, expected rates between 0 and 1")
     if match and len(set(strengths)) < 2:
@@ -149,7 +140,7 @@ def _traffic(args: argparse.Namespace) -> int:
         run.source,
         methods,
         num_controlled=counts(args.k),
-        replan_steps=_listed(
+        replan_steps=listed(
             "--t", args.t, lambda t: whole_steps("--t", float(t), 0.1), "multiples of 0.1 s"
         ),
         replan_controlled=None if args.t_at is None else counts(args.t_at),
@@ -244,6 +235,7 @@ def _planners(args: argparse.Namespace) -> int:
 
     if args.nuplan is not None:
         os.environ[VARIABLE] = args.nuplan  # processes of jobs look there, too
+    check_least(args, replays=0)
     fixed, weights = PROTOCOL.fix(args), weights_from(args.weights or [])
     if args.nuplan_score:
         find_devkit()
@@ -251,7 +243,7 @@ def _planners(args: argparse.Namespace) -> int:
     traffic = titled((_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(","))
     metrics = [METRICS.get(name, name) for name in dict.fromkeys(args.metric or ())]
     own = metric_names(metrics)
-    seeds = _listed("--seeds", args.seeds or "0,1,2", int, "integers")
+    seeds = listed("--seeds", "0,1,2" if args.seeds is None else args.seeds, int, "integers")
     source = str(place_from(args))
     window = window_of(source, args.history_steps, args.horizon_steps)
     jobs = [
@@ -346,6 +338,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.scenarios import cross_jobs, generation_jobs, set_digest, set_folders
     from ccdiff_env.bench.scenes import source_title
 
+    check_least(args, replays=0)
     generators, planners = titled(args.generators.split(",")), titled(args.planners.split(","))
     run = Run(
         args,

@@ -18,7 +18,7 @@ from ccdiff_env.record.episode import world_of_seat
 from ccdiff_env.scenes import splits
 from ccdiff_env.scenes.sources import Place, parse
 from ccdiff_env.system.files import read_bytes
-from ccdiff_env.system.settings import kept_settings, sha256
+from ccdiff_env.system.settings import kept_settings, listed, sha256
 from ccdiff_env.traffic.options import DYNAMICS
 
 _FILE = Path(__file__).resolve().parents[1] / "data" / "planner-1.4.json"
@@ -99,9 +99,9 @@ class Protocol:
             begun = kept_settings(args.out / "run.json", {}).get("seeds")
             drawn = begun or [secrets.randbits(31) for _ in range(level["num_seeds"])]
             args.seeds = ",".join(map(str, drawn))
-        elif (number := len({*args.seeds.split(",")})) != level["num_seeds"]:
+        elif (n := len(listed("--seeds", args.seeds, int, "integers"))) != level["num_seeds"]:
             raise ConfigError(
-                f"--seeds has {number}, {self.name} {args.level} takes {level['num_seeds']}"
+                f"--seeds has {n}, {self.name} {args.level} takes {level['num_seeds']}"
             )
         for planner in args.planners.split(","):
             seat = ego_driver(planner)[1]

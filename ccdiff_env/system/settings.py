@@ -7,14 +7,16 @@ import fcntl
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.system.files import parse_object, read_text, reading, write_aside, writing
 
 _LOCKS: dict[Path, IO[bytes]] = {}  #: Of folders that this process writes into.
+
+_Value = TypeVar("_Value")
 
 
 def check_least(args: argparse.Namespace, **least: float) -> None:
@@ -25,6 +27,14 @@ def check_least(args: argparse.Namespace, **least: float) -> None:
         if not all(bound <= value < math.inf for value in values):
             option = f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option} is {given}, expected at least {bound:g}")
+
+
+def listed(option: str, text: str, one: Callable[[str], _Value], what: str) -> list[_Value]:
+    """Return the values of an option whose text lists them, once each."""
+    try:
+        return list(dict.fromkeys(map(one, text.split(","))))
+    except (ValueError, OverflowError):
+        raise ConfigError(f"{option} is {text!r}, expected {what}, comma-separated") from None
 
 
 def keep_settings(path: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
