@@ -123,6 +123,8 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
         ("bench traffic --methods ccdiff --match 5 --out out", "expected rates between 0 and 1"),
         ("bench traffic --match 0.5 --strengths 1,1 --out out", "expected two at least"),
         ("bench planners --planners idm?title= --out out", "the title is empty"),
+        ("bench scenarios --plans 0 --out out", "--plans is 0, expected at least 1"),
+        ("train-ego --kl nan --smoke --out out", "--kl is nan, expected at least 0"),
     ],
 )
 def test_numbers_that_mean_nothing_are_refused(tmp_path, monkeypatch, capsys, words, said):
@@ -131,6 +133,7 @@ def test_numbers_that_mean_nothing_are_refused(tmp_path, monkeypatch, capsys, wo
     monkeypatch.chdir(tmp_path)
     assert cli.main(words.split()) == 2
     assert said in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 def test_any_integer_is_a_seed_as_in_environments():

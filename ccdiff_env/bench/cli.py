@@ -338,7 +338,7 @@ def _scenarios(args: argparse.Namespace) -> int:
     from ccdiff_env.bench.scenarios import cross_jobs, generation_jobs, set_digest, set_folders
     from ccdiff_env.bench.scenes import source_title
 
-    check_least(args, replays=0)
+    check_least(args, replays=0, plans=1)
     generators, planners = titled(args.generators.split(",")), titled(args.planners.split(","))
     run = Run(
         args,

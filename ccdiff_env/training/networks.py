@@ -100,7 +100,6 @@ def train(
     from ccdiff_env import _models
 
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
     state, weights = folder / "state.safetensors", folder / "weights.safetensors"
     resumed = state.exists()
     with reading("training state", state, CheckpointError):

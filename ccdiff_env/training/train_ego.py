@@ -109,7 +109,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--base is for assisted dynamics, not {args.dynamics}: leave it out")
     args.base = args.base or "idm"
     args.noise = args.noise or (ASSISTED_NOISE if args.dynamics == "assisted" else NOISE)
-    check_least(args, threads=1, decisions=1, shown=0, learning_rate=1e-9, noise=1e-6)
+    check_least(args, threads=1, decisions=1, shown=0, learning_rate=1e-9, noise=1e-6, kl=0)
     if (BANK in args.traffic) != bool(args.bank):
         raise ConfigError(f"--traffic {BANK} and --bank FOLDER go together")
     try:
