@@ -36,7 +36,7 @@ ALGORITHMS = {
     "sac": (SAC, "MlpPolicy", sb3.SAC_SETTINGS, 256, 80_000),
 }
 #: Options of training alone.
-TRAINED = ("ego", "standing_share", "reward", "terminate_at_goal", "observation", "on_red_light")
+TRAINED = {*WORLDS, *LIGHTS} - {"dynamics", "decision_steps"}
 FIGURES = ("score", "success", "collision", "on_road", "progress", "comfort")
 
 
@@ -133,7 +133,7 @@ def main() -> None:
         planned = Priced(ccdiff_env.make_vec(worlds, driver="pdm", **met)) if is_sac else None
         sb3.clone(model, *log, planned)
     save_policy(model, first := args.out / ("start.zip" if args.start else "clone.zip"))
-    red = {"before": red_of_arrivals(test, act)} if args.lights else {}
+    red = {"before": red_of_arrivals(test, act, draws=6)} if args.lights else {}
     print(f"in {args.out}: decisions, CPU seconds, success in {tests} held-out episodes:")
     model.learn(decisions, callback=curve)
     save_policy(model, args.out / "ego.zip")
@@ -145,8 +145,8 @@ def main() -> None:
     (args.out / "curve.json").write_text(json.dumps(kept))
     table(f"of {tests} episodes", OUTCOMES, found.items())
     if args.lights:
-        red["ego"] = red_of_arrivals(test, act)
-        red |= {n: red_of_arrivals(of) for n, of in rules.items()}
+        red["ego"] = red_of_arrivals(test, act, draws=6)
+        red |= {n: red_of_arrivals(of, draws=6) for n, of in rules.items()}
         table("lights", ("arrivals", "that ran red"), red.items())
     seen = replace(of := TRAFFIC[traffic["traffic"]], ccdiff={**of.ccdiff, **guided})
     planners = (str(first), f"{args.out}/ego.zip", "constant_velocity", "idm", "pdm")

@@ -152,6 +152,7 @@ def test_arrivals_that_ran_red_are_counted_where_one_could_have_stopped():
             reward={"red_light": -1.0}, observation=LIGHTS["observation"],
         )  # fmt: skip
         assert red_of_arrivals(env) == counted
+        assert red_of_arrivals(env, draws=3) == (3 * counted[0], 3 * counted[1])
     blind = ccdiff_env.make_vec(1, scenes=made[:1], driver="replay", autoreset_mode="same_step")
     with pytest.raises(ConfigError, match="red_of_arrivals: expected columns"):
         red_of_arrivals(blind)

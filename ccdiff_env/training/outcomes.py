@@ -107,9 +107,14 @@ def play_episodes(
 
 
 def red_of_arrivals(
-    env: EgoVectorEnv, act: Callable[[F32], F32] | None = None, *, seed: int = 0
+    env: EgoVectorEnv,
+    act: Callable[[F32], F32] | None = None,
+    *,
+    seed: int = 0,
+    draws: int = 1,
 ) -> tuple[int, int]:
-    """Play as :func:`play_episodes`; return how many arrive past a light, and run red on the way.
+    """Play as :func:`play_episodes`, so many episodes of every world with seeds of their own;
+    return how many arrive past a light, and run red on the way.
 
     Worlds count where the first light is less than 60 m ahead and before the goal, and where
     braking by at most :data:`BRAKING_MPS2` stops the ego in front of it.
@@ -122,17 +127,18 @@ def red_of_arrivals(
     if not {*SEEN} <= {*ego.columns} or env.worlds.config.reward.red_light >= 0.0:
         raise ConfigError(f"red_of_arrivals: expected columns {SEEN} and a negative red_light")
     at = [ego.columns.index(name) for name in SEEN]
-    rows, _ = env.reset(seed=seed)
-    seen = rows[:, [ego.offset + i for i in at]]
-    gap_m, goal_m, speed_mps = (seen * [ego.scale[i] for i in at]).T
-    stops = speed_mps**2 <= 2.0 * BRAKING_MPS2 * gap_m
-    counts = (seen[:, 0] < 1.0) & (gap_m < goal_m) & stops
     arrived = np.zeros(2, np.int64)
-    for infos, first in _ended(env, act, seed):
-        ended = infos["_final_obs"]
-        metrics = {name: each[ended] for name, each in infos["final_info"]["metrics"].items()}
-        success = (metrics["is_success"] > 0.0) & first & counts[ended]
-        arrived += success.sum(), (success & (metrics["reward_red_light"] < 0.0)).sum()
+    for first_seed in range(seed, seed + draws * env.num_envs, env.num_envs):
+        rows, _ = env.reset(seed=first_seed)
+        seen = rows[:, [ego.offset + i for i in at]]
+        gap_m, goal_m, speed_mps = (seen * [ego.scale[i] for i in at]).T
+        stops = speed_mps**2 <= 2.0 * BRAKING_MPS2 * gap_m
+        counts = (seen[:, 0] < 1.0) & (gap_m < goal_m) & stops
+        for infos, first in _ended(env, act, first_seed):
+            ended = infos["_final_obs"]
+            metrics = {name: each[ended] for name, each in infos["final_info"]["metrics"].items()}
+            success = (metrics["is_success"] > 0.0) & first & counts[ended]
+            arrived += success.sum(), (success & (metrics["reward_red_light"] < 0.0)).sum()
     return int(arrived[0]), int(arrived[1])
 
 

@@ -61,8 +61,9 @@ LIGHTS: dict[str, Any] = {
             "light_braking",
         ]
     },
-    "reward": REWARD | {"red_light": -20.0},
+    "reward": REWARD | {"red_light": -40.0},
     "on_red_light": "terminate",
+    "start_spread_steps": 50,
 }  # fmt: skip
 #: Columns beside the default where an ego learns for long: the way to the end of the road, and how
 #: others turn and brake.
