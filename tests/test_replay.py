@@ -38,6 +38,21 @@ def test_gaps_of_the_log_take_nobody_whom_others_drive(traffic):
         assert seen(env, 1) == set(range(31, 131))
 
 
+@pytest.mark.parametrize("traffic", ["replay", "idm"])
+def test_objects_stand_where_they_enter_and_stay(traffic):
+    steps = np.arange(STEPS)
+    seen = {"kind": "static", "valid": (steps >= 50) & (steps < 70)}
+    env = log_env(
+        agent("ego", 0.5 * steps), agent("cone", 0.01 * steps, 20.0, **seen), traffic=traffic
+    )
+    env.reset(seed=0)
+    for step in range(31, 131):
+        env.step([0.0, 0.0])
+        states = env.worlds.native.states(0)
+        assert states["active"][1] == (step >= 50)
+        assert states["position"][1, 0] == (np.float32(0.5) if step >= 50 else 0.0)
+
+
 def test_who_has_left_by_another_driver_than_its_log_does_not_come_back():
     # the route goes on for 80 m after the log: IDM is through that while the log still brakes
     x = 40.0 + np.minimum(20.0 * TIMES_S, 90.0)
