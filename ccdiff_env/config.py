@@ -13,9 +13,11 @@ import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, TypeAlias, TypeVar
 
-from ccdiff_env.errors import ConfigError, unknown, unknown_option
+from ccdiff_env.errors import ConfigError, MissingFeatureError, unknown, unknown_option
 from ccdiff_env.system.files import parse_object
 from ccdiff_env.system.named_objects import named_instance, object_name
 from ccdiff_env.traffic import (
@@ -381,6 +383,11 @@ def _plain_field(name: str, value: Any) -> Any:
 def plain(value: Any) -> Any:
     """Return the form of a value in JSON, with functions by their names."""
     if isinstance(value, Mapping):
+        if value.get("kind") == "python":
+            if find_spec("torch") is not None:
+                import_module("torch")  # not by a thread that plans, in which it hangs or crashes
+            elif not value.get("own_gradient"):
+                raise MissingFeatureError("costs in Python need torch: pip install torch")
         return {
             name: object_name(entry, name)
             if isinstance(entry, types.FunctionType)

@@ -1,12 +1,17 @@
 """Whose plans guidance moves, when and where to: collisions, care, conflicts, targets, routes."""
 
+import os
+import subprocess
+import sys
 import traceback
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from traffic_play import Play
 
+import ccdiff_env
 from ccdiff_env import embedded_scenes
 from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError, UnknownNameError
@@ -226,6 +231,30 @@ def test_a_cost_in_python_moves_plans_as_the_same_formula_in_rust(scenes):
             assert np.abs(plan["samples"] - unmoved["samples"]).max() > 1.0
 
 
+COST = """
+def slow(states, batch):
+    return batch["speed_mps"].expand(states.shape[:2]) + states[..., 2].abs().mean(dim=-1)
+"""
+DRIVE = """
+import sys, ccdiff_env
+from mine import slow
+assert "torch" not in sys.modules
+guidance = {"objectives": [{"kind": "python", "call": slow}]}
+env = ccdiff_env.EgoEnv(traffic="ccdiff", criticality=1.0, ccdiff={"guidance": guidance})
+env.reset(seed=0)
+env.step([0.0, 0.0])
+"""
+
+
+def test_a_cost_may_be_the_first_to_need_torch(tmp_path):
+    """Threads that plan imported it: the process hung, or ended."""
+    pytest.importorskip("torch")
+    (tmp_path / "mine.py").write_text(COST)
+    path = os.pathsep.join([str(tmp_path), str(Path(ccdiff_env.__file__).parents[1])])
+    run = [sys.executable, "-W", "ignore", "-c", DRIVE]
+    subprocess.run(run, env={**os.environ, "PYTHONPATH": path}, check=True, timeout=600)
+
+
 def test_a_cost_that_cannot_be_had_is_refused(scenes):
     pytest.importorskip("torch")
     with pytest.raises(ConfigError, match="expected what can be imported, as module:name"):
@@ -239,8 +268,19 @@ def test_a_cost_that_cannot_be_had_is_refused(scenes):
         with pytest.raises(error, match=message):
             _guided(scenes, {"kind": "python", "call": call})
     # a choice among samples needs no gradient
-    chosen = _guided(scenes, {"kind": "python", "call": of_past_speeds}, gradient_steps=0)
-    assert all(np.isfinite(plan["losses"]).all() for plan in chosen)
+    for plan in _guided(scenes, {"kind": "python", "call": of_past_speeds}, gradient_steps=0):
+        assert np.isfinite(plan["losses"]).all()
+
+
+def test_a_cost_in_python_chooses_among_samples(scenes):
+    """Without gradient steps, all vehicles take the sample that loses least in sum."""
+    pytest.importorskip("torch")
+    cost = {"kind": "python", "call": over_speed}
+    for weight in (1.0, -1.0):
+        for plan in _guided(scenes, {**cost, "weight": weight}, gradient_steps=0):
+            lost = weight * plan["losses"][0].sum(axis=1)
+            assert np.ptp(lost) > 0.0
+            assert (plan["selected_sample"] == lost.argmin()).all()
 
 
 def test_what_a_cost_raises_is_the_cause_with_its_traceback(scenes):
