@@ -10,6 +10,7 @@ import webbrowser
 from collections.abc import Sequence
 from itertools import groupby, zip_longest
 from pathlib import Path
+from unicodedata import combining, east_asian_width
 
 from ccdiff_env.system.table import shielded, unshielded
 
@@ -59,9 +60,9 @@ def _aligned(lines: Sequence[str], width: int) -> list[str]:
     fits = (n for n in range(len(columns), 0, -1) if n < 3 or _width(columns[:n]) <= width)
     shown = columns[: next(fits)]
     for column in shown:
-        wide, cells = max(map(len, column)), column[1:]
-        right = bool(cells) and all(map(_NUMBER.fullmatch, cells))
-        column[:] = [cell.rjust(wide) if right else cell.ljust(wide) for cell in column]
+        wide, right = _width([column]), len(rows) > 0 and all(map(_NUMBER.fullmatch, column[1:]))
+        gaps = [" " * (wide - _cells(cell)) for cell in column]
+        column[:] = [g + c if right else c + g for g, c in zip(gaps, column, strict=True)]
         column.insert(1, "─" * wide)
     drawn = ["  ".join(row).rstrip() for row in zip(*shown, strict=True)]
     left = ", ".join(column[0] for column in columns[len(shown) :])
@@ -69,7 +70,12 @@ def _aligned(lines: Sequence[str], width: int) -> list[str]:
 
 
 def _width(columns: Sequence[Sequence[str]]) -> int:
-    return sum(max(map(len, column)) + 2 for column in columns) - 2
+    return sum(max(map(_cells, column)) + 2 for column in columns) - 2
+
+
+def _cells(text: str) -> int:
+    """How many places of a terminal a text takes: wide letters two, accents of their own none."""
+    return sum((east_asian_width(letter) in "WF") + (not combining(letter)) for letter in text)
 
 
 def say_page(path: Path, *, open_it: bool = False) -> None:
