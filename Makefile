@@ -49,7 +49,7 @@ lock:  ## newest releases into requirements.lock, which setup installs
 demo: $(NATIVE)  ## train an ego with PPO, compare it, open a replay, in three minutes: runs/demo (SCENES=nuscenes:FOLDER/SPLIT)
 	$(BIN)/python examples/train_ego_sb3.py --out runs/demo $(if $(SCENES),--scenes $(SCENES)) $(DEMO)
 	$(BIN)/python -m tools.charts runs/demo
-	$(BIN)/ccdiff-env view double-left-02 --traffic ccdiff --criticality 0 1 --driver runs/demo/ego.zip runs/demo/clone.zip --out runs/demo/episode.html --open
+	$(BIN)/ccdiff-env view double-left-02 --traffic ccdiff --criticality 0 1 --driver "runs/demo/ego.zip?title=your ego" "runs/demo/clone.zip?title=the clone it began as" --out runs/demo/episode.html --open
 
 test: test-rust test-py  ## every test
 

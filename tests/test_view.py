@@ -153,6 +153,7 @@ def test_several_runs_keep_their_titles_and_a_title_too_few_is_an_error():
     [
         ("--traffic ccdiff --criticality 0 1", ["criticality 0", "criticality 1"]),
         ("--traffic ctg ccdiff --compare log", ["CTG", "CCDiff", "log"]),
+        ("--traffic idm --driver idm noop", ["driven by IDM", "driven by no action"]),
     ],
 )
 def test_runs_are_shown_beside_each_other_by_what_differs(options, titles, tmp_path):

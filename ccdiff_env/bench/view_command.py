@@ -253,7 +253,7 @@ def _played(args: argparse.Namespace) -> Runs:
         named = len(args.traffic) > 1 or len(choices) == 1
         parts = [DRIVER_TITLES.get(traffic, chosen.label)] if named else []
         parts += [f"criticality {level:g}"] if len(levels) > 1 or level else []
-        parts += [f"ego {planner_title(driver)}"] if len(drivers) > 1 else []
+        parts += [f"driven by {planner_title(driver)}"] if len(drivers) > 1 else []
         titles.append(", ".join(parts))
     if args.save is not None:
         runs[0].save(args.save)
