@@ -177,13 +177,8 @@ def run(args: argparse.Namespace) -> int:
         _image(args, runs, titles if len(runs) > 1 else [runs[0].scene.name], out, suffix)
         print(out)
         return 0
-    write_page(
-        runs[0],
-        out,
-        compare=runs[1:],
-        titles=titles if len(runs) > 1 else None,
-        slider=args.slider,
-    )
+    shown = titles if len(runs) > 1 else None
+    write_page(runs[0], out, compare=runs[1:], titles=shown, slider=args.slider)
     say_page(out, open_it=args.open)
     return 0
 
@@ -196,9 +191,8 @@ def _refuse(args: argparse.Namespace, options: Mapping[str, Any], why: str) -> N
 
 
 def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Runs:
-    title = "your drive" if is_drive(word) else word
-    if Path(word).is_file():
-        title = Path(word).stem
+    title = Path(word).stem if Path(word).is_file() else word
+    title = "your drive" if is_drive(word) else title
     return [find_rollout(word, place_from(args), like=like)], [title]
 
 
