@@ -196,6 +196,16 @@ def test_scenes_of_absurd_values(change, words):
         scene_with(**change)
 
 
+def test_a_scene_without_an_ego_says_how_to_name_one():
+    scene = scene_with(agent_ids=["car"])
+    with pytest.raises(errors.SceneError, match=r'agents is \["car"\].*with_ego.*step 30'):
+        EgoEnv(scenes=scene)
+    assert EgoEnv(scenes=scene.with_ego("car")).reset(seed=0)
+    late = scene_with(valid=np.arange(60)[None] > 40)
+    with pytest.raises(errors.SceneError, match=r'is \["ego"\], expected .* is there at step 30'):
+        EgoEnv(scenes=late)
+
+
 def test_a_line_of_a_thousand_kilometres_costs_little():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     line = np.array([[0, 0], [9.9e5, 0]], np.float32)

@@ -4,7 +4,7 @@ use crate::error::{Result, SimError, check_length};
 use crate::observe::BevConfig;
 use crate::scene::Scene;
 use crate::stage::PreparedScene;
-use crate::world::config::{SceneOrder, WorldConfig};
+use crate::world::config::{Controlled, SceneOrder, WorldConfig};
 use crate::world::episode::{Episode, Start, Wanted};
 use crate::world::rng::Rng;
 use std::borrow::Cow;
@@ -96,8 +96,13 @@ pub(super) fn check_scene(scene: &Scene, config: &WorldConfig) -> Result<()> {
         return fail("num_steps", has.to_string(), expected.into());
     }
     if Start::draw(scene, None, config, &Wanted::default(), Rng::new(0)).is_some() {
-        Ok(())
-    } else {
-        fail("agents", "nobody to control".into(), "a controlled agent present at the start".into())
+        return Ok(());
     }
+    let ids = scene.agents.iter().map(|a| &*a.id).take(9).collect::<Vec<_>>();
+    let whom = if config.controlled == Controlled::Ego {
+        "an agent \"ego\" (see Scene.with_ego)"
+    } else {
+        "one to control"
+    };
+    fail("agents", format!("{ids:?}"), format!("{whom} that is there at step {history}").into())
 }
