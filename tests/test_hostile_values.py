@@ -178,6 +178,7 @@ def jumping(step_m):
         ({"dt": 1e3}, "dt|step"),
         ({"name": "\x1b[2J"}, "control char"),
         ({"agent_ids": ["a\nb"]}, "control char"),
+        *(({"location": f"a{mark}b"}, "control char") for mark in "\u202a\u202e\u2066\u2069"),
         *(({key: HALF}, "unpaired surrogate") for key in ("name", "token", "location", "source")),
         *(
             ({f"agent_{key}": [HALF]}, "unpaired surrogate")

@@ -138,7 +138,9 @@ impl Scene {
         }
         let texts = [&self.name, &self.token, &self.location, &self.source];
         let texts = texts.into_iter().chain(self.agents.iter().flat_map(|a| [&a.id, &a.category]));
-        if let Some(text) = texts.into_iter().find(|text| text.contains(char::is_control)) {
+        let controls =
+            |c: char| c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        if let Some(text) = texts.into_iter().find(|text| text.contains(controls)) {
             return fail("name".into(), format!("{text:?}"), "text without control characters");
         }
         if !self.origin.iter().all(|v| v.is_finite()) {
