@@ -245,6 +245,9 @@ def test_arrays_of_a_wrong_form_are_named(scenes, name):
     for wrong in (right.astype(np.int64), right[0], None, right.tolist()):
         with pytest.raises(errors.ShapeError, match=f"{name} is .*expected a (float32|bool)"):
             rebuilt(scenes[0], **{name: wrong})
+    for mask in (False, np.isnan(right)):
+        with pytest.raises(errors.ShapeError, match=f"{name} has a mask, expected .* without one"):
+            rebuilt(scenes[0], **{name: np.ma.array(right, mask=mask)})
     with pytest.raises(errors.ShapeError, match=r"heading is float64 \(.*expected a float32 array"):
         rebuilt(scenes[0], heading=scenes[0].tracks()["heading"].astype(float))
 

@@ -34,12 +34,15 @@ fn form(value: &Bound<'_, PyAny>) -> String {
     array().or_else(|_| Ok::<_, PyErr>(value.get_type().name()?.to_string())).unwrap_or_default()
 }
 
-/// An array. `ShapeError` where it is of another type or number of axes.
+/// An array. `ShapeError` where it is of another type or number of axes, or has a mask of numpy.
 pub(crate) fn array<'py, T: Element, D: ndarray::Dimension>(
     value: &Bound<'py, PyAny>,
     what: &str,
     expected: &str,
 ) -> PyResult<PyReadonlyArray<'py, T, D>> {
+    if value.hasattr("mask")? {
+        return Err(py::ShapeError::new_err(format!("{what} has a mask, expected a {expected} without one")));
+    }
     value
         .extract()
         .map_err(|_| py::ShapeError::new_err(format!("{what} is {}, expected a {expected}", form(value))))
@@ -51,10 +54,11 @@ pub(crate) fn doubles<D: ndarray::Dimension>(
     what: &str,
     shape: &str,
 ) -> PyResult<(ndarray::Array<f64, D>, bool)> {
-    if let Ok(double) = value.extract::<PyReadonlyArray<'_, f64, D>>() {
+    let expected = format!("float32 or float64 array of shape {shape}");
+    if let Ok(double) = array::<f64, D>(value, what, &expected) {
         return Ok((double.as_array().to_owned(), false));
     }
-    let single = array::<f32, D>(value, what, &format!("float32 or float64 array of shape {shape}"))?;
+    let single = array::<f32, D>(value, what, &expected)?;
     Ok((single.as_array().mapv(f64::from), true))
 }
 
