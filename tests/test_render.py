@@ -96,7 +96,7 @@ def test_the_middle_of_a_world_is_an_agent_or_a_point(scene):
 
 def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
     plain = world(scene).render()
-    assert np.array_equal(plain, world(scene).render())
+    assert np.array_equal(plain, world(scene, size=[200, 200], span_m=np.float64(40)).render())
     for name in PLAIN:
         assert not np.array_equal(plain, world(scene, **{name: True}).render()), name
 
@@ -111,6 +111,13 @@ def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
         ({"size": (100, -5)}, ConfigError, "100 x -5"),
         ({"size": (100, 100000)}, ConfigError, "8192"),
         ({"theme": "grey"}, ConfigError, "theme"),
+        ({"theme": 5}, ConfigError, "theme"),
+        ({"size": 64}, ConfigError, "render option size is 64, expected whole numbers of pixels"),
+        ({"size": (64, 64, 3)}, ConfigError, "render option size"),
+        ({"size": (64.5, 64)}, ConfigError, "render option size"),
+        ({"span_m": "wide"}, ConfigError, "span_m is 'wide', expected a number of metres"),
+        ({"centre": 3.0}, ConfigError, "centre is 3.0, expected an agent id, or x and y"),
+        ({"labels": "no"}, ConfigError, "labels is 'no', expected True or False"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_and_named(scene, options, error, says):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.util import find_spec
+from operator import index
 from typing import Any
 
 import gymnasium
@@ -11,7 +12,7 @@ from gymnasium.wrappers import HumanRendering
 
 from ccdiff_env.envs.attributes import Attributes
 from ccdiff_env.envs.image import image
-from ccdiff_env.errors import unknown
+from ccdiff_env.errors import ConfigError, unknown
 from ccdiff_env.scenes import Scene
 from ccdiff_env.worlds import StepArrays
 from ccdiff_env.worlds.spaces import F32, U8, Form
@@ -31,12 +32,35 @@ RENDER_OPTIONS: dict[str, Any] = {
 }
 
 
+def _two(read: Callable[[Any], Any], given: Iterable[Any]) -> tuple[Any, Any]:
+    first, second = given
+    return read(first), read(second)
+
+
+#: How the value of an option is read, and what is expected.
+_READ: dict[str, tuple[Callable[[Any], Any], str]] = {
+    **dict.fromkeys(RENDER_OPTIONS, ({True: True, False: False}.__getitem__, "True or False")),
+    "size": (lambda given: _two(index, given), "whole numbers of pixels across and down"),
+    "span_m": (float, "a number of metres"),
+    "centre": (lambda to: to if to is None or isinstance(to, str) else _two(float, to),
+               "an agent id, or x and y in metres"),
+    "theme": (str, ""),
+}  # fmt: skip
+
+
 def check_render_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the options of images with defaults filled in; refuses names that are unknown."""
-    for name in given or {}:
+    """Return the options of images with defaults filled in; refuses unknown names and forms."""
+    options = dict(RENDER_OPTIONS)
+    for name, value in (given or {}).items():
         if name not in RENDER_OPTIONS:
             raise unknown("render option", str(name), RENDER_OPTIONS)
-    return {**RENDER_OPTIONS, **(given or {})}
+        read, expected = _READ[name]
+        try:
+            options[name] = read(value)
+        except (TypeError, ValueError, KeyError, OverflowError):
+            text = f"render option {name} is {value!r}, expected {expected}"
+            raise ConfigError(text) from None
+    return options
 
 
 #: What single environments offer: a window only where pygame can open one.
