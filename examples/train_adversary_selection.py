@@ -29,6 +29,7 @@ from ccdiff_env.scenes.arguments import (
     place_from,
     scenes_from,
 )
+from ccdiff_env.system.settings import keep_settings
 from ccdiff_env.system.table import document
 from ccdiff_env.training.networks import licence_of
 from ccdiff_env.training.selection_policy import CandidatePolicy, save_policy
@@ -101,7 +102,8 @@ def main() -> None:
     avoidable = {"avoidable_only": True} if args.avoidable else {}
     if args.smoke:
         args.steps, args.worlds, scenes, unseen = 16, 4, scenes[:2], unseen[:1]
-    args.out.mkdir(parents=True, exist_ok=True)
+    kept = {n: str(of) for n, of in vars(args).items() if n not in ("out", "seeds")}
+    keep_settings(args.out / "run.json", kept)
     paths = [args.out / f"policy-{seed}.zip" for seed in range(args.seeds)]
     for seed, path in enumerate(paths):
         if not path.exists():

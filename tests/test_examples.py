@@ -59,6 +59,15 @@ def test_an_ego_goes_on_elsewhere_in_traffic_that_is_as_critical_as_asked(tmp_pa
     assert "start " in done.stdout
 
 
+@pytest.mark.slow
+def test_a_choice_of_adversaries_belongs_to_its_folder(tmp_path):
+    path = HERE / "examples" / "train_adversary_selection.py"
+    for words, said in ((["--ego", "idm"], ""), (["--ego", "pdm"], "other settings: ego 'idm'")):
+        done = ran(path, tmp_path, "--out", "a", *words)
+        assert bool(said) == bool(done.returncode), done.stderr[-2000:]
+        assert said in done.stderr
+
+
 @pytest.mark.parametrize(
     ("answers", "says"),
     [

@@ -31,6 +31,7 @@ from ccdiff_env.scenes.arguments import (
     place_from,
 )
 from ccdiff_env.scenes.sources import load
+from ccdiff_env.system.settings import kept_settings
 from ccdiff_env.system.table import Cell, Column, Figure, Table
 from ccdiff_env.training.outcomes import OUTCOMES
 from tools import pages
@@ -84,6 +85,8 @@ def trained(args: argparse.Namespace, seed: int, words: str = "") -> tuple[str, 
     """Train by the example, unless it has been done; return the ego's file, and how it went."""
     said = re.sub(r"\W+", "-", words)
     folder: Path = args.out / f"{other_place(args).split}-{args.decisions}-{seed}{said}"
+    given = {"scenes": str(place_from(args)), "test_scenes": str(other_place(args))}
+    kept_settings(folder / "run.json", given)
     if not (folder / "curve.json").is_file():
         script = [sys.executable, str(ROOT / "examples" / "train_ego_sb3.py")]
         script += ["--scenes", str(place_from(args)), "--test-scenes", str(other_place(args))]
@@ -155,10 +158,11 @@ def parts(args: argparse.Namespace) -> None:
 def test(folder: Path, scenes: SceneSet, traffic: str) -> list[dict[str, Any]]:
     """Drive the scenes in a kind of traffic, unless it has been done; figures of each."""
     kept = folder / f"{traffic}.json"
-    if not kept.is_file():
+    found: list[dict[str, Any]] = json.loads(kept.read_text()) if kept.is_file() else []
+    if [row["scene"] for row in found] != list(scenes.names):
         rows, _ = drive(scenes, str(folder / "ego.safetensors"), TRAFFIC[traffic])
-        kept.write_text(json.dumps([{n: row[n] for n in ("scene", *FIGURES)} for row in rows]))
-    found: list[dict[str, Any]] = json.loads(kept.read_text())
+        found = [{n: row[n] for n in ("scene", *FIGURES)} for row in rows]
+        kept.write_text(json.dumps(found))
     return found
 
 
