@@ -6,7 +6,12 @@ from array_scenes import GOES_ON, TIMES_S, agent, array_scene, begun, driven, li
 
 import ccdiff_env
 from ccdiff_env import AgentVectorEnv, EgoEnv
+from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.config import RewardConfig
+from ccdiff_env.envs.sb3 import SB3VecEnv
+from ccdiff_env.training.outcomes import play_episodes
+from ccdiff_env.view.outcome import outcome
+from ccdiff_env.view.sources import play_scene
 
 #: Seconds since the start of an episode, at each step of a scene.
 SINCE_S = np.maximum(TIMES_S - 3.0, 0.0)
@@ -107,6 +112,41 @@ def test_an_embedded_scene_has_the_same_success_whether_or_not_episodes_end_at_t
     on_its_way, beyond = np.reshape(found, (-1, 2)).T
     np.testing.assert_array_equal(on_its_way, beyond)
     assert 0.0 < beyond.mean() < 1.0
+
+
+@pytest.mark.parametrize("driver", ["idm", "constant_velocity"])
+def test_success_is_one_thing_everywhere(driver):
+    """In environments, rows, learners, curves, benchmarks and pages."""
+    made = [array_scene(agent("ego", x), name=name) for name, x in STANDING.items()]
+    scenes = ccdiff_env.SceneSet([*ccdiff_env.embedded_scenes("val"), *made])
+    options = {"driver": driver, "traffic": "idm", "terminate_at_goal": False}
+    found = {"bench": [row["success"] for row in drive(scenes, driver, TRAFFIC["idm"])[0]]}
+    found |= {"ego": [], "agents": [], "rows": [], "sb3": [], "curve": [], "page": []}
+    for scene in scenes:
+        alone = {**options, "scenes": [scene]}
+        *_, (_, _, info) = played(EgoEnv(**alone))
+        found["ego"].append(info["is_success"])
+        env = ccdiff_env.parallel_env(agents=["ego"], **alone)
+        env.reset(seed=0)
+        while env.agents:
+            *_, infos = env.step({"ego": LEFT})
+        found["agents"].append(infos["ego"]["is_success"])
+        rows = AgentVectorEnv(1, agents=["ego"], **alone)
+        learner = SB3VecEnv(ccdiff_env.make_vec(1, **alone))
+        rows.reset(seed=0), learner.reset()
+        while not (ended := rows.step(LEFT[None]))[2] | ended[3]:
+            _, _, done, infos = learner.step(LEFT[None])
+        _, _, done, infos = learner.step(LEFT[None])
+        assert done
+        found["rows"].append(ended[-1]["final_info"]["is_success"][0])
+        found["sb3"].append(infos[0]["is_success"])
+        worlds = ccdiff_env.make_vec(1, autoreset_mode="same_step", **alone)
+        found["curve"].append(play_episodes(worlds)[0])
+        run = play_scene(scene, traffic="idm", driver=driver)
+        found["page"].append(outcome(run).text.startswith("ego reached its goal"))
+    for name, of in found.items():
+        np.testing.assert_array_equal(of, found["ego"], name)
+    assert 0.0 < np.mean(found["ego"]) < 1.0
 
 
 def test_agents_that_wait_arrive_by_waiting():
