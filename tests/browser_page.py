@@ -2,6 +2,11 @@
 
 import time
 
+import numpy as np
+
+from ccdiff_env.scenes.scene_types import LIGHT_STATES
+from ccdiff_env.view.render import legend
+
 
 class Page:
     """A page of the browser that notes what must not happen."""
@@ -64,3 +69,36 @@ class Page:
             }""",
             [agent_id, pane],
         )
+
+    def lights(self, player, seek, scene, start):
+        """State of each light at each second, and whether its stop line has the colour of it; of
+        those on the first map of a player, who is told by `seek` to show a time.
+        """
+        lights = scene.map_layers()["lights"]
+        shares, seen = np.linspace(0.1, 0.9, 5), []
+        shares = np.stack([shares, 1.0 - shares], axis=1)
+        places = np.concatenate([shares @ light["stop_line"] for light in lights]).tolist()
+        for second in range(9):
+            self.page.evaluate(seek.format(second))
+            self.frames()
+            colours = self.page.evaluate(
+                f"""(points) => {{
+                  const {{ camera, panes: [{{ canvas, width, height }}] }} = {player};
+                  const copy = new OffscreenCanvas(canvas.width, canvas.height);
+                  const context = copy.getContext("2d", {{ willReadFrequently: true }});
+                  const ratio = canvas.width / width;
+                  context.drawImage(canvas, 0, 0);
+                  return points.map(([x, y]) => {{
+                    const [u, v] = camera.toScreen(x, y, width, height);
+                    const on = u >= 0 && v >= 0 && u < width && v < height;
+                    return on && [...context.getImageData(ratio * u, ratio * v, 1, 1).data];
+                  }});
+                }}""",
+                places,
+            )
+            for i, light in enumerate(lights):
+                state = LIGHT_STATES[light["states"][start + 10 * second]]
+                found = [c[:3] for c in colours[5 * i : 5 * i + 5] if c]
+                if len(found) == 5:
+                    seen.append((state, [*legend()[f"{state} light"]] in found))
+        return seen

@@ -12,6 +12,7 @@ from test_scenes_scenarionet import save, scenario
 
 import ccdiff_env
 from ccdiff_env import EgoEnv, Scene
+from ccdiff_env.envs.sb3 import SB3VecEnv
 from ccdiff_env.errors import ConfigError, DatasetError, SceneError, ShapeError
 from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.scenes.scene_types import LIGHT_STATES
@@ -134,6 +135,34 @@ def test_passing_in_red_is_seen_at_the_front():
     assert ran(array_scene(against, layers=layers((0, always(RED)))))[0] == []
     both = layers((0, always(RED)), (0, always(GREEN)))  # another way from the same line has green
     assert ran(array_scene(agent("ego", x), layers=both))[0] == []
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_every_environment_tells_of_passing_in_red_and_ends(steps):
+    x = 8.0 * TIMES_S
+    decisions = -(-(int(np.flatnonzero(x + 2.25 >= STOP_X)[0]) - 10) // steps)
+    options = {"scenes": [array_scene(agent("ego", x), layers=layers((0, always(RED))))]}
+    options |= {"driver": "replay", "info": "full", "history_steps": 10}
+    options |= {**GOES_ON, "on_red_light": "terminate", "decision_steps": steps}
+    options |= {"reward": {"red_light": -3.0}}
+    env, worlds = EgoEnv(**options), ccdiff_env.make_vec(1, **options)
+    rows = ccdiff_env.AgentVectorEnv(1, agents=["ego"], **options)
+    game = ccdiff_env.parallel_env(agents=["ego"], **options)
+    learner = SB3VecEnv(ccdiff_env.make_vec(1, **options))
+    for each in (env, worlds, rows, game, learner):
+        each.reset()
+    still = np.zeros(2, np.float32)
+    for k in range(1, decisions + 1):
+        told = [env.step(still), worlds.step(still[None]), rows.step(still[None])]
+        alone = [part["ego"] for part in game.step({"ego": still})]
+        *_, done, infos = learner.step(still[None])
+        ends = [np.any(one[2]) for one in (*told, alone)]
+        assert [*ends, done[0]] == [k == decisions] * 5
+        for info in (*(one[-1] for one in (*told, alone)), infos[0]):
+            if k == decisions or info is not infos[0]:  # which tells at ends alone
+                info = info if "ran_red" in info else info["final_info"]
+                assert np.squeeze(info["ran_red"]) == (k == decisions)
+                assert np.squeeze(info["reward_red_light"]) == -3.0 * (k == decisions)
 
 
 def test_arrivals_that_ran_red_are_counted_where_one_could_have_stopped():

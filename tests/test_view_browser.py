@@ -1,9 +1,12 @@
 """The replay page in a real Chromium: clicked, dragged, typed at and looked at."""
 
+import numpy as np
 import pytest
 from view_rollouts import planned_rollout
 
-from ccdiff_env.view import address
+from ccdiff_env import embedded_scenes
+from ccdiff_env.view import address, write_page
+from ccdiff_env.view.sources import play_scene
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -165,6 +168,16 @@ def test_a_click_chooses_the_agent_and_shows_its_captions(visit):
     assert captions.startswith("1 · car")
     assert "CCDiff" in captions
     assert "m/s" in captions
+
+
+def test_stop_lines_have_the_colour_of_their_light(visit, files):
+    run = play_scene(embedded_scenes("city-lights")["tee-crossing-005"], driver="pdm")
+    write_page(run, files / "lit.html")
+    page = visit("lit.html")
+    found = page.lights("replay", "replay.seek(replay.start + {})", run.scene, run.start_step)
+    states, drawn = zip(*found, strict=True)
+    assert set(states) == {"green", "yellow", "red"}
+    assert np.mean(drawn) > 0.9  # others are below road users
 
 
 def test_the_scale_bar_covers_no_name(visit):
