@@ -256,6 +256,18 @@ def test_folders_may_have_an_at_sign_in_their_names(tmp_path):
             assert parse(str(found)) == found
 
 
+@pytest.mark.parametrize("more", ["", "/val", "?limit=1"])
+def test_a_folder_that_is_called_as_options_are_is_refused_where_it_would_be_read_as_them(
+    tmp_path, more
+):
+    (folder := tmp_path / "a?limit=2").mkdir()
+    if more == "/val":
+        assert parse(f"nuscenes:{folder}/val").path == str(folder)
+    else:
+        with pytest.raises(ConfigError, match="rename it|'limit=2', expected limit"):
+            parse(f"nuscenes:{folder}{more}")
+
+
 def test_coverage_is_said_everywhere(nuscenes, tmp_path, capsys):
     place = settle(parse(f"nuscenes:{nuscenes}/val"))
     assert place.version == MINI  # the only one that is there

@@ -227,6 +227,8 @@ def parse(text: str) -> Place:
     path: str | None = None
     version = split = None
     if rest.startswith(":") and SOURCES[name].path is not None:
+        if given and _is_there(os.path.expanduser(f"{rest[1:]}?{given}")):
+            raise _wrong(text, f"a file or folder is called '?{given}' at its end: rename it")
         path, version, split = _parts(SOURCES[name], os.path.expanduser(rest[1:]))
     elif rest.startswith("/") and SOURCES[name].path is None:
         split = rest[1:]
