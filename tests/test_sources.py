@@ -7,10 +7,11 @@ import pickle
 import re
 import warnings
 
+import gpudrive_scene
 import numpy as np
 import pytest
 from array_scenes import GOES_ON, played, rebuilt
-from test_scenes_scenarionet import scenario
+from test_scenes_scenarionet import save, scenario
 
 import ccdiff_env
 from ccdiff_env.bench.intervals import FEW, mean_interval
@@ -25,6 +26,7 @@ from ccdiff_env.scenes.arguments import (
     place_from,
 )
 from ccdiff_env.scenes.embedded import VERSION, embedded_splits, unpack
+from ccdiff_env.scenes.scenarionet_export import scenario_dict
 from ccdiff_env.scenes.sources import SOURCES, Source, coverage, parse, settle, title
 from ccdiff_env.system.table import Column
 from ccdiff_env_cli import main
@@ -122,21 +124,37 @@ def test_embedded_scenes_are_those_of_their_splits():
     assert env.reset(seed=0)[1]["scene"] == splits["val"][0]
 
 
-def test_windows_are_parts_of_the_log():
-    """Against slices of its arrays: first steps, lengths, agents, names."""
-    scene = ccdiff_env.load("embedded/val", limit=1)[0]
-    text = "embedded/val?window_s=4&stride_s=2&history_s=1"
-    found = ccdiff_env.load(text)
-    first = [window for window in found if window.name.startswith(f"{scene.name}@")]
+def are_parts(windows, scene):
+    """Windows of 1 + 4 s of a log at 10 Hz, one every 2 s."""
     steps = range(0, scene.num_steps - 50, 20)
-    assert [w.name for w in first] == [f"{scene.name}@{start // 10}" for start in steps]
-    for start, window in zip(steps, first, strict=True):
+    assert [w.name for w in windows] == [f"{scene.name}@{start // 10}" for start in steps]
+    for start, window in zip(steps, windows, strict=True):
         rows = [scene.agent_ids.index(ident) for ident in window.agent_ids]
         there = scene.tracks()["valid"][:, start : start + 51].any(axis=1)
         assert rows == list(np.flatnonzero(there))
         for name, values in window.tracks().items():
             assert np.array_equal(values, scene.tracks()[name][rows, start : start + 51])
         assert window.origin == scene.origin
+
+
+@pytest.mark.filterwarnings("ignore:.*has 1 of the 150 scenes")
+def test_files_of_every_source_are_cut_alike(nuscenes, tmp_path):
+    kept = save(tmp_path, scenario_dict(ccdiff_env.load("embedded/val", limit=1)[0]))
+    waymo = gpudrive_scene.save(tmp_path / "waymo.json")
+    for place in (f"nuscenes:{nuscenes}/val", f"scenarionet:{kept}", f"gpudrive:{waymo}"):
+        (scene,) = ccdiff_env.load(place)
+        windows = ccdiff_env.load(f"{place}?window_s=4&stride_s=2&history_s=1")
+        are_parts(windows, scene)
+        assert len(windows) > 2
+
+
+def test_windows_are_parts_of_the_log():
+    """Against slices of its arrays: first steps, lengths, agents, names."""
+    scene = ccdiff_env.load("embedded/val", limit=1)[0]
+    text = "embedded/val?window_s=4&stride_s=2&history_s=1"
+    found = ccdiff_env.load(text)
+    first = [window for window in found if window.name.startswith(f"{scene.name}@")]
+    are_parts(first, scene)
     last = tuple(w.name for w in first[:-3:-1])
     assert ccdiff_env.load(text, limit=2, names=[w.name for w in first[::-1]]).names == last
     options = {"window_s": 4, "stride_s": 2, "history_s": 1}
@@ -264,7 +282,7 @@ def test_a_folder_that_is_called_as_options_are_is_refused_where_it_would_be_rea
     if more == "/val":
         assert parse(f"nuscenes:{folder}/val").path == str(folder)
     else:
-        with pytest.raises(ConfigError, match="rename it|'limit=2', expected limit"):
+        with pytest.raises(ConfigError, match=r"rename it|'limit=2', expected limit"):
             parse(f"nuscenes:{folder}{more}")
 
 
