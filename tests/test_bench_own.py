@@ -68,8 +68,8 @@ def bench(words, out="run"):
 
 def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
     planners = "idm,desk_own:Brakes"
-    words = f"planners --planners {planners} --traffic replay,idm --seeds 0 --metric desk_own:way_m"
-    assert bench(words) == 0
+    words = f"planners --planners {planners} --traffic replay,idm --seeds 0"
+    assert bench(f"{words} --metric desk_own:way_m,avoidable") == 0
     scenes = ccdiff_env.embedded_scenes("val")
     _, rollouts = drive(scenes, "idm", TRAFFIC["replay"], seed=0, record=[s.name for s in scenes])
     expected = {}
@@ -89,6 +89,7 @@ def test_an_own_metric_is_in_tables_intervals_and_tests(desk, capsys):
     assert float(figure["way_m_low"]) < float(figure["way_m"]) < float(figure["way_m_high"])
     pairs = [r for r in rows(desk / "run/pairs.csv") if r["figure"] == "way_m"]
     assert {r["traffic"] for r in pairs} == {"replay", "idm", "mean"}
+    assert "avoidable" in figure
     assert all(0.0 < float(r["p"]) <= 1.0 for r in pairs)
     report = (desk / "run/report.html").read_text(encoding="utf-8")
     assert report.count("way m") > 2

@@ -209,8 +209,8 @@ def _add_planners(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         "--metric",
         action="append",
         metavar="MODULE:FUNCTION",
-        help="add a function of yours, from a rollout to a number, as a column of all tables and "
-        "tests; or avoidable, whether a collision was; may be given more than once (default: none)",
+        help="functions of yours, comma-separated, from a rollout to a number: columns of all "
+        "tables and tests; or avoidable, whether a collision was (default: none)",
     )
     parser.add_argument(
         "--tags",
@@ -241,7 +241,8 @@ def _planners(args: argparse.Namespace) -> int:
         find_devkit()
     planners = titled(args.planners.split(","))
     traffic = titled((_USUAL_TRAFFIC if args.traffic is None else args.traffic).split(","))
-    metrics = [METRICS.get(name, name) for name in dict.fromkeys(args.metric or ())]
+    asked = ",".join(args.metric).split(",") if args.metric else []
+    metrics = [METRICS.get(name, name) for name in dict.fromkeys(asked)]
     own = metric_names(metrics)
     seeds = listed("--seeds", "0,1,2" if args.seeds is None else args.seeds, int, "integers")
     source = str(place_from(args))
