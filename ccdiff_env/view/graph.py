@@ -76,15 +76,15 @@ def _overlay(run: Rollout, step: int, plan: TrafficPlan, video: Video) -> Iterat
         if start in places and end in places:
             strong = end == video.middle
             yield _arrow(places[start], places[end], colours["causal arrow"], strong)
-    style = 'font-family="system-ui, sans-serif" font-size="11" text-anchor="middle"'
+    style = 'font-family="system-ui, sans-serif" font-size="11"'
     halo = f'paint-order="stroke" stroke="{colours["paper"]}" stroke-width="3"'
     for rank, agent in enumerate(plan.ranking[:RANKED].tolist(), start=1):
         if agent in places:
             x, y = places[agent]
             yield (
                 f'<circle cx="{x + 14:.1f}" cy="{y - 12:.1f}" r="7.5" fill="{colours["ink"]}"/>'
-                f'<text {style} font-weight="700" x="{x + 14:.1f}" y="{y - 8:.1f}" '
-                f'fill="{colours["paper"]}">{rank}</text>'
+                f'<text {style} text-anchor="middle" x="{x + 14:.1f}" y="{y - 8:.1f}" '
+                f'font-weight="700" fill="{colours["paper"]}">{rank}</text>'
             )
     for row in np.flatnonzero(plan.guided).tolist():
         agent = int(plan.agents[row])
@@ -92,20 +92,18 @@ def _overlay(run: Rollout, step: int, plan: TrafficPlan, video: Video) -> Iterat
         if agent in places and moved is not None and np.isfinite(moved):
             x, y = places[agent]
             yield (
-                f'<text {style} {halo} x="{x:.1f}" y="{y + 22:.1f}" '
+                f'<text {style} {halo} text-anchor="end" x="{x - 16:.1f}" y="{y + 4:.1f}" '
                 f'fill="{colours["ink"]}">moved {moved:.1f} m</text>'
             )
 
 
 def _arrow(start: Any, end: Any, colour: str, strong: bool) -> str:
     way = np.subtract(end, start)
-    long = float(np.hypot(*way))
-    if long < 2.5 * ASIDE_PX:
-        return ""
-    unit = way / long
-    tail, tip = start + ASIDE_PX * unit, end - ASIDE_PX * unit
+    long = max(float(np.hypot(*way)), 1e-3)
+    unit, aside = way / long, min(ASIDE_PX, 0.2 * long)  # of neighbours it lies over their bodies
+    tail, tip = start + aside * unit, end - aside * unit
     left = np.array([-unit[1], unit[0]]) * HEAD_PX / 2
-    base = tip - HEAD_PX * unit
+    base = tip - min(HEAD_PX, 0.5 * long) * unit
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (tip, base + left, base - left))
     look = f'stroke="{colour}" stroke-width="{2 if strong else 1}"'
     return (
