@@ -45,6 +45,21 @@ class Page:
     def __getattr__(self, name):
         return getattr(self.page, name)
 
+    def texts(self, draws):
+        """What canvases are told to write while a statement draws."""
+        return self.page.evaluate(
+            f"""async () => {{
+              const canvas = CanvasRenderingContext2D.prototype, {{ fillText }} = canvas, said = [];
+              canvas.fillText = function (text, ...rest) {{
+                said.push(text);
+                fillText.call(this, text, ...rest);
+              }};
+              {draws};
+              canvas.fillText = fillText;
+              return said;
+            }}"""
+        )
+
     def time(self):
         return float(self.page.inner_text("#time"))
 

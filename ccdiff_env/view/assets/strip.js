@@ -3,7 +3,7 @@
 /** Figures: name, unit, most that is shown, limits of nuPlan's comfort and time to contact, and the value at a step. */
 const FIGURES = {
   speed: { unit: "m/s", of: (run, agent, step) => run.speed(agent, step) },
-  acceleration: { unit: "m/s²", low: -4.05, high: 2.4, of: (run, agent, step) => run.acceleration(agent, step) },
+  acceleration: { unit: "m/s²", most: 10, low: -4.05, high: 2.4, of: (run, agent, step) => run.acceleration(agent, step) },
   gap: { unit: "m", most: 50, of: (run, agent, step) => run.gap(agent, step) },
   "time to contact": { unit: "s", most: 10, low: 0.95, of: (run, agent, step) => run.meeting(agent, step)?.[2] ?? null },
 };
@@ -31,10 +31,11 @@ class Strip {
     if (!height) return;
     const context = clearedContext(canvas, width, height), style = getComputedStyle(document.documentElement);
     const { unit, most = Infinity, low, high } = FIGURES[this.choice.value];
+    const held = (value) => Math.max(-most, Math.min(value, most)); // a contact stops who had it at once
     const lines = timeline.runs.map((run) => this.values(run, player.focus));
-    const shown = lines.flat().filter((value) => value !== null).map((value) => Math.min(value, most));
+    const shown = lines.flat().filter((value) => value !== null).map(held);
     const least = Math.min(0, ...shown), top = Math.max(1, ...shown), range = top - least;
-    const y = (value) => height - 4 - (height - 8) * (Math.min(value, most) - least) / range;
+    const y = (value) => height - 4 - (height - 8) * (held(value) - least) / range;
     const x = (t) => 10 + (width - 20) * (t - timeline.start) / timeline.span;
     context.fillStyle = colours.flags.off_road;
     context.globalAlpha = 0.16; // beyond the limits of comfort
