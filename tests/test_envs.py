@@ -268,10 +268,11 @@ def test_random_calls_never_crash(data, scenes):
 
 
 def test_human_mode_opens_a_window(scenes, monkeypatch):
-    pytest.importorskip("pygame")
+    pygame = pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = begun(scenes=scenes, render_mode="human", render_options={"size": (64, 64)})
     env.step(np.zeros(2, np.float32))
+    assert pygame.display.get_caption()[0] == f"ccdiff-env: {env.scene.name}"
     assert env.render() is None
     env.close()
     env.close()

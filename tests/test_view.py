@@ -18,6 +18,7 @@ from ccdiff_env.metrics import causal
 from ccdiff_env.record.rollout import Rollout, RolloutEvent
 from ccdiff_env.view import find_rollout, log_rollout, page_html, write_page
 from ccdiff_env.view.captions import planner_title
+from ccdiff_env.view.link import play_drive
 from ccdiff_env.view.pack import contacts
 from ccdiff_env.view.video import Video
 
@@ -264,6 +265,11 @@ def test_the_verb_plays_a_scene_and_keeps_the_episode(tmp_path, capsys):
     assert first["startStep"] == second["startStep"] == run.start_step
     assert cli.main(["view", str(kept), "--traffic", "idm"]) == 2
     assert "an episode already" in capsys.readouterr().err
+    # a drive of the playground is kept like any, and its page says what would have saved the ego
+    link = "x#scene=cut-in-04&traffic=ccdiff&criticality=1&drive=b10"
+    assert cli.main(["view", link, "-o", str(out), "--save", str(kept)]) == 0
+    assert Rollout.load(kept).position.tobytes() == play_drive(link).position.tobytes()
+    assert "avoidable" in unpacked(*elements(out.read_text()))[0]["run"]["outcome"]["rescue"]
 
 
 def test_the_verb_writes_an_mp4_that_plays_at_the_pace_of_the_world(tmp_path):

@@ -153,8 +153,10 @@ def run(args: argparse.Namespace) -> int:
     if suffix not in ("html", "htm", "", *IMAGES):
         listed = ", ".join(f".{name}" for name in ("html", *IMAGES))
         raise ConfigError(f"--out is {args.out}, expected a file that ends in {listed}")
+    plays = args.scene is not None or args.traffic is not None or is_drive(args.what)
     if args.scene is None and args.traffic is None:
-        _refuse(args, PLAYED, "plays a scene: give --traffic, too")
+        unfit = {name: PLAYED[name] for name in PLAYED if name != "save" or not plays}
+        _refuse(args, unfit, "plays a scene: give --traffic, too")
     if suffix not in IMAGES:
         _refuse(args, DRAWN, "goes with an image: --out that ends in .png, .svg, .gif or .mp4")
     elif args.open:
@@ -170,7 +172,9 @@ def run(args: argparse.Namespace) -> int:
     for word in args.compare:
         found, named = _found(args, word, like=runs[0])
         runs, titles = runs + found, titles + named
-    if args.scene is not None or args.traffic is not None:
+    if args.save is not None:
+        runs[0].save(args.save)
+    if plays:
         runs = [with_rescue(run) for run in runs]
     out = args.out or Path(file_name(runs[0].scene.name, ".html"))
     if suffix in IMAGES:
@@ -249,8 +253,6 @@ def _played(args: argparse.Namespace) -> Runs:
         parts += [f"criticality {level:g}"] if len(levels) > 1 or level else []
         parts += [f"driven by {planner_title(driver)}"] if len(drivers) > 1 else []
         titles.append(", ".join(parts))
-    if args.save is not None:
-        runs[0].save(args.save)
     return runs, titles
 
 
