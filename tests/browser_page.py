@@ -50,9 +50,9 @@ class Page:
         return self.page.evaluate(
             f"""async () => {{
               const canvas = CanvasRenderingContext2D.prototype, {{ fillText }} = canvas, said = [];
-              canvas.fillText = function (text, ...rest) {{
-                said.push(text);
-                fillText.call(this, text, ...rest);
+              canvas.fillText = function (...given) {{
+                said.push(given[0]);
+                fillText.apply(this, given);
               }};
               {draws};
               canvas.fillText = fillText;

@@ -230,9 +230,8 @@ def _played(args: argparse.Namespace) -> Runs:
             raise ConfigError(f"--{name} guides networks, but --traffic is {traffic}")
     choices = list(product(args.traffic, drivers, levels or [None]))
     if args.save is not None and len(choices) > 1:
-        raise ConfigError(
-            "--save keeps one episode: give one --traffic, one --driver and one --criticality"
-        )
+        one = "one --traffic, one --driver and one --criticality"
+        raise ConfigError(f"--save keeps one episode: give {one}")
     place = place_from(args)
     scene, runs, titles = find_scene(args.what, place), [], []
     for traffic, driver, level in choices:
@@ -271,12 +270,8 @@ def _image(
     pixels = args.size
     if pixels is None:
         pixels = (360 if len(runs) > 1 else 480) if kind == "gif" else 720
-    options: dict[str, Any] = {
-        "size": (pixels, pixels),
-        "span_m": args.span,
-        "follow": args.follow,
-        "theme": args.theme,
-    }
+    look = {"span_m": args.span, "follow": args.follow, "theme": args.theme}
+    options: dict[str, Any] = {"size": (pixels, pixels), **look}
     videos = [Video(run, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     if kind in ("gif", "mp4"):
         if args.step is not None:
