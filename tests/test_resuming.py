@@ -137,6 +137,11 @@ def test_what_is_interrupted_keeps_its_state_and_goes_on(number, tmp_path, monke
         assert f"other settings: {said}" in capsys.readouterr().err
     assert cli.main(ego) == 0  # finished
     assert (tmp_path / "ego" / "ego.safetensors").read_bytes() == kept
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo, "update", lambda agent, *_: agent.log_std.data.fill_(torch.nan))
+        assert cli.main([*ego, "--decisions", "1024"]) == 2  # diverges
+    assert "weights are not finite" in capsys.readouterr().err
+    assert (tmp_path / "ego" / "ego.safetensors").read_bytes() == kept
     assert cli.main([*ego, "--decisions", "1024"]) == 0
     done = torch.load(tmp_path / "ego" / "checkpoint.pt", weights_only=True)["done"]
     assert done["decisions"] == 1024
