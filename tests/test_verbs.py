@@ -366,3 +366,8 @@ def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path,
     written = weights.stat().st_mtime_ns
     assert train_all.main([*command, "--only", "short"]) == 0
     assert weights.stat().st_mtime_ns == written
+    asked = []  # what is finished with other arguments is not finished: train refuses or goes on
+    monkeypatch.setattr(train_all.subprocess, "call", lambda line, **_: asked.append(line) or 2)
+    monkeypatch.setitem(train_all.TRAININGS, "short", [*simnet, "--seed", "9"])
+    assert train_all.main([*command, "--only", "short"]) == 1
+    assert asked[0][-2:] == ["--seed", "9"]

@@ -38,23 +38,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in args.only:
         folder: Path = args.out / name
         done = folder / "done.json"
-        if not done.exists():
+        # what one training made, another may begin with
+        own = [argument.replace("{out}", str(args.out)) for argument in TRAININGS[name]]
+        finished = done.exists() and json.loads(done.read_text("utf-8"))["arguments"] == own
+        if not finished:
             folder.mkdir(parents=True, exist_ok=True)
-            # what one training made, another may begin with
-            own = [argument.replace("{out}", str(args.out)) for argument in TRAININGS[name]]
             command = ["nice", "-n", "19", sys.executable, "-m", "ccdiff_env.cli", "train"]
             command += ["--quiet", "--out", str(folder), *scenes, *own]
             with (folder / "log.txt").open("a", encoding="utf-8") as log:
                 status = subprocess.call(
                     command, stdout=log, stderr=log, env={**os.environ, **ONE_CORE}
                 )
-            if status == 0:
+            if finished := status == 0:
                 done.write_text(json.dumps({"arguments": own}) + "\n", encoding="utf-8")
-            failed |= status != 0
-        print(
-            f"{name}: {'finished' if done.exists() else f'failed, see {folder}/log.txt'}",
-            flush=True,
-        )
+            failed |= not finished
+        print(f"{name}: {'finished' if finished else f'failed, see {folder}/log.txt'}", flush=True)
     return int(failed)
 
 
