@@ -90,6 +90,16 @@ def test_axe_finds_nothing(browser, files, axe, name, theme):
     context.close()
 
 
+def test_colours_that_are_forced_and_prints_keep_what_colours_say(visit):
+    page = visit("two.html", color_scheme="dark", forced_colors="active")
+    style = "getComputedStyle(document.querySelector({!r})).{}"
+    assert page.evaluate(style.format(".legend-item i", "forcedColorAdjust")) == "none"
+    assert page.evaluate(style.format("#layer-plans[aria-pressed=true]", "outlineWidth")) == "3px"
+    for event, theme in (("beforeprint", "light"), ("afterprint", "dark")):
+        page.evaluate(f"dispatchEvent(new Event({event!r}))")
+        assert page.state("theme") == theme
+
+
 def test_menus_of_an_index_choose_replays(browser, tmp_path):
     run, late = planned_rollout(), (RolloutEvent(60, "ego", None, "goal"),)
     fates = [run, replace(run, events=late)] * 4

@@ -203,15 +203,9 @@ def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> 
 def _of_run(args: argparse.Namespace, path: Path) -> Runs:
     unfit = {name: PLAYED[name] for name in ("criticality", "samples", "save", "slider")}
     _refuse(args, unfit, "simulates a scene: a run has its episodes")
-    found = replayed(
-        path,
-        args.scene,
-        planners=args.driver or (),
-        traffic=args.traffic or (),
-        seed=args.seed,
-        dataroot=None if args.scenes is None else place_from(args).path,
-        own_code=args.own_code,
-    )
+    names: dict[str, Any] = {"planners": args.driver or (), "traffic": args.traffic or ()}
+    names["dataroot"] = None if args.scenes is None else place_from(args).path
+    found = replayed(path, args.scene, seed=args.seed, own_code=args.own_code, **names)
     return [rollout for _, rollout in found], [title for title, _ in found]
 
 
@@ -234,19 +228,14 @@ def _played(args: argparse.Namespace) -> Runs:
         raise ConfigError(f"--save keeps one episode: give {one}")
     place = place_from(args)
     scene, runs, titles = find_scene(args.what, place), [], []
+    alone, window, seed = SceneSet([scene]), usual_window(scene, place.window), args.seed or 0
     for traffic, driver, level in choices:
         asked = {"criticality": level, "num_samples": args.samples}
         changed = {name: value for name, value in asked.items() if value is not None}
         chosen = TRAFFIC[traffic].with_weights(weights)
-        _, rollouts = drive(
-            SceneSet([scene]),
-            driver,
-            replace(chosen, ccdiff={**chosen.ccdiff, **changed}),
-            seed=args.seed or 0,
-            options=usual_window(scene, place.window),
-            record=[scene.name],
-        )
-        runs.append(rollouts[scene.name])
+        guided = replace(chosen, ccdiff={**chosen.ccdiff, **changed})
+        played = drive(alone, driver, guided, seed=seed, options=window, record=[scene.name])
+        runs.append(played[1][scene.name])
         named = len(args.traffic) > 1 or len(choices) == 1
         parts = [DRIVER_TITLES.get(traffic, chosen.label)] if named else []
         parts += [f"criticality {level:g}"] if len(levels) > 1 or level else []
