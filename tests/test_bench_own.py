@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from array_scenes import agent, array_scene
 
 import ccdiff_env
 import ccdiff_env.view
@@ -17,7 +18,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.bench.tags import scene_tags
 from ccdiff_env.errors import MissingFeatureError
 from ccdiff_env.record.counterfactual import Avoidability, EgoPlan
-from ccdiff_env.scenes.map_queries import LaneAhead
+from ccdiff_env.scenes import map_queries
 from ccdiff_env.traffic import CcdiffConfig, TrafficBatch, TrafficPlan
 
 OWN_CODE = (
@@ -154,7 +155,7 @@ def test_options_of_ccdiff_by_path_are_traffic(desk):
 @pytest.mark.parametrize(
     "of",
     [
-        TrafficPlan, LaneAhead, TrafficBatch, CcdiffConfig, ccdiff_env.Rollout, EgoPlan,
+        TrafficPlan, map_queries.LaneAhead, TrafficBatch, CcdiffConfig, ccdiff_env.Rollout, EgoPlan,
         Avoidability, ccdiff_env.WorldConfig,
     ],
 )  # fmt: skip
@@ -169,11 +170,14 @@ def test_states_and_plans_print_what_they_hold():
     env.reset(seed=3)
     env.step(env.action_space.sample())
     status = repr(env.worlds.native.status(0))
-    assert status.startswith("WorldStatus(scene_idx=")
-    assert "seed=3, " in status
-    assert "elapsed_steps=1, ego_idx=0)" in status
+    said = r"WorldStatus\(scene_idx=\d+, .*seed=3, .*elapsed_steps=1, ego_idx=0\)"
+    assert re.fullmatch(said, status)
     plan = env.explain()
     assert f"samples=float32{list(plan.samples.shape)}" in repr(plan)
+    lane = map_queries.lane_ahead(env.worlds.scenes[0], np.zeros((1, 2)), np.zeros(1), points=20)
+    assert repr(lane).startswith("LaneAhead(position_m=float32[1, 20, 2], valid=bool[1, 20], lane=")
+    for told in TrafficBatch.from_log(env.worlds.scenes[:1], [40], future_steps=7):
+        assert re.match(r"\w+\(position_m=float32\[\d+, (31|7), 2\], heading_rad=", repr(told))
 
 
 def test_a_data_frame_has_a_row_for_who_is_there(monkeypatch):
@@ -200,20 +204,8 @@ def turning(angle_rad, speed_mps, offset_m=0.0):
     radius = 13.0 * speed_mps / angle_rad if angle_rad else None
     x = along if radius is None else radius * np.sin(yaw)
     y = np.zeros(131) if radius is None else radius * (1.0 - np.cos(yaw))
-    position = np.stack([np.stack([x, y], -1), np.stack([x + 15.0, y + offset_m], -1)])
-    heading = np.stack([yaw, yaw])
-    velocity = speed_mps * np.stack([np.cos(heading), np.sin(heading)], -1)
-    return ccdiff_env.Scene.from_arrays(
-        "arc",
-        position=position.astype(np.float32),
-        heading=heading.astype(np.float32),
-        velocity=velocity.astype(np.float32),
-        valid=np.ones((2, 131), bool),
-        sizes=np.array([[4.5, 1.9, 1.6]] * 2, np.float32),
-        agent_ids=["ego", "1"],
-        agent_types=["vehicle", "vehicle"],
-        dt=0.1,
-    )
+    ahead = agent("1", x + 15.0, y + offset_m, heading=yaw)
+    return array_scene(agent("ego", x, y, heading=yaw), ahead)
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env._native import Scene
 from ccdiff_env.errors import ConfigError, ShapeError
-from ccdiff_env.system.fields import documented
+from ccdiff_env.system.fields import documented, shapes
 
 __all__ = ["LaneAhead", "lane_ahead", "road_distance"]
 
@@ -49,6 +49,7 @@ class LaneAhead:
     lane: I64
     lateral_m: F32  #: Offset of the agent from the lane's centre line, left positive, m, [M].
     heading_error_rad: F32  #: Heading of the agent minus that of the lane, rad, [M].
+    __repr__ = shapes
 
 
 def _floats(name: str, values: Any, shape: tuple[int | None, ...]) -> F32:

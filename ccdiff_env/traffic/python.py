@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ccdiff_env import _native
 from ccdiff_env.errors import ConfigError, PolicyError, ShapeError, raised_by
 from ccdiff_env.scenes.scene_types import AGENT_KINDS as AGENT_KINDS
-from ccdiff_env.system.fields import documented
+from ccdiff_env.system.fields import documented, shapes
 from ccdiff_env.system.named_objects import named_instance
 from ccdiff_env.traffic.checked_options import check
 from ccdiff_env.traffic.options import PythonOptions
@@ -69,6 +69,7 @@ class TrafficBatch:
     route_m: F32
     #: Whether a route is told and goes so far, [M, P]; no routes are told of others than vehicles.
     route_valid: Bool
+    __repr__ = shapes
 
     @classmethod
     def from_log(
@@ -128,6 +129,7 @@ class LoggedFuture:
     heading_rad: F32  #: Headings, rad, in that frame, [M, F].
     speed_mps: F32  #: Speeds along the heading, m/s, [M, F].
     valid: Bool  #: Whether the agent is logged, [M, F].
+    __repr__ = shapes
 
 
 #: From a batch to poses x, y (m), heading (rad) in the scene's frame [M, T, 3], or accelerations
