@@ -1,6 +1,7 @@
 """Reports of the benchmarks: pages of tables, plots and links to replays of what was measured."""
 
 import csv
+from html import unescape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -85,6 +86,18 @@ def test_names_are_only_names_for_all_readers(tmp_path):
     assert r"50\% \& x\_1 & \textbf{0.50} & 50\% \& x\_1 \\" in made.latex()
     made.write_csv(tmp_path / "t.csv")
     assert [row[0] for row in csv.reader((tmp_path / "t.csv").open())][1:] == [*NAMES]
+
+
+def test_names_in_plots_are_only_names(tmp_path):
+    pytest.importorskip("matplotlib")
+    names, ends = (
+        ("a$\\frac$b", "$x$", *NAMES[:3]),
+        [(0.0, (0.5, 0.4, 0.6)), (1.0, (0.5, 0.4, 0.6))],
+    )
+    lines = {name: (name, 5.0, ends) for name in names}
+    path = plots.plot_lines({"$score$": lines}, "$across$", tmp_path / "a.svg")
+    text = unescape(path.read_text(encoding="utf-8"))
+    assert all(name in text for name in (*names, "$score$", "$across$"))
 
 
 def test_markdown_of_names_is_that_of_commonmark():

@@ -75,6 +75,7 @@ def new_plot(width: float, height: float, **options: Any) -> tuple[Figure, Axes]
 
     mpl.use("Agg")
     mpl.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "ccdiff-env"})
+    mpl.rcParams["text.parse_math"] = False  # names may have dollars
     from matplotlib import pyplot as plt
 
     figure, axes = plt.subplots(figsize=(width, height), layout="constrained", **options)
