@@ -15,7 +15,7 @@ from ccdiff_env.view import play
 from ccdiff_env.view.captions import driver_of, guided_agents, still
 from ccdiff_env.view.link import play_drive, play_keys, read_drive, top_speed_mps, world_config
 from ccdiff_env.view.outcome import outcome
-from ccdiff_env.view.play import LIT, SCENES, playground_html
+from ccdiff_env.view.play import SCENES, playground_html
 from tools.playground import compiled, deciding, target_is_installed
 
 pytestmark = pytest.mark.timeout(600)
@@ -27,7 +27,7 @@ def files(tmp_path_factory):
     if shutil.which("cargo") is None or not target_is_installed():
         pytest.skip("no compiler for WebAssembly: rustup target add wasm32-unknown-unknown")
     folder = tmp_path_factory.mktemp("playground")
-    scenes = [*(embedded_scenes()[name] for name in NAMES), embedded_scenes("city-lights")[LIT]]
+    scenes = [embedded_scenes()[name] for name in NAMES]
     (folder / "drive.html").write_text(playground_html(compiled(), scenes), encoding="utf-8")
     return folder
 
@@ -90,17 +90,6 @@ def test_nobody_is_faster_than_the_cap_and_the_end_is_shown_again_slowly(playgro
     assert fastest < top + 0.5
     page.until("drive.time < drive.ended - 0.6")
     assert page.evaluate("drive.time >= drive.ended - 2.01")
-
-
-def test_stop_lines_have_the_colour_of_their_light(playground):
-    scene = embedded_scenes("city-lights")[LIT]
-    page = playground(hash=f"#scene={LIT}&traffic=replay&drive=e90")
-    page.until("(drive.steps > 0 && !drive.going && !drive.asked) || drive.outcome", 60)
-    start = play_drive(page.evaluate("drive.link")).start_step
-    seek = "drive.slow = null; drive.time = drive.runs[0].start + {}; drive.touch()"
-    states, drawn = zip(*page.lights("drive", seek, scene, start), strict=True)
-    assert set(states) == {"green", "yellow", "red"}
-    assert np.mean(drawn) > 0.9  # others are below road users
 
 
 def test_keys_drive_and_time_waits_for_the_first_one(playground):
@@ -328,6 +317,11 @@ def test_of_a_key_that_a_link_has_twice_the_first_counts():
     assert (drive.scene, drive.traffic, drive.keys) == ("cut-in-04", "idm", (1,))
     with pytest.raises(ConfigError, match="traffic is ''"):
         read_drive("#scene=cut-in-04&traffic=&traffic=idm&drive=b1")
+
+
+def test_links_of_the_scene_with_lights_are_played_again():
+    rollout = play_drive(f"x#scene={play.LIT}&traffic=replay&drive=b5")
+    assert rollout.scene.map_layers()["lights"]
 
 
 def test_the_verb_writes_a_page_of_scenes_of_ones_own(tmp_path, monkeypatch, capsys):

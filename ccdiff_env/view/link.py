@@ -20,6 +20,7 @@ from ccdiff_env.scenes.sources import Place
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
 HORIZON_STEPS = 150
+LIT = "tee-crossing-005"  #: Of the page, with traffic lights: IDM waits and reaches its goal.
 #: Who drives the others, as the page offers it.
 TRAFFIC = {
     **{name: KINDS[name].title for name in ("ccdiff", "tokens", SWIFT, "idm")},
@@ -161,7 +162,8 @@ def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     from ccdiff_env.scenes.sources import DEFAULT, load
 
     drive = read_drive(link)
-    scene = load(place or DEFAULT, names=[drive.scene])[0]
+    usual = f"{DEFAULT}/city-lights" if drive.scene == LIT else DEFAULT
+    scene = load(place or usual, names=[drive.scene])[0]
     return play_keys(scene, drive.keys, world_config(drive.traffic, drive.criticality))
 
 

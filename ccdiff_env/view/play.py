@@ -27,7 +27,7 @@ from ccdiff_env.system.terminal import say_page
 from ccdiff_env.traffic import KINDS, NETWORKS
 from ccdiff_env.view import page
 from ccdiff_env.view.contact import AHEAD_M, BLOCKED_S, WAITS_MPS
-from ccdiff_env.view.link import HORIZON_STEPS, TRAFFIC, top_speed_mps, way, world_config
+from ccdiff_env.view.link import HORIZON_STEPS, LIT, TRAFFIC, top_speed_mps, way, world_config
 from ccdiff_env.view.outcome import PASSES_MPS, WAITED_M, WORDS
 from ccdiff_env.view.pack import pack
 from ccdiff_env.view.page import look, part
@@ -39,7 +39,6 @@ SCENES = (
     "double-left-00", "double-left-02", "hard-brake-04", "double-left-01", "cut-in-02",
     "cut-in-00", "free-curve-00", "queue-01", "queue-00",
 )  # fmt: skip
-LIT = "tee-crossing-005"  #: The last one, with traffic lights: IDM waits and reaches its goal.
 #: Simulator and networks as WebAssembly, which `make playground` compiles.
 MODULE = Path(str(files("ccdiff_env").joinpath("data/playground.wasm")))
 #: Scripts of the replay page that this one uses: all but its start.
