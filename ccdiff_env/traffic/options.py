@@ -404,7 +404,7 @@ class CcdiffConfig(Options):
     #: after 3 s spread as those of the log (docs/results.md#likelihood-of-the-log).
     keep_noise: bool = False
     #: Whether the network gets the routes of its vehicles: the path of the log, then the lanes
-    #: ahead. It needs weights trained with routes.
+    #: ahead. It needs weights trained with routes. Who backs up in the log goes with it, or waits.
     follow_route: bool = False
     graph: GraphMode = "causal"  #: The decision causal graph G that the network sees.
     num_guided: int | None = 5  #: Vehicles that are guided K (in [0, 512]); ``None``: all.

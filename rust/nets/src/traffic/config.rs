@@ -163,7 +163,7 @@ options! {
         /// those of the log (docs/results.md#likelihood-of-the-log).
         keep_noise: bool = false;
         /// Whether the network gets the routes of its vehicles: the path of the log, then the lanes ahead. It needs
-        /// weights trained with routes.
+        /// weights trained with routes. Who backs up in the log goes with it, or waits.
         follow_route: bool = false;
         /// The decision causal graph G that the network sees.
         graph: GraphMode = GraphMode::Causal;

@@ -243,6 +243,10 @@ impl DriverModel for PlannedTraffic {
         if memory::is_parked(&plan.memory, agent_idx) {
             return stands(world, agent_idx);
         }
+        let since_plan = world.elapsed_steps.saturating_sub(plan.record.made_at);
+        if (0..=since_plan).any(|ago| self.backs_up(world, agent_idx, world.step_idx - ago)) {
+            return Idm { config: *world.idm }.act(world, None, agent_idx);
+        }
         match plan.follow(world, agent_idx) {
             Some((pose, velocity)) if self.map_has(world, &pose) => AgentMotion::Place(pose, velocity),
             Some(_) => AgentMotion::Leave,

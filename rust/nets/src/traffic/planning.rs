@@ -99,8 +99,9 @@ impl PlannedTraffic {
                 first_ranking: Vec::new(),
             },
         };
-        let stands = |(parked, halted): (&bool, &bool)| *parked || *halted;
-        let still: Vec<bool> = memory.parked.iter().zip(world.halted).map(stands).collect();
+        let stands =
+            |a: usize| memory.parked[a] || world.halted[a] || self.backs_up(world, a, world.step_idx);
+        let still: Vec<bool> = (0..world.states.len()).map(stands).collect();
         let mut planned =
             PlannedAgents::new(request, &still, self.model.history_steps, self.config.plan_radius_m)?;
         self.keep_noise(&memory, &mut planned);
@@ -132,6 +133,12 @@ impl PlannedTraffic {
             guided,
             collision_targets,
         })
+    }
+
+    /// Whether a vehicle that follows its route backs up in the log at a step: it goes with the log, or waits, as in IDM
+    /// traffic.
+    pub(super) fn backs_up(&self, world: &WorldView<'_>, agent_idx: usize, step_idx: usize) -> bool {
+        self.config.follow_route && world.scene.routes[agent_idx].backs_up(step_idx)
     }
 
     /// Whether the agents of a world are ranked for its coming plan.
