@@ -18,7 +18,7 @@ from py123d import datatypes as d
 from py123d.api.map.arrow.arrow_map_writer import ArrowMapWriter
 from py123d.api.scene.arrow.arrow_log_writer import ArrowLogWriter
 from py123d.api.scene.arrow.utils.log_writer_config import LogWriterConfig
-from py123d.geometry import BoundingBoxSE3, Polyline2D, PoseSE3, Vector3D
+from py123d.geometry import BoundingBoxSE3, Polyline2D, Polyline3D, PoseSE3, Vector3D
 from py123d.parser.base_dataset_parser import ModalitiesSync
 from py123d.parser.nuplan.utils.nuplan_constants import NUPLAN_BOX_DETECTIONS_SE3_METADATA as BOXES
 from py123d.parser.nuplan.utils.nuplan_constants import NUPLAN_EGO_STATE_SE3_METADATA as EGO
@@ -248,6 +248,28 @@ def test_a_log_as_nuplan_has_them(tmp_path):
     assert np.allclose(
         again.tracks()["position"][0] + again.origin, tracks["position"][0, 80:171] + scene.origin
     )
+
+
+@pytest.mark.parametrize("map_has_z", [True, False])
+def test_a_log_on_a_ramp_has_heights_where_its_map_has(tmp_path, map_has_z):
+    def side(y):
+        return Polyline3D.from_array(np.array([(-150, y, -15.0), (150, y, 15.0)]))
+
+    sides = [side(y) for y in (1.75, -1.75, 0.0)]
+    things = [
+        d.Lane(6, d.LaneType.SURFACE_STREET, *sides, 60),
+        d.LaneGroup(60, [6], *sides[:2], outline=None),
+    ]
+    frames = (frame(k, 10, [], ego_at=lambda x: (x, 0, 0, 0.1 * x)) for k in range(151))
+    metadata = d.LogMetadata("nuplan", "nuplan-mini_val", "log-1", "us-ma-boston")
+    town = d.MapMetadata("nuplan", "us-ma-boston", map_has_z=map_has_z, map_is_per_log=False)
+    write(tmp_path, metadata, frames, town, things)
+    (scene,) = ccdiff_env.load(f"py123d:{tmp_path}")
+    tracks = scene.tracks()
+    assert ("elevation_m" in tracks) == map_has_z
+    if map_has_z:  # that of the ground below the centre of the box
+        centre = 0.1 * (0.1 * 10.0 * np.arange(151) - 100.0)
+        assert np.allclose(tracks["elevation_m"][0], centre - EGO.height / 2, atol=1e-3)
 
 
 def test_windows_are_parts_of_the_whole_log(tmp_path):
