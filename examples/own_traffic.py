@@ -87,13 +87,15 @@ def train(model: SmallTraffic, scenes: Sequence[ccdiff_env.Scene], steps: int) -
     optimiser = torch.optim.Adam(model.network.parameters(), lr=3e-3)
     draw = torch.Generator().manual_seed(0)
     errors = []
-    for _ in range(steps):
+    for step in range(1, steps + 1):
         picked = torch.randint(len(rows), (256,), generator=draw)
         loss = ((model.actions(rows[picked])[:, 0] - targets[picked]) / LIMITS).abs().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         errors.append(float(loss.detach()))
+        if step % 500 == 0:
+            print(f"step {step} of {steps}, error {np.mean(errors[-20:]):.3f}", flush=True)
     model.trained = True
     return float(np.mean(errors[-20:]))
 
@@ -107,6 +109,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=WEIGHTS, help="file of the weights")
     parser.add_argument("--smoke", action="store_true", help="a few steps of everything")
     args = parser.parse_args()
+    torch.set_num_threads(1)  # of small networks the fastest
     model = SmallTraffic(None)
     error = train(model, scenes_from(args), 40 if args.smoke else args.steps)
     print(f"error of the actions, in shares of their limits: {error:.3f}")
