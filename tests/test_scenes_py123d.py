@@ -260,7 +260,8 @@ def test_a_log_on_a_ramp_has_heights_where_its_map_has(tmp_path, map_has_z):
         d.Lane(6, d.LaneType.SURFACE_STREET, *sides, 60),
         d.LaneGroup(60, [6], *sides[:2], outline=None),
     ]
-    frames = (frame(k, 10, [], ego_at=lambda x: (x, 0, 0, 0.1 * x)) for k in range(151))
+    car = [("car", Label.VEHICLE, 0.0, 0.0, 0.0)]
+    frames = (frame(k, 10, car, ego_at=lambda x: (x, 0, 0, 0.1 * x)) for k in range(151))
     metadata = d.LogMetadata("nuplan", "nuplan-mini_val", "log-1", "us-ma-boston")
     town = d.MapMetadata("nuplan", "us-ma-boston", map_has_z=map_has_z, map_is_per_log=False)
     write(tmp_path, metadata, frames, town, things)
