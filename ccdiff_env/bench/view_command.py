@@ -195,17 +195,24 @@ def _refuse(args: argparse.Namespace, options: Mapping[str, Any], why: str) -> N
 
 
 def _found(args: argparse.Namespace, word: str, like: Rollout | None = None) -> Runs:
-    title = Path(word).stem if Path(word).is_file() else word
-    title = "your drive" if is_drive(word) else title
+    title = "your drive" if is_drive(word) else word
+    if Path(word).is_file():
+        title = Path(word).stem
     return [find_rollout(word, place_from(args), like=like)], [title]
 
 
 def _of_run(args: argparse.Namespace, path: Path) -> Runs:
     unfit = {name: PLAYED[name] for name in ("criticality", "samples", "save", "slider")}
     _refuse(args, unfit, "simulates a scene: a run has its episodes")
-    names: dict[str, Any] = {"planners": args.driver or (), "traffic": args.traffic or ()}
-    names["dataroot"] = None if args.scenes is None else place_from(args).path
-    found = replayed(path, args.scene, seed=args.seed, own_code=args.own_code, **names)
+    found = replayed(
+        path,
+        args.scene,
+        planners=args.driver or (),
+        traffic=args.traffic or (),
+        seed=args.seed,
+        dataroot=None if args.scenes is None else place_from(args).path,
+        own_code=args.own_code,
+    )
     return [rollout for _, rollout in found], [title for title, _ in found]
 
 
@@ -224,8 +231,9 @@ def _played(args: argparse.Namespace) -> Runs:
             raise ConfigError(f"--{name} guides networks, but --traffic is {traffic}")
     choices = list(product(args.traffic, drivers, levels or [None]))
     if args.save is not None and len(choices) > 1:
-        one = "one --traffic, one --driver and one --criticality"
-        raise ConfigError(f"--save keeps one episode: give {one}")
+        raise ConfigError(
+            "--save keeps one episode: give one --traffic, one --driver and one --criticality"
+        )
     place = place_from(args)
     scene, runs, titles = find_scene(args.what, place), [], []
     alone, window, seed = SceneSet([scene]), usual_window(scene, place.window), args.seed or 0
@@ -259,8 +267,12 @@ def _image(
     pixels = args.size
     if pixels is None:
         pixels = (360 if len(runs) > 1 else 480) if kind == "gif" else 720
-    look = {"span_m": args.span, "follow": args.follow, "theme": args.theme}
-    options: dict[str, Any] = {"size": (pixels, pixels), **look}
+    options: dict[str, Any] = {
+        "size": (pixels, pixels),
+        "span_m": args.span,
+        "follow": args.follow,
+        "theme": args.theme,
+    }
     videos = [Video(run, title=t, **options) for run, t in zip(runs, titles, strict=True)]
     if kind in ("gif", "mp4"):
         if args.step is not None:
