@@ -58,6 +58,7 @@ def moves_as_a_car(found):
     ("traffic", "options"),
     [
         ("idm", {}),
+        ("swift", {}),
         ("ccdiff", {"ccdiff": {"follow_route": True, "denoising_steps": 1}}),
         ("tokens", {"ccdiff": {"follow_route": True}}),
     ],

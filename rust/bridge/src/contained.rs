@@ -45,6 +45,10 @@ impl DriverModel for Contained {
         self.driver.least_history_states()
     }
 
+    fn follows_route(&self, plan: Option<&PlanState>, agent_idx: usize) -> bool {
+        self.driver.follows_route(plan, agent_idx)
+    }
+
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         if let Some(message) = self.fault.get() {
             return Err(self.error(message.clone()));

@@ -220,6 +220,10 @@ impl DriverModel for PlannedTraffic {
         self.model.history_steps.min(crate::inputs::features::FIRST_STEP + 1)
     }
 
+    fn follows_route(&self, plan: Option<&PlanState>, agent_idx: usize) -> bool {
+        self.config.follow_route && !plan.is_some_and(|plan| memory::is_parked(&plan.memory, agent_idx))
+    }
+
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {
         let due: Vec<&PlanRequest<'_>> =
             requests.iter().filter(|r| r.is_due(self.config.replan_steps)).collect();
@@ -242,10 +246,6 @@ impl DriverModel for PlannedTraffic {
         };
         if memory::is_parked(&plan.memory, agent_idx) {
             return stands(world, agent_idx);
-        }
-        let since_plan = world.elapsed_steps.saturating_sub(plan.record.made_at);
-        if (0..=since_plan).any(|ago| self.backs_up(world, agent_idx, world.step_idx - ago)) {
-            return Idm { config: *world.idm }.act(world, None, agent_idx);
         }
         match plan.follow(world, agent_idx) {
             Some((pose, velocity)) if self.map_has(world, &pose) => AgentMotion::Place(pose, velocity),

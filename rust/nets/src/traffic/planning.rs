@@ -99,8 +99,8 @@ impl PlannedTraffic {
                 first_ranking: Vec::new(),
             },
         };
-        let stands =
-            |a: usize| memory.parked[a] || world.halted[a] || self.backs_up(world, a, world.step_idx);
+        let backs_up = |a: usize| self.config.follow_route && world.backs_up(a);
+        let stands = |a: usize| memory.parked[a] || world.halted[a] || backs_up(a);
         let still: Vec<bool> = (0..world.states.len()).map(stands).collect();
         let mut planned =
             PlannedAgents::new(request, &still, self.model.history_steps, self.config.plan_radius_m)?;
@@ -133,12 +133,6 @@ impl PlannedTraffic {
             guided,
             collision_targets,
         })
-    }
-
-    /// Whether a vehicle that follows its route backs up in the log at a step: it goes with the log, or waits, as in IDM
-    /// traffic.
-    pub(super) fn backs_up(&self, world: &WorldView<'_>, agent_idx: usize, step_idx: usize) -> bool {
-        self.config.follow_route && world.scene.routes[agent_idx].backs_up(step_idx)
     }
 
     /// Whether the agents of a world are ranked for its coming plan.

@@ -91,7 +91,7 @@ impl Idm {
     fn wanted_acceleration(&self, world: &WorldView<'_>, agent_idx: usize) -> Real {
         let (idm, route) = (&self.config, &world.scene.routes[agent_idx]);
         let speed = world.states.speed_mps[agent_idx].max(0.0);
-        if route.backs_up(world.step_idx) {
+        if world.backs_up(agent_idx) {
             return braking(idm, speed, world.dt_s);
         }
         let s = world.route_s_m[agent_idx];
@@ -147,7 +147,7 @@ impl DriverModel for Idm {
             return AgentMotion::Place(pose, Vector2::zeros());
         }
         let log = &world.scene.log;
-        if route.backs_up(world.step_idx)
+        if world.backs_up(agent_idx)
             && log.has(agent_idx, world.step_idx + 1)
             && log.position(agent_idx, world.step_idx) == Some(pose.position)
         {

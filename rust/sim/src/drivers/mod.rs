@@ -108,6 +108,20 @@ pub struct WorldView<'a> {
     pub idm: &'a IdmConfig,
 }
 
+impl WorldView<'_> {
+    /// Whether an agent backs up in the log, or stands before it does.
+    pub fn backs_up(&self, agent_idx: usize) -> bool {
+        self.scene.routes[agent_idx].backs_up(self.step_idx)
+    }
+
+    /// Whether it did at any step since a plan was made.
+    pub(crate) fn backed_up_since(&self, plan: Option<&PlanState>, agent_idx: usize) -> bool {
+        let since = plan.map_or(0, |plan| self.elapsed_steps.saturating_sub(plan.record.made_at));
+        let route = &self.scene.routes[agent_idx];
+        (self.step_idx.saturating_sub(since)..=self.step_idx).any(|step_idx| route.backs_up(step_idx))
+    }
+}
+
 /// What an agent does in one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum AgentMotion {
@@ -138,6 +152,12 @@ pub trait DriverModel: Send + Sync {
     /// Whatever stops the driver; the tick is then not executed.
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> Result<Vec<Option<PlanState>>> {
         Ok(vec![None; requests.len()])
+    }
+
+    /// Whether an agent is driven along its route. Where its log backs up, the world moves it as IDM does, until the driver has
+    /// made a plan since: it goes back with the log, or waits. IDM itself needs no word of this.
+    fn follows_route(&self, _plan: Option<&PlanState>, _agent_idx: usize) -> bool {
+        false
     }
 
     /// How one agent moves in this step: by default that of its plan, and of its log where it has none.

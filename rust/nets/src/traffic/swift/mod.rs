@@ -130,6 +130,7 @@ impl Swift {
                 && !world.halted[*a]
                 && world.scene.kinds[*a] == AgentKind::Vehicle
                 && !world.scene.routes[*a].is_parked()
+                && !world.backs_up(*a)
         };
         let agents: Vec<usize> = (0..states.len()).filter(there).collect();
         let mut egos = egos_of(world);
@@ -256,6 +257,10 @@ impl DriverModel for Swift {
 
     fn history_states(&self) -> usize {
         STATES
+    }
+
+    fn follows_route(&self, _: Option<&PlanState>, _: usize) -> bool {
+        true
     }
 
     fn plan(&mut self, requests: &[PlanRequest<'_>]) -> ccdiff_sim::Result<Vec<Option<PlanState>>> {

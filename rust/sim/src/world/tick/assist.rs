@@ -22,7 +22,7 @@ pub fn assisted_action(
     if route.is_parked() {
         return [-states.speed_mps[agent_idx] / view.dt_s, 0.0, 0.0];
     }
-    if route.backs_up(view.step_idx) {
+    if view.backs_up(agent_idx) {
         return [braking(view.idm, states.speed_mps[agent_idx], view.dt_s), 0.0, 0.0];
     }
     let (base, yaw_rate) = match limits.base {

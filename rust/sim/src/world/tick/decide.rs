@@ -1,6 +1,6 @@
 //! Phase "decide" of a tick: the physical actions of the agents driven from outside, and what drivers do with theirs.
 
-use crate::drivers::Driver;
+use crate::drivers::{Driver, DriverModel, Idm};
 use crate::dynamics::Dynamics;
 use crate::geom::Real;
 use crate::scene::AgentKind;
@@ -40,7 +40,12 @@ impl World {
             // obstacles do not move
             if view.states.active[a] && view.scene.kinds[a] != AgentKind::Static {
                 let plan = self.episode.plans[usize::from(driver_idx)].as_ref();
-                motions.push((a as u32, shared.drivers.get(driver_idx).act(&view, plan, a)));
+                let driver = shared.drivers.get(driver_idx);
+                let motion = match driver.follows_route(plan, a) && view.backed_up_since(plan, a) {
+                    true => Idm { config: *view.idm }.act(&view, None, a),
+                    false => driver.act(&view, plan, a),
+                };
+                motions.push((a as u32, motion));
             }
         }
         (self.scratch.motions, self.scratch.actions) = (motions, own);
