@@ -129,6 +129,9 @@ def own_traceback(error: BaseException) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; return the exit status."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed, as a daemon's are
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # on a terminal of ASCII
     args = parse(sys.argv[1:] if argv is None else argv)

@@ -362,6 +362,16 @@ def test_terminals_of_ascii():
     assert b"????" in done.stdout
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_a_daemon_has_no_terminal(closed, tmp_path):
+    bench = "bench planners --scenes embedded/val --limit 2 --planners idm --traffic replay"
+    short = "--horizon-steps 10 --workers 2 --out"
+    for words in ("scenes", f"view left-turn-04 --out {tmp_path}/a", f"{bench} {short} {tmp_path}"):
+        line = f"exec {sys.executable} -m ccdiff_env.cli {words} {closed}"
+        assert subprocess.run(["sh", "-c", line], cwd=ROOT).returncode == 0
+    assert (tmp_path / "report.html").exists()
+
+
 @pytest.mark.parametrize("verb", [["view"], ["bench", "planners"]])
 def test_help_says_which_policies_run_code(verb, capsys):
     with pytest.raises(SystemExit):

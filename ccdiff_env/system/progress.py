@@ -17,7 +17,7 @@ def shown(steps: Iterable[T], *, what: str, total: int | None = None, done: int 
 
     ``total`` is their number, with those ``done`` before; by default they are counted first.
     """
-    if not sys.stderr.isatty() or find_spec("tqdm") is None:
+    if not (sys.stderr and sys.stderr.isatty()) or find_spec("tqdm") is None:
         yield from steps
         return
     counted = steps if total else list(steps)
