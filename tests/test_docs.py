@@ -242,6 +242,28 @@ def test_tables_are_those_of_results_and_schemas(page):
     assert not re.findall(r"^\|.*\d \[[-+]?\d.*", typed, re.MULTILINE), "figures of no result"
 
 
+@pytest.mark.parametrize(("width", "boxes"), [(390, True), (1280, False)])
+def test_a_wide_table_of_the_site_is_read_without_scrolling_sideways(browser, width, boxes):
+    static = ROOT / "docs" / "_static"
+    heads = ["planner", *(f"figure {i}" for i in range(8))]
+    rows = (heads, ["PDM-Closed", *["12.3 [11.1, 13.5], p 0.04"] * 8])
+    table = "".join(f"<tr>{''.join(f'<td><p>{c}</p></td>' for c in row)}</tr>" for row in rows)
+    table = table.replace("<tr>", "<thead><tr>", 1).replace("</tr>", "</tr></thead><tbody>", 1)
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.set_content(
+        f"<style>{(static / 'site.css').read_text('utf-8')}.table-wrapper {{ overflow: auto }}"
+        f"</style><div class=table-wrapper><table>{table}</table></div>"
+        f"<script>{(static / 'copy.js').read_text('utf-8')}</script>"
+    )
+    scrolls = "(e) => e.scrollWidth - e.clientWidth"
+    assert [page.eval_on_selector(e, scrolls) for e in ("html", ".table-wrapper")] == [0, 0]
+    above = "(cells) => cells.map((c) => getComputedStyle(c, '::before').content)"
+    named = [f'"{head} "' for head in heads] if boxes else ["none"] * len(heads)
+    assert page.eval_on_selector_all("tbody td", above) == named
+    assert page.inner_text("tbody td:last-child").split("\n")[:2] == ["12.3", "[11.1, 13.5]"]
+    page.close()
+
+
 @pytest.mark.parametrize("name", ["realism", "learning", "dial"])
 def test_charts_are_those_of_the_results_that_were_kept(name):
     from tools.charts import CHARTS, MADE

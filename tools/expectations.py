@@ -32,7 +32,7 @@ from ccdiff_env.scenes.arguments import (
 )
 from ccdiff_env.scenes.sources import load
 from ccdiff_env.system.settings import kept_settings
-from ccdiff_env.system.table import Cell, Column, Figure, Table
+from ccdiff_env.system.table import Cell, Column, Figure, Markdown, Table
 from ccdiff_env.training.outcomes import OUTCOMES
 from tools import pages
 from tools.pages import ROOT, keep
@@ -214,28 +214,13 @@ def study(args: argparse.Namespace) -> None:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Return a table in Markdown, with the columns that its rows have."""
-    heads: dict[str, Column | str] = {
-        "title": "planner",
-        "decisions": "decisions",
-        "cpu_s": "CPU s",
-        **{name: Column(name, digits=1) for name in OUTCOMES},
-        "score": Column("score"),
-        "comfort": Column("comfort"),
-    }
-    heads = {name: head for name, head in heads.items() if any(name in row for row in rows)}
-
-    def cell(row: dict[str, Any], name: str) -> Cell:
-        value = row.get(name, "")
-        if isinstance(value, list):
-            mean, low, high = value
-            return mean, low, high
-        if isinstance(value, str):
-            return value
-        return float(value) if name in OUTCOMES else f"{value:,.0f}"
-
-    shown = [[cell(row, name) for name in heads] for row in rows]
-    return str(Table([*heads.values()], shown))
+    """Return a table in Markdown, which fits a phone: a row per figure, a column per planner."""
+    shown: list[list[Cell]] = []
+    for name in (*OUTCOMES, *SCORED):
+        column = Column(name, digits=1 if name in OUTCOMES else 2)
+        figures = (tuple(row[name]) if name in SCORED else row[name] for row in rows)
+        shown.append([name, *(Markdown(column.text(figure)) for figure in figures)])
+    return str(Table(["figure", *(row["title"] for row in rows)], shown))
 
 
 STUDIES = {"example": learned, "parts": parts, "matrix": study, "data": study}

@@ -11,17 +11,25 @@ for (const block of document.querySelectorAll("div.highlight")) {
   block.style.position = "relative";
   block.append(button);
 }
-// What the theme leaves out: levels of the captions beside, and wide blocks for the keyboard.
+// What the theme leaves out: levels of the captions beside.
 for (const caption of document.querySelectorAll(".caption[role=heading]")) caption.ariaLevel = "2";
-for (const wide of document.querySelectorAll("pre, .table-wrapper")) wide.tabIndex = 0;
-// An interval stands below its value.
+// An interval, and a p-value, stand below their value.
 for (const cell of document.querySelectorAll(".table-wrapper td > p")) {
-  const [whole, interval] = cell.textContent.match(/\s(\[[^\]]*\])$/) || [];
-  if (!whole || cell.children.length) continue;
+  const [below] = cell.textContent.match(/\s\[[^\]]*\](, p .*)?$/) || [];
+  if (!below || cell.children.length) continue;
   const small = document.createElement("small");
-  small.textContent = interval;
-  cell.textContent = cell.textContent.slice(0, -whole.length);
+  small.textContent = below.trim().replace(", p", "\np");
+  cell.textContent = cell.textContent.slice(0, -below.length);
   cell.append(small);
+}
+// A table that is wider than the page has a box for each row.
+for (const wrapper of document.querySelectorAll(".table-wrapper")) {
+  if (wrapper.scrollWidth <= wrapper.clientWidth) continue;
+  const table = wrapper.querySelector("table");
+  table.classList.add("boxes");
+  const heads = [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
+  for (const row of table.tBodies[0].rows)
+    for (const cell of row.cells) cell.dataset.head = heads[cell.cellIndex];
 }
 document.querySelector(".sidebar-drawer")?.setAttribute("aria-label", "pages");
 document.querySelector(".toc-drawer")?.setAttribute("aria-label", "on this page");
