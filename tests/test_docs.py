@@ -22,6 +22,7 @@ from ccdiff_env.bench.planners import TRAFFIC, drive
 from ccdiff_env.envs.sb3 import SB3VecEnv, save_policy
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.embedded import unpack
+from ccdiff_env.view.captions import guided_agents
 from ccdiff_env.view.outcome import outcome
 from ccdiff_env.view.sources import play_scene
 from ccdiff_env_cli import parse
@@ -393,6 +394,17 @@ def test_scenes_that_trained_or_chose_never_report(path):
     used = [splits for name, splits in USED_FOR.items() if name in named]
     for splits in [*used, *(kept[key] for key in ("trained_on", "chosen_on") if key in kept)]:
         assert not reported & scenes_of(splits), f"{path.name} reports on scenes of {splits}"
+
+
+@pytest.mark.parametrize("driver", ["idm", "ego"])
+def test_the_demo_ends_in_a_scene_in_which_criticality_decides(driver):
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"view (\S+) --traffic (\S+) --criticality (\S+) (\S+)", makefile)
+    scene, traffic = ccdiff_env.embedded_scenes()[shown[0]], shown[1]
+    levels = ({"criticality": float(level)} for level in shown[2:])
+    runs = [play_scene(scene, traffic=traffic, driver=driver, ccdiff=level) for level in levels]
+    assert [outcome(run).tone for run in runs] == ["good", "bad"]
+    assert runs[1].collisions("ego")[0].partner_id in guided_agents(runs[1])
 
 
 def test_the_gallery_shows_where_criticality_decides_and_who_is_hit_first(tmp_path, monkeypatch):
