@@ -101,6 +101,30 @@ def test_every_option_changes_the_image_and_the_same_call_repeats_it(scene):
         assert not np.array_equal(plain, world(scene, **{name: True}).render()), name
 
 
+@pytest.mark.parametrize("stands_m", [14.0, None], ids=["somebody in its way", "a free road"])
+def test_the_caption_has_time_speed_and_the_end(monkeypatch, stands_m):
+    said, draw = [], _native.render_arrays
+    monkeypatch.setattr(
+        _native, "render_arrays", lambda *of, **by: said.append(by["caption"]) or draw(*of, **by)
+    )
+    others = [] if stands_m is None else [agent("other", stands_m)]
+    lone = array_scene(agent("ego", np.arange(20.0)), *others, name="line")  # 10 m/s along x
+    env = begun(scenes=[lone], traffic="replay", render_mode="rgb_array", history_steps=1)
+    ended = False
+    while not ended:
+        _, _, ended, _, _ = env.step(np.zeros(2, np.float32))
+        env.render()
+    *on_its_way, last = said
+    assert on_its_way == [f"line  {0.1 * (i + 1):.1f} s  10.0 m/s" for i in range(len(said) - 1)]
+    at_m = 1.0 + len(said)  # it began at x = 1 m
+    if stands_m is None:
+        assert at_m - 1.0 < 19.0 - 18.0 / 4 <= at_m  # the last quarter of its way of 18 m
+        assert last == f"line  {0.1 * len(said):.1f} s  reached its goal"
+    else:
+        assert at_m - 1.0 < stands_m - 4.5 < at_m  # cars are 4.5 m long
+        assert last == f"line  {0.1 * len(said):.1f} s  10.0 m/s  collided with 1"
+
+
 @pytest.mark.parametrize(
     ("options", "error", "says"),
     [
