@@ -10,11 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccdiff_env import cli
+from ccdiff_env import SceneSet, cli, embedded_scenes
 from ccdiff_env.cli import main
+from ccdiff_env.errors import ConfigError
 from ccdiff_env.models import TrajectoryModel
+from ccdiff_env.system.settings import keep_settings
 from ccdiff_env.system.table import Column, Markdown, Table, document, link
 from ccdiff_env.system.terminal import align
+from ccdiff_env.training.ppo import settings_of
+from ccdiff_env_cli import parse
 
 
 @pytest.mark.parametrize(
@@ -371,3 +375,29 @@ def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path,
     monkeypatch.setitem(train_all.TRAININGS, "short", [*simnet, "--seed", "9"])
     assert train_all.main([*command, "--only", "short"]) == 1
     assert asked[0][-2:] == ["--seed", "9"]
+    monkeypatch.setitem(train_all.TRAININGS, "short", simnet)
+    assert train_all.main(["--out", str(tmp_path), "--scenes", "embedded", "--only", "short"]) == 1
+    assert "embedded" in asked[1]
+
+
+def test_studies_take_as_done_what_was_made_with_the_same(tmp_path, monkeypatch):
+    from tools import expectations
+
+    done = []
+    rows = [dict.fromkeys(("scene", *expectations.FIGURES), 0.0)]
+    monkeypatch.setattr(expectations, "drive", lambda *made_of: done.append("drive") or (rows, {}))
+    scenes = embedded_scenes("val")
+    for policy, part in ((b"a", [0, 1]), (b"a", [0, 1]), (b"a", [1, 2]), (b"b", [1, 2])):
+        (tmp_path / "ego.safetensors").write_bytes(policy)
+        assert expectations.test(tmp_path, SceneSet([scenes[i] for i in part]), "idm") == rows
+    assert len(done) == 3
+
+    monkeypatch.setattr(expectations.subprocess, "run", lambda *_, **__: done.append("train"))
+    words = "--scenes embedded/train --seed 1 --traffic idm"
+    begun = ["train-ego", *words.split(), *expectations.SAME.split(), "--out", str(tmp_path)]
+    keep_settings(tmp_path / "run.json", settings_of(parse(begun)))
+    taken_s = [expectations.train(tmp_path, words) for _ in range(2)]
+    assert taken_s[0] == taken_s[1]
+    assert done[3:] == ["train"]
+    with pytest.raises(ConfigError, match="other settings: traffic"):
+        expectations.train(tmp_path, words.replace("idm", "replay"))

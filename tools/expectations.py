@@ -23,6 +23,7 @@ import numpy as np
 
 from ccdiff_env.bench.intervals import difference, mean_interval, scene_means
 from ccdiff_env.bench.planners import TRAFFIC, drive
+from ccdiff_env.bench.provenance import package_digest, sha256_of
 from ccdiff_env.scenes import SceneSet
 from ccdiff_env.scenes.arguments import (
     add_other_scenes,
@@ -31,9 +32,10 @@ from ccdiff_env.scenes.arguments import (
     place_from,
 )
 from ccdiff_env.scenes.sources import load
-from ccdiff_env.system.settings import kept_settings
+from ccdiff_env.system.settings import kept_settings, sha256
 from ccdiff_env.system.table import Cell, Column, Figure, Markdown, Table
 from ccdiff_env.training.outcomes import OUTCOMES
+from ccdiff_env_cli import parse
 from tools import pages
 from tools.pages import ROOT, keep
 
@@ -98,10 +100,14 @@ def trained(args: argparse.Namespace, seed: int, words: str = "") -> tuple[str, 
 
 def train(folder: Path, words: str) -> float:
     """Train by ``train-ego``, which does not repeat what is done; return its CPU seconds."""
+    from ccdiff_env.training.ppo import settings_of  # torch: tables are written without
+
     kept, before = folder / "cpu_s.json", resource.getrusage(resource.RUSAGE_CHILDREN)
+    command = ["train-ego", *words.split(), *SAME.split(), "--out", str(folder)]
+    asked = settings_of(parse(command)).items()  # defaults that the command fills in are None
+    kept_settings(folder / "run.json", {n: of for n, of in asked if of is not None})
     if not kept.is_file():
-        command = [sys.executable, "-m", "ccdiff_env.cli", "train-ego", *words.split()]
-        subprocess.run([*command, *SAME.split(), "--out", str(folder)], check=True)
+        subprocess.run([sys.executable, "-m", "ccdiff_env.cli", *command], check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         taken_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         kept.write_text(json.dumps(taken_s))
@@ -157,12 +163,13 @@ def parts(args: argparse.Namespace) -> None:
 
 def test(folder: Path, scenes: SceneSet, traffic: str) -> list[dict[str, Any]]:
     """Drive the scenes in a kind of traffic, unless it has been done; figures of each."""
-    kept = folder / f"{traffic}.json"
-    found: list[dict[str, Any]] = json.loads(kept.read_text()) if kept.is_file() else []
-    if [row["scene"] for row in found] != list(scenes.names):
-        rows, _ = drive(scenes, str(folder / "ego.safetensors"), TRAFFIC[traffic])
-        found = [{n: row[n] for n in ("scene", *FIGURES)} for row in rows]
-        kept.write_text(json.dumps(found))
+    ego = folder / "ego.safetensors"
+    made_of = sha256(package_digest(), sha256_of(ego), *(scene.hash for scene in scenes))
+    kept = folder / f"{traffic}-{made_of[:16]}.json"
+    if not kept.is_file():
+        rows, _ = drive(scenes, str(ego), TRAFFIC[traffic])
+        kept.write_text(json.dumps([{n: row[n] for n in ("scene", *FIGURES)} for row in rows]))
+    found: list[dict[str, Any]] = json.loads(kept.read_text())
     return found
 
 

@@ -39,12 +39,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder: Path = args.out / name
         done = folder / "done.json"
         # what one training made, another may begin with
-        own = [argument.replace("{out}", str(args.out)) for argument in TRAININGS[name]]
+        own = [a.replace("{out}", str(args.out)) for a in (*scenes, *TRAININGS[name])]
         finished = done.exists() and json.loads(done.read_text("utf-8"))["arguments"] == own
         if not finished:
             folder.mkdir(parents=True, exist_ok=True)
             command = ["nice", "-n", "19", sys.executable, "-m", "ccdiff_env.cli", "train"]
-            command += ["--quiet", "--out", str(folder), *scenes, *own]
+            command += ["--quiet", "--out", str(folder), *own]
             with (folder / "log.txt").open("a", encoding="utf-8") as log:
                 status = subprocess.call(
                     command, stdout=log, stderr=log, env={**os.environ, **ONE_CORE}

@@ -184,6 +184,12 @@ def update(
             optimiser.step()
 
 
+def settings_of(args: argparse.Namespace) -> dict[str, Any]:
+    """Return what a run is begun with, as its folder keeps it."""
+    settings = {n: of for n, of in vars(args).items() if n not in FREE}
+    return settings | {"bank": [*map(str, args.bank)]}
+
+
 def train(args: argparse.Namespace) -> None:
     """Train as the arguments of ``ccdiff-env train-ego`` say; write checkpoint and policy.
 
@@ -215,8 +221,7 @@ def train(args: argparse.Namespace) -> None:
     }
     config = config.with_options(**{"reward": ASSISTED_WEIGHTS} if is_assisted else alone)
     checkpoint = args.out / "checkpoint.pt"
-    settings = {n: of for n, of in vars(args).items() if n not in FREE}
-    settings["bank"] = [*map(str, args.bank)]
+    settings = settings_of(args)
     if not kept_settings(args.out / "run.json", settings) and checkpoint.is_file():
         raise ConfigError(f"{args.out} holds a run without its settings; choose another folder")
     saved = torch.load(checkpoint, weights_only=True) if checkpoint.is_file() else None
