@@ -256,7 +256,7 @@ def test_every_number_has_a_range_with_two_ends():
     ("options", "named"),
     [
         ({"replan_steps": 0}, "ccdiff.replan_steps is 0, expected a whole number in [1, 1000]"),
-        ({"replan_steps": 53}, "replan_steps"),
+        ({"replan_steps": 53}, "ccdiff.replan_steps is 53, expected 1 to 52, the steps of a plan"),
         ({"cfg_weight": 2.0}, "ccdiff.cfg_weight is 2.0, expected a number in [1, 2)"),
         ({"criticality": 50.0}, "ccdiff.criticality is 50.0, expected a number in [0, 10]"),
         ({"num_guided": 10_000}, "ccdiff.num_guided is 10000, expected a whole number in [0, 512]"),

@@ -12,7 +12,7 @@ use ccdiff_sim::causal::rank::{CliqueSettings, Ranker};
 use ccdiff_sim::drivers::{Kind, WorldView};
 use ccdiff_sim::geom::Real;
 use ccdiff_sim::options::{CRITICALITY, Form, Setting, within};
-use ccdiff_sim::{choices, options};
+use ccdiff_sim::{SimError, choices, options};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -226,8 +226,10 @@ impl CcdiffConfig {
     /// [`crate::ModelError::Config`] and [`crate::ModelError::Sim`] name the field.
     pub(super) fn check(&self, network: &NetworkKind, model: &ModelConfig) -> Result<()> {
         options::check("ccdiff", self)?;
-        let (steps, expected) = (self.replan_steps, "1 up to the horizon of the plans");
-        require(steps <= model.horizon_steps, "ccdiff.replan_steps", steps, expected)?;
+        if self.replan_steps > model.horizon_steps {
+            let expected = format!("1 to {}, the steps of a plan", model.horizon_steps);
+            return Err(SimError::config("ccdiff.replan_steps", self.replan_steps, expected).into());
+        }
         self.guided(network)?.validated()?;
         self.unguided(network).validated()?;
         let fits = self.graph == GraphMode::Causal || network.causal;
