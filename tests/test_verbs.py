@@ -124,6 +124,10 @@ def test_an_ego_is_trained_by_a_verb_that_refuses_what_means_nothing(tmp_path, c
             "bench traffic --methods ccdiff --t 0 --out out",
             "--t is '0', expected multiples of 0.1 s",
         ),
+        (
+            "bench traffic --methods idm,ccdiff --t 0.5,5.3 --out out",
+            "--t is 5.3, expected at most 5.2 s, as long as the plans of ccdiff",
+        ),
         ("bench traffic --methods ccdiff --match 5 --out out", "expected rates between 0 and 1"),
         ("bench traffic --match 0.5 --strengths 1,1 --out out", "expected two at least"),
         ("bench planners --planners idm?title= --out out", "the title is empty"),

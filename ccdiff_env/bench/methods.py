@@ -13,7 +13,7 @@ from urllib.parse import quote
 from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError, DatasetError, UnknownNameError, meant
 from ccdiff_env.interop.nuplan import PREFIX
-from ccdiff_env.models import guidance_preset, shipped_weights
+from ccdiff_env.models import guidance_preset, shipped_weights, weights_path
 from ccdiff_env.planners.built_in import is_of_package
 from ccdiff_env.system.files import parse_object, reading
 from ccdiff_env.system.named_objects import named_object, strip_title, title_of
@@ -168,6 +168,13 @@ def network_of(file: str) -> str:
         if kind not in NETWORKS:
             raise DatasetError(f"weights of {kind!r}, expected one of {', '.join(NETWORKS)}")
     return str(kind)
+
+
+def plan_steps(drivers: Drivers) -> int:
+    """Return how many steps the plans of a network have, as its weights say."""
+    file = weights_path(drivers.ccdiff.get("weights", "fast"), drivers.driver)
+    with reading("weights", file):
+        return int(parse_object(read_tensors(file)[1]["ccdiff_env"])["model"]["horizon_steps"])
 
 
 def titled(names: Iterable[str]) -> list[str]:

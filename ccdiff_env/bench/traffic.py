@@ -30,6 +30,7 @@ from ccdiff_env.bench.methods import (
     REORDERED,
     Method,
     on_device,
+    plan_steps,
     resolved,
 )
 from ccdiff_env.bench.planners import SHORT_WINDOW
@@ -92,6 +93,13 @@ def traffic_jobs(
         )
     ]
     for method in (m for m in methods if m != "replay"):
+        if (played := METHODS[method]).driver in _PLANNERS:
+            most = plan_steps(played.with_weights(weights or {}))
+            if (steps := max(replan_steps)) > most:
+                raise ConfigError(
+                    f"--t is {steps * STEP_S:g}, expected at most {most * STEP_S:g} s, as long as "
+                    f"the plans of {method}"
+                )
         for k in num_controlled:
             if k is None and method in REORDERED and "ccdiff" in methods:
                 continue
