@@ -384,6 +384,23 @@ def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path,
     assert "embedded" in asked[1]
 
 
+def test_a_table_of_other_scenes_stands_beside_the_kept_one(tmp_path, monkeypatch):
+    from tools import pages, results
+
+    made_with = dict.fromkeys(("version", "commit", "processor"), "")
+    row = dict.fromkeys(("planner", "figure", "value", "other", "difference", "p"), "0")
+    row |= {"traffic": "idm", "planner": "nuplan:pdm_closed_planner", "against": "pdm"}
+    monkeypatch.setattr(pages, "DATA", tmp_path)
+    monkeypatch.setattr(results, "_run", lambda *_: (about, [row]))
+    for few in (93, 150, 93):
+        coverage = f"{few} of 150 scenes of val"
+        about = {"made_with": made_with, "weights": "", "coverage": coverage}
+        results.record("nuplan", "nuscenes:data/val", 1, tmp_path)
+    for name, few in (("nuplan", 93), ("nuplan_150", 150)):
+        assert f"{few} of 150 scenes of val" in results.render(name)
+    assert len([*tmp_path.iterdir()]) == 2
+
+
 def test_studies_take_as_done_what_was_made_with_the_same(tmp_path, monkeypatch):
     from tools import expectations
 

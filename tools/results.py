@@ -1,8 +1,9 @@
 """Tables of results: ``python -m tools.results [NAME ...] --scenes SOURCE`` runs their benchmarks.
 
 A run keeps what a table shows in ``docs/results/NAME.json``: command, version, commit, hash of the
-weights, processor, date, rows; ``tools.pages`` writes the tables into the pages. ``grid`` has a row
-per method, and a figure in a column per K and T. A run that was interrupted is resumed.
+weights, processor, date, rows; ``tools.pages`` writes the tables into the pages. A run on other
+scenes than the kept table's, as 150 of ``val``, is kept beside it, as ``NAME_150``. ``grid`` has a
+row per method, and a figure in a column per K and T. A run that was interrupted is resumed.
 """
 
 from __future__ import annotations
@@ -312,7 +313,14 @@ def record(name: str, source: str, workers: int, folder: Path) -> None:
         **{key: made[key] for key in ("version", "commit", "processor")},
         "date": datetime.date.today().isoformat(),
     }
-    keep(name, head, figures)
+    keep(_own_name(name, about["coverage"]), head, figures)
+
+
+def _own_name(name: str, coverage: str) -> str:
+    """Return the name to keep a table by: one of its own where the kept one is of other scenes."""
+    is_kept = (pages.DATA / f"{name}.json").is_file()
+    others = is_kept and kept(name)["scenes"] != coverage
+    return f"{name}_{coverage.partition(' ')[0]}" if others else name
 
 
 def _run(
@@ -397,7 +405,7 @@ def render(name: str, chosen: str | None = None, only: str | None = None) -> str
     """Return the table of a name, in Markdown, from what its run kept; all of it by default."""
     if name == "scores":
         return _scores(kept("grid"))
-    table = TABLES[name]
+    table = TABLES.get(name) or TABLES[name.rpartition("_")[0]]
     if chosen is not None:
         heads = [head.strip() for head in chosen.split(",")]
         table = replace(table, columns={head: table.columns[head] for head in heads})
