@@ -131,6 +131,13 @@ def test_a_file_that_is_written_appears_whole_or_not_at_all(tmp_path):
     assert len([*tmp_path.iterdir()]) == 3
     files.write_aside(tmp_path / "new" / "folder" / "a.csv", "1,2")
     assert (tmp_path / "new" / "folder" / "a.csv").read_text() == "1,2"
+    os.mkfifo(pipe := tmp_path / "pipe")
+    os.symlink(pipe, link := tmp_path / "link")
+    for special in (pipe, link):
+        with pytest.raises(OSError, match=r"Not a regular file: '.*'$"):
+            files.write_aside(special, "no file")
+    assert pipe.is_fifo()
+    assert link.is_symlink()
 
 
 # scenes

@@ -145,10 +145,15 @@ def writing(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def write_aside(path: Path, data: str | bytes) -> None:
-    """Write a file under another name first: a run that ends in the middle leaves no half of it."""
+    """Write a file under another name first: a run that ends in the middle leaves no half of it.
+
+    A device or a pipe would give way to a file, ``/dev/null`` for the whole system: an ``OSError``.
+    """
     short = os.fsdecode(os.fsencode(path.name)[:200])
     aside = path.parent / f".{short}.{os.getpid()}"
     with writing(path):
+        if path.exists() and not path.is_file():
+            raise OSError(errno.EINVAL, "Not a regular file")
         try:
             aside.unlink(missing_ok=True)
             with aside.open("xb") as file:
