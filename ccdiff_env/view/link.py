@@ -16,7 +16,7 @@ from ccdiff_env.config import WorldConfig
 from ccdiff_env.errors import ConfigError
 from ccdiff_env.record.rollout import Rollout
 from ccdiff_env.scenes import Scene
-from ccdiff_env.scenes.sources import Place
+from ccdiff_env.scenes.sources import DEFAULT, Place, load
 from ccdiff_env.traffic import KINDS, NETWORKS, SWIFT
 
 HORIZON_STEPS = 150
@@ -159,8 +159,6 @@ def play_drive(link: str, place: Place | str | None = None) -> Rollout:
     """Play a link again, in a scene of a place, the embedded ones by default: the states have the
     bits that they had on the page. Raises as :func:`read_drive`, and :class:`UnknownNameError`.
     """
-    from ccdiff_env.scenes.sources import DEFAULT, load
-
     drive = read_drive(link)
     usual = f"{DEFAULT}/city-lights" if drive.scene == LIT else DEFAULT
     scene = load(place or usual, names=[drive.scene])[0]
