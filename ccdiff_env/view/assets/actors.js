@@ -134,7 +134,7 @@ class Actors {
 
   /** What the ego's planner means to do: the chosen candidate bold, the others thin, the dearer the fainter. */
   intentions(context, step, theme, pixel) {
-    const meant = (this.run.intentions ?? []).filter((one) => one.made_at <= step).at(-1);
+    const meant = this.run.intentions.filter((one) => one.made_at <= step).at(-1);
     if (!meant) return;
     context.strokeStyle = COLOURS[theme].ego;
     context.lineCap = context.lineJoin = "round";
@@ -294,7 +294,6 @@ function windscreen(context, length, width, ink) {
   context.lineTo(0.11 * length, 0.4 * width);
   context.lineTo(0.11 * length, -0.4 * width);
   context.lineTo(0.24 * length, -0.34 * width);
-  context.closePath();
   context.fill();
   context.globalAlpha = 0.22;
   context.fillRect(-0.36 * length, -0.36 * width, 0.09 * length, 0.72 * width);
@@ -335,6 +334,5 @@ function arrow(context, p, q, colour, width, head, gapFrom, gapTo) {
   context.moveTo(ex, ey);
   context.lineTo(ex - head * Math.cos(angle - 0.42), ey - head * Math.sin(angle - 0.42));
   context.lineTo(ex - head * Math.cos(angle + 0.42), ey - head * Math.sin(angle + 0.42));
-  context.closePath();
   context.fill();
 }

@@ -236,7 +236,6 @@ class Drive extends View {
     run.agents.forEach((agent, i) => Object.assign(agent, { attacks: false, from: null, still: this.log.agents[i].still }));
     this.steps = 0;
     this.owed = 0;
-    this.going = false;
     this.outcome = null;
     this.put(seen);
     document.body.classList.toggle("waits", !script);

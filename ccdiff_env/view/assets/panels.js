@@ -45,7 +45,7 @@ function planCaptions(run, agent, step) {
 }
 
 /** Fill a list with captions: name and value, or a value for each run; the title says whose. */
-function showCaptions(list, title, captions, marks = []) {
+function showCaptions(list, title, captions, marks) {
   list.replaceChildren(element("div", "captions-title", title));
   for (const [name, ...values] of captions) {
     const row = element("div", "caption");
@@ -53,7 +53,7 @@ function showCaptions(list, title, captions, marks = []) {
     const both = element("span", "caption-value");
     values.forEach((value, i) => {
       const shown = element("span", "", value);
-      if (values.length > 1) shown.prepend(badge(marks[i] ?? i));
+      if (values.length > 1) shown.prepend(badge(marks[i]));
       both.append(shown);
     });
     row.append(both);

@@ -93,10 +93,10 @@ class View {
   theme = "light";
   headingUp = false;
   before = 0;
+  dirty = true;
+  layers = { ...LAYERS_AT_START };
 
-  constructor(layers) {
-    this.layers = { ...LAYERS_AT_START, ...layers };
-    this.touch();
+  constructor() {
     requestAnimationFrame((now) => this.frame(now));
   }
 
