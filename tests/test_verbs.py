@@ -315,6 +315,10 @@ def test_files_have_the_values_themselves(tmp_path):
     rows = list(csv.reader((tmp_path / "t.csv").open()))
     assert rows[0] == ["name", "count", "hit", "hit_low", "hit_high", "gap"]
     assert rows[1:] == [["a", "3", "0.25", "0.125", "0.5", "1.5"], ["b", "4", "", "", "", ""]]
+    # a cell without an interval, in a column of intervals, moves no cell to another column
+    Table(["a", "b"], [[0.5, (2.0, 1.0, 3.0)], [(0.5, 0.0, 1.0), None]]).write_csv(tmp_path / "t")
+    rows = list(csv.reader((tmp_path / "t").open()))
+    assert rows[1:] == [["0.5", "", "", "2.0", "1.0", "3.0"], ["0.5", "0.0", "1.0", "", "", ""]]
 
 
 def test_the_highest_as_shown_are_emphasised():

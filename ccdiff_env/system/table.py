@@ -148,15 +148,17 @@ class Table:
 
     def write_csv(self, path: Path) -> None:
         """Write names and cells; figures in three columns, empty where nothing is known."""
-        heads: list[str] = []
-        for i, column in enumerate(self.columns):
-            wide = any(isinstance(row[i], tuple) for row in self.rows)
-            heads += [column.name + end for end in ("", "_low", "_high")[: 3 if wide else 1]]
+        ends = [
+            ("", "_low", "_high") if any(isinstance(cell, tuple) for cell in column) else ("",)
+            for column in zip(*self.rows, strict=True)
+        ] or [("",)] * len(self.columns)
+        heads = [c.name + end for c, of in zip(self.columns, ends, strict=True) for end in of]
         file = io.StringIO(newline="")
         writer = csv.writer(file)
         writer.writerow(heads)
         for row in self.rows:
-            flat = [x for cell in row for x in (cell if isinstance(cell, tuple) else (cell,))]
+            cells = [cell if isinstance(cell, tuple) else (cell, None, None) for cell in row]
+            flat = [x for cell, of in zip(cells, ends, strict=True) for x in cell[: len(of)]]
             writer.writerow(["" if x is None or x != x else x for x in flat])
         write_aside(path, file.getvalue())
 
