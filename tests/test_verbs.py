@@ -354,6 +354,7 @@ def test_training_resumes_and_begins_with_weights_that_are_told_routes(tmp_path,
             "12 scenes of val and city and val-lights and city-lights kept out",
         ),
         ("--scenes nuscenes:/nowhere", "/nowhere"),
+        (f"--model simnet --scenes embedded/train --seed {2**70}", "training.seed is"),
     ],
 )
 def test_what_cannot_train_is_an_error_in_one_line(words, said, tmp_path, capsys):
@@ -362,6 +363,11 @@ def test_what_cannot_train_is_an_error_in_one_line(words, said, tmp_path, capsys
     assert message.startswith("ccdiff-env train: ")
     assert said in message
     assert "Traceback" not in message
+
+
+@pytest.mark.parametrize("seed", [-1, 2**64 - 1, 2**70])
+def test_any_integer_is_the_seed_of_an_ego(seed, tmp_path):
+    assert main(["train-ego", "--smoke", "--seed", str(seed), "--out", str(tmp_path)]) == 0
 
 
 def test_the_queue_goes_on_after_a_failure_and_leaves_what_is_finished(tmp_path, monkeypatch):

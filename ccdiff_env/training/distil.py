@@ -364,7 +364,7 @@ def train(
     from torch.nn import Linear, functional
 
     torch.set_num_threads(1)
-    torch.manual_seed(seed)
+    torch.manual_seed(seed % 2**64)
     relu, cross = functional.relu, functional.cross_entropy
     mirrored = torch.ones(ROW)
     mirrored[MIRRORED] = -1.0

@@ -229,7 +229,7 @@ def imitate(
         seed: Seed of the minibatches.
     """
     scale, optimiser = actions.std(dim=0) + 1e-3, torch.optim.Adam(weights)
-    random = torch.Generator().manual_seed(seed)
+    random = torch.Generator().manual_seed(seed % 2**64)
     for step in range(CLONE_STEPS):
         optimiser.param_groups[0]["lr"] = 1e-3 * (1.0 - step / CLONE_STEPS)
         index = torch.randint(len(x), (CLONE_BATCH,), generator=random)

@@ -226,7 +226,7 @@ def train(args: argparse.Namespace) -> None:
         raise ConfigError(f"{args.out} holds a run without its settings; choose another folder")
     saved = torch.load(checkpoint, weights_only=True) if checkpoint.is_file() else None
     done = {"decisions": 0, "seconds": 0.0, "updates": 0, **(saved["done"] if saved else {})}
-    torch.manual_seed(args.seed + done["updates"])
+    torch.manual_seed((args.seed + done["updates"]) % 2**64)
     worlds = Worlds(args, config, spread_seed(args.seed, done["decisions"]))
     if given is not None:
         given.check(worlds.envs[0].worlds)
