@@ -11,8 +11,9 @@ for (const block of document.querySelectorAll("div.highlight")) {
   block.style.position = "relative";
   block.append(button);
 }
-// What the theme leaves out: levels of the captions beside.
+// What the theme leaves out: levels of the captions beside, and diagrams for the keyboard.
 for (const caption of document.querySelectorAll(".caption[role=heading]")) caption.ariaLevel = "2";
+for (const pre of document.querySelectorAll(".highlight-text pre")) pre.tabIndex = 0;
 // An interval, and a p-value, stand below their value.
 for (const cell of document.querySelectorAll(".table-wrapper td > p")) {
   const [below] = cell.textContent.match(/\s\[[^\]]*\](, p .*)?$/) || [];
