@@ -217,7 +217,24 @@ def test_files_with_velocities_that_contradict_the_positions_say_so(tmp_path):
 def test_no_velocity_of_nuscenes_contradicts_its_positions(data_root):
     scenes = ccdiff_env.load(f"nuscenes:{data_root}/nuscenes@v1.0-trainval/val")
     assert len(scenes) > 90
-    assert not [n for report in scenes.report.scenes for n in report.notes if "contradict" in n]
+    notes = [note for report in scenes.report.scenes for note in report.notes]
+    assert not [note for note in notes if "contradict" in note or "across" in note]
+
+
+@pytest.mark.parametrize(
+    ("heading_rad", "wrong"),
+    [(3.0, np.rad2deg), (0.1, lambda rad: np.pi / 2 - rad), (1.0, np.negative)],
+)
+def test_headings_of_another_kind_are_noted(heading_rad, wrong):
+    place, heading, velocity = line(8.0, heading=heading_rad)
+    said = r": 1 runs across its heading: degrees, or axes turned\?$"
+    with pytest.warns(UserWarning, match=said) as caught:
+        scene = made(line(8.0), (place, wrong(heading), velocity))
+    assert len(caught) == 1
+    assert np.cos(scene.tracks()["heading"][1] - wrong(heading)).min() > 1.0 - 1e-4
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made(line(8.0), (place, heading, velocity), bend())
 
 
 def test_sizes_that_are_odd_are_noted():
