@@ -184,7 +184,7 @@ impl Scene {
         if matches!(self.agents[agent].kind, AgentKind::Pedestrian | AgentKind::Static) {
             return [false; 2];
         }
-        let (mut ahead_m, mut odd_m, mut fast_s) = (0.0, [0.0; 2], [0.0; 2]);
+        let (mut ahead_m, mut back, mut across) = (0.0, [0.0; 2], [0.0; 2]);
         let stride = (LOOK_S / self.dt_s).round().max(1.0);
         let look_s = stride * self.dt_s;
         for at in (self.at(agent, 0)..self.at(agent + 1, 0)).step_by(stride as usize) {
@@ -200,14 +200,14 @@ impl Scene {
                 ahead_m += way_m;
                 continue;
             }
-            let which = usize::from(along >= -ALONG);
-            odd_m[which] += way_m;
-            fast_s[which] += if speed_mps > FAST_MPS { look_s } else { 0.0 };
+            let [odd_m, fast_s] = if along < -ALONG { &mut back } else { &mut across };
+            *odd_m += way_m;
+            *fast_s += if speed_mps > FAST_MPS { look_s } else { 0.0 };
         }
-        [0, 1].map(|i| {
-            let share = LEAST_ODD_SHARE * (odd_m[i] + if i == 0 { ahead_m } else { ahead_m + odd_m[0] });
-            odd_m[i] >= LEAST_ODD_M && odd_m[i] >= share && fast_s[i] >= LEAST_FAST_S
-        })
+        let is_odd = |[odd_m, fast_s]: [Real; 2], other_m: Real| {
+            odd_m >= LEAST_ODD_M && odd_m >= LEAST_ODD_SHARE * (odd_m + other_m) && fast_s >= LEAST_FAST_S
+        };
+        [is_odd(back, ahead_m), is_odd(across, ahead_m + back[0])]
     }
 
     fn turn(&mut self, agent: usize) {
